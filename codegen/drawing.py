@@ -1,9 +1,9 @@
-"""What an author may draw of a system: rods, masses, boxes, arrows, trails, circles, marks and ground.
+"""Items of the drawing of a system: rods, masses, boxes, arrows, trails, circles, marks and ground.
 
-A problem's `drawing` is a list of these. Every number may be an expression of coordinates (or states), controls,
-parameters, time and the body's number; a motion in space is drawn by projecting it onto the plane. Lengths are those
-of the problem. The optional `label` names an item in legends. Nothing here needs sympy: the same classes hold arrays
-(bodies, times) instead of expressions once a motion is known.
+A problem's `drawing` is a list of items. Every number may be an expression of coordinates (or states), controls,
+parameters, time and the number of the body. Lengths have the unit of the problem. A motion in space is projected onto
+the plane by these expressions. The optional `label` names an item in legends. This module does not import sympy: in a
+scene the same classes hold arrays (bodies, times).
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ Expression = Any
 """A sympy expression or a number; in a scene an array (bodies, times)."""
 
 Point: TypeAlias = tuple[Expression, Expression]
-"""A place or a vector in the plane."""
+"""A position or a vector in the plane."""
 
 _Item = TypeVar("_Item", bound="Item")
 
 
 class _Kind(type):
-    """Kinds of items: a call with other arguments than those of its kind says which these are."""
+    """Metaclass of items: a call with a wrong argument raises an error that lists the valid ones."""
 
     def __call__(cls, *values: Any, **named: Any) -> Any:
         signature = inspect.signature(vars(cls)["__init__"])
@@ -46,21 +46,21 @@ class _Kind(type):
 
 @dataclass(frozen=True)
 class Item(metaclass=_Kind):
-    """Something to be drawn, once for each body if it depends on the body."""
+    """An item of a drawing, drawn once for each body if it depends on the body."""
 
     label: str = field(default="", kw_only=True)
 
     def parts(self) -> Iterator[tuple[str, Any]]:
-        """The names and values of all that is no label: points and single expressions."""
+        """Yield names and values of all fields except the label: points and single expressions."""
         return ((part.name, getattr(self, part.name)) for part in fields(self) if part.name != "label")
 
     def expressions(self) -> Iterator[tuple[str, Expression]]:
-        """Every single expression, with the name of its part."""
+        """Yield every single expression with the name of its field."""
         for name, value in self.parts():
             yield from ((name, part) for part in (value if isinstance(value, tuple) else (value,)))
 
     def mapped(self: _Item, function: Callable[[Expression], Any]) -> _Item:
-        """The same item with every expression replaced by a function of it."""
+        """Return the item with a function applied to every expression."""
         changes: dict[str, Any] = {
             name: tuple(map(function, value)) if isinstance(value, tuple) else function(value)
             for name, value in self.parts()
@@ -96,7 +96,7 @@ class Box(Item):
 
 @dataclass(frozen=True)
 class Arrow(Item):
-    """A force, a velocity or a heading: a vector that starts at a point."""
+    """A force, a velocity or a heading: a vector at a point."""
 
     start: Point
     vector: Point
@@ -104,7 +104,7 @@ class Arrow(Item):
 
 @dataclass(frozen=True)
 class Trail(Item):
-    """The path that a point leaves behind."""
+    """The path of a point."""
 
     point: Point
 
@@ -119,21 +119,21 @@ class Circle(Item):
 
 @dataclass(frozen=True)
 class Mark(Item):
-    """A place of interest: a pivot or a target."""
+    """A position of interest: a pivot or a target."""
 
     place: Point
 
 
 @dataclass(frozen=True)
 class Ground(Item):
-    """A straight line that nothing passes, hatched to its right when one looks from start to end."""
+    """A straight line that nothing passes, hatched at its right side in the direction from start to end."""
 
     start: Point
     end: Point
 
 
 ITEMS = (Rod, Mass, Box, Arrow, Trail, Circle, Mark, Ground)
-"""Every kind of item; tests run over this table."""
+"""All kinds of items; tests run over this table."""
 
 
 @dataclass(frozen=True)

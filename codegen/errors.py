@@ -1,41 +1,41 @@
-"""The errors that a person can cause, each naming what is wrong, where, and the remedy."""
+"""The errors that users can cause; each names the problem, its location and the remedy."""
 
 from __future__ import annotations
 
 from codegen.identifiers import plain
 
 INTERRUPTED = "codegen: interrupted; no file was left half written"
-"""What a command says when it is interrupted; files are written as a whole or not at all."""
+"""Message of an interrupted command; files are replaced atomically."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """An interrupt of work of which a part stays; its text says how much, and how the rest is done."""
+    """An interrupt of work that can be resumed; its text names the stored part and the way to resume."""
 
 
 def one_line(text: str, limit: int = 1000) -> str:
-    """The text without line breaks, cut where it is very long."""
+    """Return the text without line breaks, cut at `limit` characters."""
     line = " ".join(text.split())
     return line if len(line) <= limit else line[:limit] + " ..."
 
 
 def clause(text: str) -> str:
-    """A part of a message on one line, short enough that the rest is seen."""
+    """Return a part of a message on one line of at most 400 characters."""
     return one_line(text, 400)
 
 
 class CodegenError(Exception):
-    """Base of all errors that are reported as one line with exit status 2, never as a traceback.
+    """Base of all errors that are reported as one line with exit status 2, without a traceback.
 
-    Parameters are the finding (naming the symbol, equation or file) and the remedy, both one clause.
+    Parameters are the finding, which names the symbol, equation or file, and the remedy, each as one clause.
     """
 
     def __init__(self, finding: str, remedy: str) -> None:
-        # Whatever generated code calls a quantity, its author reads the name that he gave it.
+        # Names of generated code are replaced by the author's names.
         self.finding, self.remedy = plain(finding), plain(remedy)
         super().__init__(f"{self.finding}; {self.remedy}")
 
     def __reduce__(self) -> tuple[type[CodegenError], tuple[str, str]]:
-        """What makes the same error in another process, which may have met it first."""
+        """Pickle the two parameters, not the message."""
         return type(self), (self.finding, self.remedy)
 
 
@@ -56,7 +56,7 @@ class ExpressionError(CodegenError):
 
 
 class UnitError(CodegenError):
-    """A unit is unknown, or units that were given do not agree."""
+    """A unit is unknown, or declared units are inconsistent."""
 
 
 class DegenerateError(CodegenError):
@@ -64,7 +64,7 @@ class DegenerateError(CodegenError):
 
 
 class SizeError(CodegenError):
-    """A problem is too large for what is to be derived from it."""
+    """A problem is too large for a derivation."""
 
 
 class BoundaryError(CodegenError):
@@ -80,11 +80,11 @@ class ModuleError(CodegenError):
 
 
 class FileError(CodegenError):
-    """The file system refuses to write a file: no room, no permission, a disk that may only be read."""
+    """The file system refuses to write a file: no space, no permission, a read-only disk."""
 
 
 class VerificationError(CodegenError):
-    """A derivative in an emitted text is not that of the expression; nothing is written."""
+    """A derivative in an emitted text differs from that of the expression; nothing is written."""
 
 
 class NumericsError(CodegenError):
@@ -92,28 +92,28 @@ class NumericsError(CodegenError):
 
 
 class PointsError(CodegenError):
-    """A file of points cannot be read, or its points cannot be connected: duplicates, points outside the domain."""
+    """A file of points is unreadable, or its points cannot be connected: duplicates, points outside the domain."""
 
 
 class TableError(CodegenError):
-    """A file of a table cannot be read, or its rows are no table: unsorted, twice, missing, not finite."""
+    """A file of a table is unreadable, or its rows are unsorted, repeated, missing or not finite."""
 
 
 class LandmarkError(CodegenError):
-    """Landmarks that no map can match: not finite, not as many in both images, or two at one place."""
+    """Landmarks that no map can match: not finite, different numbers in both images, or two at one position."""
 
 
 class RegistrationError(CodegenError):
-    """The numerics did not find a map that carries the landmarks where they belong; the finding names the place."""
+    """The numerics found no map that matches the landmarks; the finding names the position."""
 
 
 class ImageError(CodegenError):
-    """An array or a file is no image that can be read, warped or written."""
+    """An array or a file is no image, or cannot be read, warped or written."""
 
 
 class ExtraError(CodegenError):
-    """A library is not installed that an optional part of this package needs; the remedy names the extra."""
+    """A package of an optional part is not installed; the remedy names the extra."""
 
 
 class ClusterError(CodegenError):
-    """A scheduler of a cluster does not answer, has no workers, or was lost; what chunks have written stays."""
+    """The scheduler of a cluster does not answer, has no workers, or was lost; written chunks stay."""

@@ -1,4 +1,4 @@
-"""Writing files as a whole or not at all, and saying what is to be done where the file system refuses."""
+"""Atomic writes of files, errors of the file system with a remedy, and HTML templates."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ _REMEDIES = {
     errno.EFBIG: "raise the limit on the size of files, or choose another folder",
     errno.EIO: "look after that disk, or choose another folder",
 }
-"""What to do about errors that are the file system's own."""
+"""Remedies for errors of the file system."""
 _MARK = ".codegen-"
 _TEMPORARY = re.compile(rf"\.(.*){re.escape(_MARK)}[a-z0-9_]{{8}}((?:\.nii)?(?:\.[^.]*)?)", re.DOTALL)
-"""Names of temporary files: stem and suffix of the file that they are to become, and what tempfile puts between."""
+"""Names of temporary files: the stem and the suffix of the target, and the part that tempfile adds."""
 
 
 def is_refusal(error: OSError) -> bool:
-    """Whether the file system refused, which no program can help."""
+    """Return True if the file system refused the operation."""
     return error.errno in _REMEDIES
 
 
 def refused(error: OSError, path: Path | str, remedy: str = "") -> FileError:
-    """The error that names the file, the reason and the remedy."""
-    place = f"{path}: {Path(error.filename).name}" if error.filename and Path(path).is_dir() else path
-    found = remedy or _REMEDIES.get(error.errno or 0, "choose another folder")
-    return FileError(f"{place} cannot be written ({error.strerror or error})", found)
+    """Return the error that names the file, the reason and the remedy."""
+    name = f"{path}: {Path(error.filename).name}" if error.filename and Path(path).is_dir() else path
+    remedy = remedy or _REMEDIES.get(error.errno or 0, "choose another folder")
+    return FileError(f"{name} cannot be written ({error.strerror or error})", remedy)
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary file in the same folder that takes the name of `path` when the block ends without error.
+    """Yield a temporary file in the same folder, which replaces `path` when the block ends without an error.
 
-    A reader sees the old file or the new one, and what is killed or fails leaves the old one. FileError when the file
+    A reader sees the old file or the new one; after an error the old file remains. Raises FileError when the file
     system refuses.
     """
     try:
@@ -60,35 +60,35 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def _parts(path: Path) -> tuple[str, str]:
-    """Stem and suffix; that of compressed NIfTI is .nii.gz, by which libraries know it."""
+    """Return stem and suffix; .nii.gz is one suffix."""
     whole = path.suffixes[-2:] == [".nii", ".gz"]
     return (path.stem.removesuffix(".nii"), ".nii.gz") if whole else (path.stem, path.suffix)
 
 
 def remove_leftovers(paths: Iterable[Path]) -> None:
-    """Remove what processes that were killed left beside files: temporary files of `replacing`.
+    """Remove temporary files of `replacing` that killed processes left beside files.
 
-    Nobody may be writing the files at this time.
+    No process may be writing these files.
     """
     names: dict[Path, set[tuple[str, str]]] = {}
     for path in paths:
         names.setdefault(path.absolute().parent, set()).add(_parts(path))
-    for folder, known in names.items():
-        with suppress(OSError):  # they are hidden and do no harm
+    for folder, targets in names.items():
+        with suppress(OSError):  # leftovers are hidden and harmless
             for entry in [*folder.iterdir()]:
-                found = _TEMPORARY.fullmatch(entry.name)
-                if found and (found[1], found[2]) in known:
+                match = _TEMPORARY.fullmatch(entry.name)
+                if match and (match[1], match[2]) in targets:
                     entry.unlink()
 
 
 def write_text(path: Path, text: str) -> None:
-    """Replace a file as a whole; FileError when the file system refuses."""
+    """Replace the text of a file; raises FileError when the file system refuses."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def rendered(template: Path, **values: Any) -> str:
-    """The HTML of a jinja template; a name in it that has no value is an error."""
+    """Return the HTML of a jinja template; a name without a value is an error."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     loader = FileSystemLoader(template.parent)

@@ -1,4 +1,4 @@
-"""What a page of measurements says of the machine and the versions that it was made with."""
+"""Versions and processor, as pages of measurements report them."""
 
 from __future__ import annotations
 
@@ -15,35 +15,28 @@ _PACKAGES = ("numpy", "scipy", "numba", "sympy", "matplotlib")
 
 
 def machine() -> dict[str, Any]:
-    """Versions, processor and present load by name."""
+    """Return versions, processor and present load by name."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    # Waiting processes in the mean of 15 minutes; other work makes measured times longer.
+    load = round(os.getloadavg()[2], 1) if hasattr(os, "getloadavg") else None
     return {
         **versions(),
         "machine": platform.machine(),
-        "processor": _processor(),
+        "processor": names[0] if names else platform.processor(),
         "processors": os.cpu_count() or 1,
         "system": platform.system(),
-        "load of the machine when the page was made": _load(),
+        "load of the machine when the page was made": load,
     }
 
 
 def versions() -> dict[str, str]:
-    """The versions of codegen, Python and the packages that decide about numbers and times."""
+    """Return the versions of codegen, Python and the packages that determine numbers and times."""
     return {"codegen": __version__, "python": platform.python_version(), **dict(_packages())}
 
 
 @cache
 def _packages() -> tuple[tuple[str, str], ...]:
-    """Versions of packages, whose files take longer to read than some sweeps to solve."""
+    """Return versions of packages; reading them takes longer than some sweeps."""
     return tuple((name, metadata.version(name)) for name in _PACKAGES)
-
-
-def _processor() -> str:
-    file = Path("/proc/cpuinfo")
-    lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
-
-
-def _load() -> float | None:
-    """Processes that wanted a processor over the last quarter of an hour: other work makes measured times longer."""
-    return round(os.getloadavg()[2], 1) if hasattr(os, "getloadavg") else None

@@ -194,7 +194,7 @@ class Solver:
         return f"Solver({self.name!r}, {str(self.build.path)!r})"
 
     def _repr_html_(self) -> str:
-        from codegen.show.notebook_solution import table
+        from codegen.show.notebook import table
 
         metadata = self.module.metadata
         rows = [
@@ -208,7 +208,7 @@ class Solver:
             return summary
         from html import escape
 
-        from codegen.show.notebook_mathematics import displayed
+        from codegen.show.notebook import displayed
 
         return summary + escape(displayed(self.problem.problem), quote=False)
 

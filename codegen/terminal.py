@@ -1,4 +1,4 @@
-"""What every command shares: errors as one line with an exit status, the console, signs of life on a terminal."""
+"""Shared parts of commands: one-line errors with an exit status, the console, and progress on a terminal."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from codegen.errors import INTERRUPTED, CodegenError, Interrupted, one_line
 from codegen.files import is_refusal, refused
 
 FILE_WIDTH = 120
-"""Characters of a line where the output is no terminal."""
+"""Width of lines if the output is no terminal."""
 
 
 class _Ended(Exception):
-    """An interrupt that has something to say, of which typer would leave the exit status alone."""
+    """An interrupt with a message; typer would replace an Interrupted by its own exit."""
 
 
 class OneLineErrors(TyperGroup):
     """A group of commands whose errors are one line on stderr and an exit status."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command; what stays of one that is interrupted is said."""
+        """Run a command; the message of an interrupt is kept."""
         try:
             return super().invoke(ctx)
         except Interrupted as error:
             raise _Ended(str(error)) from error
 
     def main(self, *positional: Any, **options: Any) -> Any:
-        """Run and exit."""
+        """Run a command and exit."""
         try:
             with warnings.catch_warnings():
                 if not sys.warnoptions:
-                    # No warning answers what was asked; what matters shows in the status and the residuals.
+                    # Status and residuals report numerical problems; warnings would repeat them.
                     warnings.simplefilter("ignore")
                 status = super().main(*positional, **{**options, "standalone_mode": False})
-            sys.stdout.flush()  # while an error can still be told
-            if status == 130:  # which is what typer makes of an interrupt
+            sys.stdout.flush()  # while an error can still be reported
+            if status == 130:  # the status that typer gives an interrupt
                 typer.echo(INTERRUPTED, err=True)
         except _Ended as ended:
             status = 130
@@ -52,23 +52,18 @@ class OneLineErrors(TyperGroup):
         except Exception as error:
             status, text = _described(error)
             typer.echo(f"codegen: error: {text}", err=True)
-            _forget_output()
+            try:
+                sys.stdout.flush()
+            except OSError:  # do not write again when Python ends, which would change the exit status
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(status if isinstance(status, int) else 0)
 
 
-def _forget_output() -> None:
-    """What could not be written is not tried again when Python ends, which would change the exit status."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
 def _described(error: Exception) -> tuple[int, str]:
-    """Exit status and one line for whatever was raised."""
+    """Return exit status and message of an exception."""
     if isinstance(error, CodegenError):
         return 2, one_line(str(error))
-    if hasattr(error, "format_message"):  # a usage error of typer, whose class moved between versions
+    if hasattr(error, "format_message"):  # a usage error of typer, whose class differs between versions
         command = getattr(getattr(error, "ctx", None), "command_path", "codegen")
         return 2, one_line(f"{error.format_message().rstrip('.')}; see {command} --help")
     if isinstance(error, OSError) and is_refusal(error):
@@ -84,18 +79,18 @@ def _described(error: Exception) -> tuple[int, str]:
 
 
 def console(stderr: bool = False) -> Any:
-    """A console of rich, which takes long to import; a file gets longer lines than the narrowest terminal."""
+    """Return a console of rich, which is slow to import, with the width of the terminal or FILE_WIDTH."""
     from rich.console import Console
 
-    made = Console(stderr=stderr, highlight=False)
-    if not made.is_terminal and "COLUMNS" not in os.environ:
-        made.width = FILE_WIDTH
-    return made
+    result = Console(stderr=stderr, highlight=False)
+    if not result.is_terminal and "COLUMNS" not in os.environ:
+        result.width = FILE_WIDTH
+    return result
 
 
 @contextmanager
 def progress(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
-    """A bar over so many parts, moved by (parts done, what is going on); nothing where there is no terminal."""
+    """Show a bar of `count` parts on a terminal; it is updated by (parts done, text)."""
     if not sys.stderr.isatty():
         yield lambda done, text: None
         return
@@ -114,7 +109,7 @@ def progress(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
 
 @contextmanager
 def following() -> Iterator[Callable[[int, tuple[float, ...]], None] | None]:
-    """A sign of life on a terminal that tells of iterates, by what is yielded, once it has taken a second."""
+    """Show the iterates that are passed to the yielded function on a terminal, after one second."""
     with working("Solving") as line:
         if line is None:
             yield None
@@ -134,7 +129,7 @@ def following() -> Iterator[Callable[[int, tuple[float, ...]], None] | None]:
 
 
 def working(what: str) -> AbstractContextManager[Any]:
-    """A sign of life on a terminal, nothing elsewhere."""
+    """Show a spinner on a terminal."""
     if not sys.stderr.isatty():
         return nullcontext()
     return console(stderr=True).status(f"{what} ...")  # type: ignore[no-any-return]

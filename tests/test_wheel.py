@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import tomllib
 import zipfile
 from pathlib import Path
 
@@ -56,12 +55,14 @@ def outside(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_it_has_the_package_and_nothing_else(wheel):
-    tracked = subprocess.run(
-        ["git", "ls-files", "codegen"], capture_output=True, text=True, cwd=ROOT, check=True
-    ).stdout
-    forced = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    def tracked(*patterns):
+        command = ["git", "ls-files", *patterns]
+        return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout.split()
+
+    problems = tracked("problems/*.py", "problems/*.csv")
+    gallery = {name.replace("problems/", "codegen/gallery/", 1) for name in problems}
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
-    assert names == {*tracked.split(), *forced["force-include"].values()}
+    assert names == {*tracked("codegen"), *gallery}
     assert "codegen/py.typed" in names
     assert wheel.name.split("-")[1] == codegen.__version__
 
@@ -73,6 +74,14 @@ def test_it_solves_outside_the_checkout(installed):
     found = json.loads(done.stdout)
     assert found["status"] == "solved"
     assert found["cost"] == pytest.approx(6.0, rel=1e-3)
+
+
+def test_it_brings_the_gallery(installed):
+    done = outside(installed, str(installed / "bin" / "codegen"), "new", "time_to_climb", "--out", "climb")
+    assert done.returncode == 0, done.stderr
+    folder = installed.parent / "elsewhere" / "climb"
+    assert (folder / "data" / "f4_thrust.csv").is_file()
+    assert '"data/f4_thrust.csv"' in (folder / "time_to_climb.py").read_text(encoding="utf-8")
 
 
 def test_it_brings_what_its_parts_read(installed):

@@ -1,10 +1,10 @@
-"""One solve of one case: the module with the values of the case, a run of the driver, and the verdict outside it.
+"""One solve of one case of a sweep, and its start.
 
-Starts along a path through cases: where one from a case's own guess fails, or before it, from solved neighbours. On a
-straight part of the path a start follows the secant through the last two solutions, and where derivatives of the last
-one are known the parabola that has its tangent there; elsewhere it follows this tangent. On a grid of cases secant and
-tangent are off by the square of their distance, the parabola by its cube. Source: Allgower and Georg (1990), Numerical
-continuation methods, chapters 2 and 6.
+A case starts from its own guess. If that fails, or before it with warm starts, the case starts from solved neighbours
+on the path through the cases. On a straight part of the path the start extrapolates the last two solutions along their
+secant. With derivatives of the last solution it follows the parabola with that tangent, or elsewhere the tangent alone.
+On a grid of cases the error of secant and tangent is of second order in the distance, that of the parabola of third
+order. Source: Allgower and Georg (1990), Numerical continuation methods, chapters 2 and 6.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors.work import LOST, SOLVED
+from codegen.batch.executors.chunks import LOST, SOLVED
 from codegen.batch.layout import Shapes
-from codegen.batch.quantities import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
+from codegen.batch.request import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
 from codegen.errors import CodegenError, one_line
 from codegen.solving.drivers import find
 from codegen.solving.loading import Matrix, Vector, is_connect
@@ -34,114 +34,110 @@ from codegen.solving.warm_start import transferred
 from codegen.solving.warm_start import varied as varied_guess
 
 OTHERS = 3
-"""How many neighbours are tried after the problem's own guess."""
+"""Number of neighbours that are tried after the problem's own guess."""
 FARTHEST = 2.0
-"""How far a secant is followed, in parts of the distance of the two solutions that it goes through."""
+"""Largest extrapolation along a secant, relative to the distance of its two solutions."""
 STRAIGHT = 1e-6
-"""What part of a move may lie beside the direction of the one before."""
+"""Largest relative deviation of a step from the direction of the previous one on a straight path."""
 
 
-Found = TypeVar("Found", bound="Attempted")
+AttemptType = TypeVar("AttemptType", bound="Attempted")
 
 
 class Attempted(Protocol):
-    """What an attempt leaves: whether it is a solution that others may start from."""
+    """An attempt at a case, as continuation sees it."""
 
     @property
     def is_start(self) -> bool:
-        """Whether it is."""
+        """True if other cases can start from the attempt."""
 
     @property
     def has_tangent(self) -> bool:
-        """Whether it is known how it follows what varies."""
+        """True if derivatives by the varied quantities are stored."""
 
-    def without_tangent(self: Found) -> Found:
-        """The same without this knowledge, which takes memory."""
+    def without_tangent(self: AttemptType) -> AttemptType:
+        """Return the attempt without derivatives, which take memory."""
 
 
 @dataclass(frozen=True)
-class Start(Generic[Found]):
-    """A solution to start from, moved by so many times its difference from another one, along its tangent, or both."""
+class Start(Generic[AttemptType]):
+    """A solution to start from, moved by `factor` times its difference from `before`, along its tangent, or both."""
 
-    solution: Found
-    before: Found | None = None
+    solution: AttemptType
+    before: AttemptType | None = None
     factor: float = 0.0
     is_along_tangent: bool = False
 
     @property
     def is_moved(self) -> bool:
-        """Whether it is not the solution itself."""
+        """True if the start differs from the solution."""
         return self.is_along_tangent or self.before is not None
 
 
-class Continuation(Generic[Found]):
-    """The solutions of a chunk so far, and where the next case begins.
+class Continuation(Generic[AttemptType]):
+    """The solutions of a chunk so far, and the starts of the next case.
 
-    `points` (n, quantities) are the cases in parts of each quantity's range, `families` (n,) tells which of them have
-    the same module: only these start from each other. Where starts are `warm` the last neighbour comes before the
-    problem's own guess.
+    `points` (n, quantities) are the cases scaled by the range of each quantity. `families` (n,) numbers the modules of
+    cases: only cases of the same family start from each other. With `warm` starts the last neighbour is tried before
+    the problem's own guess.
     """
 
     def __init__(self, points: Matrix, families: NDArray[np.intp], warm: bool) -> None:
         self._points, self._families, self._warm = points, families, warm
-        self._coordinates: list[list[float]] = points.tolist()  # of single points, for which arrays are slow
-        self._solved: dict[int, Found] = {}
+        self._coordinates: list[list[float]] = points.tolist()  # faster than arrays for single points
+        self._solved: dict[int, AttemptType] = {}
         self._path: dict[int, list[int]] = {}
 
-    def solve(self, index: int, attempt: Callable[[Start[Found] | None], Found]) -> list[Found]:
-        """The attempts at a case, the last of which is its outcome: the first that is solved, else from its own guess.
+    def solve(self, index: int, attempt: Callable[[Start[AttemptType] | None], AttemptType]) -> list[AttemptType]:
+        """Return the attempts at a case; the last one is its outcome.
 
-        `attempt` is given what to start from, or None for the problem's own guess.
+        The outcome is the first solved attempt, else the attempt from the problem's own guess. `attempt` solves from a
+        start, or from the own guess for None.
         """
-        attempts: list[Found] = []
-        own: Found | None = None
+        attempts: list[AttemptType] = []
+        from_guess: AttemptType | None = None
         for start in self._starts(index):
-            found = attempt(start)
-            attempts.append(found)
-            if found.is_start:
+            result = attempt(start)
+            attempts.append(result)
+            if result.is_start:
                 path = self._path.setdefault(int(self._families[index]), [])
                 if path:
                     self._solved[path[-1]] = self._solved[path[-1]].without_tangent()
                 path.append(index)
-                self._solved[index] = found
-                return [*attempts[:-1], found.without_tangent()]
-            own = found if start is None else own
-        assert own is not None, "a case is tried from its own guess in any case"
-        return [*(found for found in attempts if found is not own), own]
+                self._solved[index] = result
+                return [*attempts[:-1], result.without_tangent()]
+            from_guess = result if start is None else from_guess
+        assert from_guess is not None, "every case is tried from its own guess"
+        return [*(result for result in attempts if result is not from_guess), from_guess]
 
-    def _starts(self, index: int) -> Iterator[Start[Found] | None]:
-        family = int(self._families[index])
-        path = self._path.get(family, [])
+    def _starts(self, index: int) -> Iterator[Start[AttemptType] | None]:
+        path = self._path.get(int(self._families[index]), [])
         first = self._first(index, path) if self._warm else None
         if first is not None:
             yield first
         yield None
         others = path[:-1] if first is not None and not first.is_moved else path
-        for other in self._nearest(index, others):
-            yield Start(self._solved[other])
+        if others:
+            distances = ((self._points[others] - self._points[index]) ** 2).sum(axis=1)
+            for k in np.argsort(distances, kind="stable")[:OTHERS]:
+                yield Start(self._solved[others[k]])
 
-    def _first(self, index: int, path: Sequence[int]) -> Start[Found] | None:
-        """The last solution, moved along its tangent, and by the secant through the last two if the case lies there."""
+    def _first(self, index: int, path: Sequence[int]) -> Start[AttemptType] | None:
+        """Return the last solution, moved along its tangent, and along the secant if the path is straight."""
         if not path:
             return None
         last = self._solved[path[-1]]
         if len(path) == 1:
             return Start(last, is_along_tangent=last.has_tangent)
-        began, ended, wanted = (self._coordinates[k] for k in (path[-2], path[-1], index))
-        one = [b - a for a, b in zip(began, ended, strict=True)]
-        two = [b - a for a, b in zip(ended, wanted, strict=True)]
+        before, present, target = (self._coordinates[k] for k in (path[-2], path[-1], index))
+        one = [b - a for a, b in zip(before, present, strict=True)]
+        two = [b - a for a, b in zip(present, target, strict=True)]
         square = sum(a * a for a in one)
         factor = sum(a * b for a, b in zip(one, two, strict=True)) / square if square > 0.0 else 0.0
-        beside = sum((b - factor * a) ** 2 for a, b in zip(one, two, strict=True))
-        if abs(factor) > FARTHEST or not beside <= STRAIGHT**2 * sum(b * b for b in two):
+        deviation = sum((b - factor * a) ** 2 for a, b in zip(one, two, strict=True))
+        if abs(factor) > FARTHEST or not deviation <= STRAIGHT**2 * sum(b * b for b in two):
             return Start(last, is_along_tangent=last.has_tangent)
         return Start(last, self._solved[path[-2]], factor, last.has_tangent)
-
-    def _nearest(self, index: int, others: Sequence[int]) -> list[int]:
-        if not others:
-            return []
-        distances = ((self._points[others] - self._points[index]) ** 2).sum(axis=1)
-        return [others[k] for k in np.argsort(distances, kind="stable")[:OTHERS]]
 
 
 UNUSABLE, NOT_BUILT = "unusable", "not built"
@@ -150,15 +146,15 @@ OF_SWEEPS = {
     NOT_BUILT: "the module of the case could not be derived",
     LOST: "process after process ended while it solved the case's chunk",
 }
-"""Statuses that single solves do not have: there they are errors."""
+"""Statuses of cases that are errors of single solves."""
 MEANINGS = {**STATUSES, **OF_SWEEPS}
 
 
 @dataclass(frozen=True)
 class Variant:
-    """The module of some values of arguments of problem(): its file, or none for a loaded module, and its arrays.
+    """The module for some values of arguments of problem(): its file, or None for a loaded module, and its arrays.
 
-    Where it could not be derived there are no arrays, and a message instead.
+    `shapes` is None if the module could not be derived; then `message` gives the reason.
     """
 
     path: Path | None
@@ -168,7 +164,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One solve of a case, on so many intervals of each phase or segment; its derivatives, where they are wanted."""
+    """One solve of a case, with its number of intervals of each phase or segment, and its derivatives, if requested."""
 
     outline: Outline
     steps: int
@@ -177,71 +173,67 @@ class Attempt:
     rates: CaseRates | None = None
 
     def without_arrays(self) -> Attempt:
-        """The same, which lets go of its arrays and keeps what others need to start from it."""
-        self.outline.arrays.clear()  # a copy without them would take a hundredth of a solve
+        """Return the attempt without arrays, with the unknowns and the tangent that other cases start from."""
+        self.outline.arrays.clear()  # a copy would take a hundredth of the time of a solve
         return self if self.rates is None else replace(self, rates=CaseRates(tangent=self.rates.tangent))
 
     def without_tangent(self) -> Attempt:
-        """The same, of which nobody will begin along its tangent."""
+        """Return the attempt without derivatives."""
         return replace(self, rates=None) if self.has_tangent else self
 
     @property
     def has_tangent(self) -> bool:
-        """Whether neighbours may start along a tangent."""
+        """True if other cases can start along a tangent."""
         return self.rates is not None and self.rates.tangent is not None
 
     @property
     def is_solved(self) -> bool:
-        """Whether it is a solution."""
+        """True if the attempt is a solution."""
         return self.outline.status == SOLVED
 
     @property
     def cost(self) -> float:
-        """What it costs, NaN where it is no solution or costs nothing."""
+        """The cost, NaN if the attempt is no solution or has no cost."""
         return math.nan if self.outline.cost is None or not self.is_solved else self.outline.cost
 
     @property
     def is_start(self) -> bool:
-        """Whether neighbours may start from it."""
+        """True if other cases can start from the attempt."""
         return self.is_solved and self.outline.unknowns is not None
 
 
 def failed(status: str, message: str) -> Attempt:
-    """An attempt that came to nothing."""
+    """Return an attempt without a solution."""
     return Attempt(Outline(status, one_line(message), None, math.nan, {}, None), 0, 0, 0.0)
 
 
-def not_built(variant: Variant) -> Attempt:
-    """The attempt at a case that has no module."""
-    return failed(NOT_BUILT, variant.message)
-
-
 class Varied:
-    """A module whose parameters have other values from case to case, and the run of a driver that all cases share.
+    """A module with parameter overrides that change from case to case, and the run of the driver.
 
-    `wanted` are derivatives, if there are to be some.
+    `wanted` are the requested derivatives, or None.
     """
 
     def __init__(self, module: Any, driver: str, run: Run, wanted: Wanted | None = None) -> None:
         self.module, self.driver, self.run, self.wanted = module, driver, run, wanted
         self.task = task_of(module)
         self.function = find(driver).function(self.task.name)
-        self._own = with_arguments(module)
+        self._module = with_arguments(module)
 
     def given(self, values: Mapping[Quantity, float]) -> Any:
-        """The module with the values of a case, until those of the next one are given."""
-        given = given_to(values)
+        """Return the module with the values of a case; the next call replaces them."""
+        arguments = given_to(values)
         if is_connect(self.module):
-            return with_arguments(self.module, **given)
-        self._own.make_grid = _Remembered(partial(self.module.make_grid, **given))  # the guess and the verdict ask
-        self._own.solve = partial(self.module.solve, **given)
+            return with_arguments(self.module, **arguments)
+        # The guess, the driver and the evaluation outside the driver use the same grid.
+        self._module.make_grid = _LastCall(partial(self.module.make_grid, **arguments))
+        self._module.solve = partial(self.module.solve, **arguments)
         if hasattr(self.module, "nlp"):
-            self._own.nlp = partial(self.module.nlp, **given)
-        return self._own
+            self._module.nlp = partial(self.module.nlp, **arguments)
+        return self._module
 
 
-class _Remembered:
-    """A function of hashable arguments that remembers its last value: made for each case, and cheaper than a cache."""
+class _LastCall:
+    """A function of hashable arguments that stores its last value; created for each case, cheaper than a cache."""
 
     __slots__ = ("_arguments", "_function", "_value")
 
@@ -250,52 +242,52 @@ class _Remembered:
         self._arguments: tuple[Any, Any] | None = None
 
     def __call__(self, *positional: Any, **named: Any) -> Any:
-        """The value, computed where the arguments are not those of the last call."""
+        """Return the value, computed if the arguments differ from those of the last call."""
         if self._arguments != (positional, named):
             self._arguments, self._value = (positional, named), self._function(*positional, **named)
         return self._value
 
 
 def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[Attempt] | None) -> Attempt:
-    """Solve a case from neighbours' solutions, or from the problem's own guess; what is unusable is a status.
+    """Solve a case from a neighbour's solution, or from the problem's own guess for None.
 
-    Every equation is evaluated again outside the driver before a case is solved.
+    Unusable numbers are a status. A case is solved only if all equations hold when evaluated outside the driver.
     """
-    own, outline = varied.given(values), varied.task.outline
-    steps = steps_of(own, next((int(v) for quantity, v in values.items() if quantity.kind == STEPS), varied.run.steps))
+    module = varied.given(values)
+    of_kind = {quantity.kind: value for quantity, value in values.items()}
+    steps = int(of_kind.get(STEPS, varied.run.steps))
+    if segments := segments_of(module.metadata):
+        steps = segments.steps(steps)
     try:
         begin = time.perf_counter()
-        run = _run(varied, own, steps, start, values)
-        attempt = varied.function(own, run)
+        run = replace(varied.run, steps=steps)
+        if start is not None:
+            run = replace(run, guess=_unknowns(module, steps, start, values))
+        elif varied.task.name == "control":  # the driver and the evaluation outside it share the guess
+            number = int(of_kind.get(GUESS, 1))
+            guess = (
+                module.initial_guess(module.make_grid(steps))
+                if number == 1
+                else varied_guess(module, steps, number - 1)
+            )
+            run = replace(run, guess=guess, near=False)
+        result = varied.function(module, run)
         seconds = time.perf_counter() - begin
-        found = Attempt(outline(own, varied.driver, run, attempt), steps, attempt.iterations, seconds)
+        outline = varied.task.outline(module, varied.driver, run, result)
+        attempt = Attempt(outline, steps, result.iterations, seconds)
     except CodegenError as error:
         return failed(UNUSABLE, str(error))
-    except (ValueError, ArithmeticError) as error:  # modules know nothing of errors of this package
+    except (ValueError, ArithmeticError) as error:  # generated modules raise built-in exceptions
         reason = error.args[-1] if error.args else type(error).__name__
-        return failed(UNUSABLE, f"{UNUSABLE}: {reason} ({_told(values)})")
-    if varied.wanted is None or not found.is_solved:
-        return found
-    return replace(found, rates=varied.wanted.of_solution(own, varied.driver, run, attempt, values))
-
-
-def _told(values: Mapping[Quantity, float]) -> str:
-    return ", ".join(f"{quantity.name} = {value:g}" for quantity, value in values.items())
-
-
-def _run(varied: Varied, own: Any, steps: int, start: Start[Attempt] | None, values: Mapping[Quantity, float]) -> Run:
-    """The run of a case; of an optimisation the guess is made here, for the driver and the verdict."""
-    if start is not None:
-        return replace(varied.run, steps=steps, guess=_unknowns(own, steps, start, values))
-    if varied.task.name != "control":
-        return replace(varied.run, steps=steps)
-    number = next((int(value) for quantity, value in values.items() if quantity.kind == GUESS), 1)
-    guess = own.initial_guess(own.make_grid(steps)) if number == 1 else varied_guess(own, steps, number - 1)
-    return replace(varied.run, steps=steps, guess=guess, near=False)
+        described = ", ".join(f"{quantity.name} = {value:g}" for quantity, value in values.items())
+        return failed(UNUSABLE, f"{UNUSABLE}: {reason} ({described})")
+    if varied.wanted is None or not attempt.is_solved:
+        return attempt
+    return replace(attempt, rates=varied.wanted.of_solution(module, varied.driver, run, result, values))
 
 
 def _unknowns(module: Any, steps: int, start: Start[Attempt], values: Mapping[Quantity, float]) -> Vector:
-    """The vector of unknowns to start from, on so many intervals; see `codegen.batch.case`."""
+    """Return the unknowns (n,) of a start on a number of intervals; see the docstring of this module."""
     unknowns, rates = start.solution.outline.unknowns, start.solution.rates
     assert unknowns is not None, "only solutions with unknowns are starts"
     if start.solution.steps != steps:
@@ -308,9 +300,3 @@ def _unknowns(module: Any, steps: int, start: Start[Attempt], values: Mapping[Qu
     if move is None:
         return unknowns + factor * difference
     return np.asarray(unknowns + (1.0 + factor) * move - factor**2 * difference)
-
-
-def steps_of(module: Any, steps: int) -> int:
-    """The number of intervals of each segment where the motion was cut into several."""
-    segments = segments_of(module.metadata)
-    return segments.steps(steps) if segments else steps

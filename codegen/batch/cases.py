@@ -1,10 +1,10 @@
-"""The cases of a sweep: a grid of values, a table with a row for each case, or samples; read and refused here.
+"""The cases of a sweep: a grid of values, a table with a row for each case, or samples of distributions.
 
-Values are numbers, or texts where an argument of problem() takes words. A grid holds the values of each quantity once,
-so that its size is that of the axes and not of their product.
+Values are numbers, or texts for arguments of problem() that take words. A grid stores the values of each quantity once,
+so its size is the sum of the axes and not their product.
 
-Samples of distributions: any of scipy.stats by name, at points that are random, a Latin hypercube or of Sobol. Sources:
-McKay, Beckman and Conover (1979) for Latin hypercubes; Sobol' (1967) and Owen (1998) for scrambled sequences.
+Samples follow distributions of scipy.stats, at random points, a Latin hypercube or a Sobol sequence. Sources: McKay,
+Beckman and Conover (1979) for Latin hypercubes; Sobol' (1967) and Owen (1998) for scrambled sequences.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import csv
 import difflib
 import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,22 +23,22 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors.work import counted
+from codegen.batch.executors.chunks import counted
 from codegen.errors import ArgumentError, NumericsError, clause, one_line
 from codegen.solving.loading import Matrix
 
 Values: TypeAlias = NDArray[np.float64] | NDArray[np.str_]
 MOST_CASES = 100_000_000
 CASE = "case"
-"""The dimension of cases that are no grid."""
+"""The single dimension of cases that are no grid."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """The varied quantities by name: their values, and the dimension along which each varies.
+    """The values of the varied quantities, and the dimension along which each quantity varies.
 
-    `columns` has arrays (n,), as long as their dimension; the number of cases is the product of the `shape`, and cases
-    are counted with the last dimension varying fastest. Where they were read from a file, `lines` (n,) tells where.
+    `columns` has an array (n,) for each quantity, as long as its dimension `axes[name]`. The number of cases is the
+    product of `shape`; the last dimension varies fastest. `lines` (n,) are the lines in `file`, if the cases were read.
     """
 
     dims: tuple[str, ...]
@@ -49,54 +49,59 @@ class Cases:
     lines: NDArray[np.intp] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse more cases than can be counted out."""
+        """Raise NumericsError for too many cases."""
         if self.number > MOST_CASES:
             raise NumericsError(f"there are {self.number} cases, and at most {MOST_CASES} fit", "take fewer values")
 
     @property
     def number(self) -> int:
-        """How many cases there are."""
+        """Number of cases."""
         return math.prod(self.shape)
 
     @property
     def is_grid(self) -> bool:
-        """Whether every quantity, or group of them, has a dimension of its own."""
+        """True if every quantity, or group of zipped quantities, has its own dimension."""
         return self.dims != (CASE,)
 
     def origin(self, row: int) -> str:
-        """Where a row was read, as the beginning of a message; nothing for cases that are in no file."""
+        """Return the start of a message with file and line of a row, empty for cases without a file."""
         return "" if self.lines is None else f"{self.file}:{self.lines[row]}: "
 
     def places(self, indices: NDArray[np.intp]) -> dict[str, NDArray[np.intp]]:
-        """Where the values of some cases stand in the column of each quantity, (n,) for n cases."""
+        """Return the indices (n,) of n cases in the column of each quantity."""
         along = np.unravel_index(indices, self.shape)
         return {name: np.asarray(along[axis]) for name, axis in self.axes.items()}
 
     def chosen(self, indices: NDArray[np.intp]) -> dict[str, Values]:
-        """The values of some cases, a column (n,) for each quantity."""
+        """Return the values of n cases, a column (n,) for each quantity."""
         return {name: self.columns[name][place] for name, place in self.places(indices).items()}
 
     def values(self, indices: NDArray[np.intp]) -> list[dict[str, float | str]]:
-        """The values of some cases by name."""
+        """Return the values of some cases by name."""
         return rows_of(self.chosen(indices))
 
     def points(self, indices: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Cases as points (n, quantities), every quantity in parts of its range; words are numbered."""
+        """Return cases as points (n, quantities), each quantity scaled by its range; words are numbered."""
         return np.column_stack([self._ranges[name].parts(column) for name, column in self.chosen(indices).items()])
 
     def points_along(self, axis: int) -> NDArray[np.float64]:
-        """The values of what varies along a dimension as points (n, quantities), in parts of ranges."""
+        """Return the scaled values of the quantities of a dimension as points (n, quantities)."""
         own = [name for name, place in self.axes.items() if place == axis]
         return np.column_stack([self._ranges[name].parts(self.columns[name]) for name in own])
 
     @cached_property
     def _ranges(self) -> dict[str, _Range]:
-        """The range of each quantity, looked for once: columns may be long, and chunks many."""
-        return {name: _range(column) for name, column in self.columns.items()}
+        """The range of each quantity, computed once: columns may be long, and chunks many."""
+        return {
+            name: _Range(0.0, 1.0, np.unique(column))
+            if column.dtype.kind == "U"
+            else _Range(float(np.min(column)), float(np.ptp(column)) or 1.0, None)
+            for name, column in self.columns.items()
+        }
 
 
 def rows_of(columns: Mapping[str, Values]) -> list[dict[str, float | str]]:
-    """Columns (n,) of values by name as n cases, each with its values by name."""
+    """Return the values by name of each row of columns (n,)."""
     return [dict(zip(columns, row)) for row in zip(*(column.tolist() for column in columns.values()), strict=True)]
 
 
@@ -114,26 +119,13 @@ class _Range:
         return np.asarray((np.asarray(column, dtype=float) - self.least) / self.extent)
 
 
-def _range(column: Values) -> _Range:
-    if column.dtype.kind == "U":
-        return _Range(0.0, 1.0, np.unique(column))
-    return _Range(float(np.min(column)), float(np.ptp(column)) or 1.0, None)
-
-
 def grid(axes: Mapping[str, Any], zipped: Sequence[Sequence[str]] = ()) -> Cases:
-    """All combinations of the values of each quantity; those that are zipped vary together, along one dimension.
+    """Return all combinations of the values of each quantity; a zipped group varies along one dimension.
 
-    Raises ArgumentError for values that are none, and for names that cannot be zipped.
+    Raises ArgumentError for invalid values, and for names that cannot be zipped.
     """
     columns = {name: values_of(name, values) for name, values in axes.items()}
-    heads = _heads(columns, zipped)
-    dims = tuple(name for name in columns if heads[name] == name)
-    shape = tuple(columns[name].size for name in dims)
-    return Cases(dims, shape, columns, {name: dims.index(heads[name]) for name in columns})
-
-
-def _heads(columns: Mapping[str, Values], zipped: Sequence[Sequence[str]]) -> dict[str, str]:
-    """The quantity whose dimension each quantity varies along: its own, or the first of those it is zipped with."""
+    # The quantity that names the dimension of each quantity: itself, or the first of its group.
     heads, seen = {name: name for name in columns}, set[str]()
     for group in zipped:
         words = ",".join(group)
@@ -149,11 +141,13 @@ def _heads(columns: Mapping[str, Values], zipped: Sequence[Sequence[str]]) -> di
                 raise ArgumentError(f"--zip {words}: {group[0]} has {sizes}", "give as many of both")
             heads[name] = group[0]
         seen.update(group)
-    return heads
+    dims = tuple(name for name in columns if heads[name] == name)
+    shape = tuple(columns[name].size for name in dims)
+    return Cases(dims, shape, columns, {name: dims.index(heads[name]) for name in columns})
 
 
 def values_of(name: str, values: Any) -> Values:
-    """The values of one quantity (n,), as numbers or as texts; ArgumentError for what is neither."""
+    """Return the values of one quantity (n,) as numbers or texts; raises ArgumentError for other values."""
     try:
         array = np.atleast_1d(np.asarray(values))
     except (TypeError, ValueError):
@@ -171,7 +165,7 @@ def values_of(name: str, values: Any) -> Values:
 
 
 def axis_of(item: str) -> tuple[str, Values]:
-    """The name and the values of `--vary`: NAME=first:last:count or NAME=a,b,c; ArgumentError for anything else."""
+    """Return name and values of `--vary`: NAME=first:last:count or NAME=a,b,c; raises ArgumentError for other texts."""
     name, text = assigned("--vary", item, "r1=5.5:6.5:101")
     if ":" not in text:
         words = [word.strip() for word in text.split(",")]
@@ -190,7 +184,7 @@ def axis_of(item: str) -> tuple[str, Values]:
 
 
 def assigned(option: str, item: str, example: str) -> tuple[str, str]:
-    """Both sides of NAME=TEXT; ArgumentError where one is missing."""
+    """Return both sides of NAME=TEXT; raises ArgumentError if one is missing."""
     name, equals, text = item.partition("=")
     if not (name.strip() and equals and text.strip()):
         raise ArgumentError(clause(f"{option} {item!r} is not of the form NAME=..."), f"write {option} {example}")
@@ -198,7 +192,7 @@ def assigned(option: str, item: str, example: str) -> tuple[str, str]:
 
 
 def number_of(what: str, text: str) -> float:
-    """A finite number; ArgumentError for another text."""
+    """Return a finite number; raises ArgumentError for another text."""
     try:
         number = float(text)
     except ValueError:
@@ -209,26 +203,24 @@ def number_of(what: str, text: str) -> float:
 
 
 def _column(words: Sequence[str]) -> Values:
-    """Numbers where all words are numbers, else texts."""
+    """Return numbers if all words are numbers, else texts."""
     try:
         return np.array([float(word) for word in words])
     except ValueError:
         return np.array(words, dtype=np.str_)
 
 
-def table(given: Any) -> Cases:
-    """A case for each row of a file of comma-separated values, or of a mapping of names to columns.
+def table(source: Any) -> Cases:
+    """Return a case for each row of a file of comma-separated values, or of a mapping of names to columns.
 
-    Raises ArgumentError, naming the file and the line, for what is no such table.
+    Raises ArgumentError, with file and line, for an invalid table.
     """
-    if isinstance(given, str | Path):
-        return _table_of(Path(given))
-    if hasattr(given, "keys"):
-        columns = {str(name): np.asarray(given[name]) for name in given.keys()}  # noqa: SIM118  of pandas
-    else:
-        raise ArgumentError(
-            f"cases are {clause(repr(given))}", "give a file, a mapping of names to columns, or a number"
-        )
+    if isinstance(source, str | Path):
+        return _table_of(Path(source))
+    if not hasattr(source, "keys"):
+        remedy = "give a file, a mapping of names to columns, or a number"
+        raise ArgumentError(f"cases are {clause(repr(source))}", remedy)
+    columns = {str(name): np.asarray(source[name]) for name in source.keys()}  # noqa: SIM118  for pandas
     if not columns:
         raise ArgumentError("cases: there are no columns", "give a column for each varied quantity")
     checked = {name: values_of(f"cases: {name}", values) for name, values in columns.items()}
@@ -239,57 +231,50 @@ def table(given: Any) -> Cases:
 
 
 def _table_of(path: Path) -> Cases:
-    """The cases of a file, which know their lines."""
-    words, lines = _read(path)
-    if not words:
-        raise ArgumentError(f"{path}: there are no columns", "name the varied quantities in the first line")
-    found = replace(as_rows({name: _column(own) for name, own in words.items()}, lines.size), file=path, lines=lines)
-    for name, column in found.columns.items():
-        if column.dtype.kind == "f" and not np.isfinite(column).all():
-            row = int(np.argmin(np.isfinite(column)))
-            finding = f"{found.origin(row)}{name} is not finite ({column[row]})"
-            raise ArgumentError(clause(finding), "give finite numbers")
-    return found
-
-
-def as_rows(columns: Mapping[str, Values], number: int) -> Cases:
-    """Cases one after the other."""
-    return Cases((CASE,), (number,), columns, dict.fromkeys(columns, 0))
-
-
-def _read(path: Path) -> tuple[dict[str, list[str]], NDArray[np.intp]]:
-    """The columns of a file, as text, and the lines of its rows."""
+    """Return the cases of a file, with their lines."""
+    texts: dict[str, list[str]] = {}
+    numbers = list[int]()
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            return _columns(path, csv.reader(file, skipinitialspace=True))
+            lines = enumerate(csv.reader(file, skipinitialspace=True), start=1)
+            rows = ((number, [word.strip() for word in line]) for number, line in lines if line)
+            _, names = next(rows, (1, []))
+            if not all(names) or len(set(names)) < len(names):
+                finding = f"{path}:1: the names {clause(','.join(names))} are missing in parts, or twice there"
+                raise ArgumentError(finding, "name each varied quantity once in the first line")
+            texts = {name: [] for name in names}
+            for number, words in rows:
+                if len(words) != len(names) or not all(words):
+                    values = counted(sum(map(bool, words)), "value")
+                    finding = f"{path}:{number}: {values} for {counted(len(names), 'name')}"
+                    raise ArgumentError(finding, "give a value for every name")
+                numbers.append(number)
+                for name, word in zip(names, words, strict=True):
+                    texts[name].append(word)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = one_line(getattr(error, "strerror", None) or str(error), 100)
         raise ArgumentError(f"--cases {path} cannot be read ({reason})", "give a table as text") from None
-
-
-def _columns(path: Path, lines: Iterable[Sequence[str]]) -> tuple[dict[str, list[str]], NDArray[np.intp]]:
-    rows = ((number, [word.strip() for word in line]) for number, line in enumerate(lines, start=1) if line)
-    _, names = next(rows, (1, []))
-    if not all(names) or len(set(names)) < len(names):
-        finding = f"{path}:1: the names {clause(','.join(names))} are missing in parts, or twice there"
-        raise ArgumentError(finding, "name each varied quantity once in the first line")
-    columns: dict[str, list[str]] = {name: [] for name in names}
-    numbers = list[int]()
-    for number, words in rows:
-        if len(words) != len(names) or not all(words):
-            there = counted(sum(map(bool, words)), "value")
-            finding = f"{path}:{number}: {there} for {counted(len(names), 'name')}"
-            raise ArgumentError(finding, "give a value for every name")
-        numbers.append(number)
-        for name, word in zip(names, words, strict=True):
-            columns[name].append(word)
-    if names and not columns[names[0]]:
+    if not texts:
+        raise ArgumentError(f"{path}: there are no columns", "name the varied quantities in the first line")
+    if not numbers:
         raise ArgumentError(f"{path} holds no cases", "give a line for each case behind the names")
-    return columns, np.array(numbers, dtype=np.intp)
+    columns = {name: _column(words) for name, words in texts.items()}
+    cases = replace(as_rows(columns, len(numbers)), file=path, lines=np.array(numbers, dtype=np.intp))
+    for name, column in columns.items():
+        if column.dtype.kind == "f" and not np.isfinite(column).all():
+            row = int(np.argmin(np.isfinite(column)))
+            finding = f"{cases.origin(row)}{name} is not finite ({column[row]})"
+            raise ArgumentError(clause(finding), "give finite numbers")
+    return cases
+
+
+def as_rows(columns: Mapping[str, Values], number: int) -> Cases:
+    """Return cases along a single dimension."""
+    return Cases((CASE,), (number,), columns, dict.fromkeys(columns, 0))
 
 
 NUMBER = 1000
-"""How many samples there are where nothing is said."""
+"""Default number of samples."""
 
 
 def _random(number: int, dimensions: int, rng: np.random.Generator) -> Matrix:
@@ -314,7 +299,7 @@ METHODS: dict[str, Callable[[int, int, np.random.Generator], Matrix]] = {
     "latin": _latin,
     "sobol": _sobol,
 }
-"""Ways to take points of the unit cube, (number, dimensions, generator) -> (number, dimensions), by name."""
+"""Sampling methods by name: (number, dimensions, generator) -> points of the unit cube (number, dimensions)."""
 
 
 def _uniform(low: float, high: float) -> Any:
@@ -330,23 +315,23 @@ def _normal(mean: float, deviation: float) -> Any:
 
 
 PLAIN: dict[str, Callable[..., Any]] = {"uniform": _uniform, "normal": _normal}
-"""Distributions by the arguments that a person writes: uniform(low, high), normal(mean, deviation)."""
+"""Distributions with arguments other than in scipy: uniform(low, high), normal(mean, deviation)."""
 
 
 def samples(distributions: Mapping[str, Any], number: int, method: str, seed: int) -> Cases:
-    """So many samples of independent quantities: the same for the same method and seed.
+    """Return samples of independent quantities, the same for the same method and seed.
 
-    A distribution is a text such as `normal(100, 5)`, or one that scipy has frozen. Raises ArgumentError for what is no
-    distribution, no method and no number of samples.
+    A distribution is a text such as `normal(100, 5)`, or a frozen distribution of scipy. Raises ArgumentError for an
+    invalid distribution, method, number or seed.
     """
     require_method(method)
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= MOST_CASES:
         raise ArgumentError(f"{clause(repr(number))} samples", f"give a number of --cases from 1 to {MOST_CASES}")
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ArgumentError(f"--seed {clause(repr(seed))}", "give a whole number that is not negative")
-    frozen = {name: _distribution(name, given) for name, given in distributions.items()}
+    frozen = {name: _distribution(name, text) for name, text in distributions.items()}
     points = METHODS[method](number, len(frozen), np.random.default_rng(seed))
-    # At 0 and 1 most distributions are infinite.
+    # Most distributions are infinite at 0 and 1.
     points = np.clip(points, 2.0**-53, 1.0 - 2.0**-53)
     columns = {}
     for (name, distribution), places in zip(frozen.items(), points.T, strict=True):
@@ -359,58 +344,48 @@ def samples(distributions: Mapping[str, Any], number: int, method: str, seed: in
 
 
 def require_method(method: str) -> None:
-    """Refuse a method that is none; ArgumentError."""
+    """Raise ArgumentError for an unknown sampling method."""
     if method not in METHODS:
         remedy = f"use {', '.join(METHODS)}; the formulation of a problem is --formulation"
         raise ArgumentError(f"there is no sampling method {clause(repr(method))}", remedy)
 
 
-def _distribution(name: str, given: Any) -> Any:
-    """A frozen distribution of scipy; ArgumentError tells what is none."""
-    if callable(getattr(given, "ppf", None)):
-        return given
+def _distribution(name: str, distribution: Any) -> Any:
+    """Return a frozen distribution of scipy; raises ArgumentError for an invalid text."""
+    if callable(getattr(distribution, "ppf", None)):
+        return distribution
     from scipy import stats
 
-    family, positional, named = _call(name, given)
-    known = {key for key in dir(stats) if callable(getattr(getattr(stats, key), "ppf", None))} | set(PLAIN)
-    if family not in known:
-        close = difflib.get_close_matches(family, known, 3)
-        remedy = f"did you mean {' or '.join(close)}?" if close else "take one of scipy.stats, such as lognorm"
-        raise ArgumentError(clause(f"--sample {name}: there is no distribution {family}"), remedy)
-    try:
-        made = PLAIN[family](*positional, **named) if family in PLAIN else getattr(stats, family)(*positional, **named)
-        made.ppf(0.5)
-    except TypeError:  # whose text is about functions of scipy, or of this file
-        form = f"{family}({', '.join(_arguments(family))})"
-        raise ArgumentError(
-            clause(f"--sample {name}={given} has other arguments than {form}"), f"write {form}"
-        ) from None
-    except ValueError as error:
-        reason = one_line(str(error), 150)
-        remedy = "give its arguments as in normal(mean, deviation), uniform(low, high), or as scipy.stats has them"
-        raise ArgumentError(clause(f"--sample {name}={given}: {reason}"), remedy) from None
-    return made
-
-
-def _arguments(family: str) -> list[str]:
-    """The names of what a distribution is given."""
-    if family in PLAIN:
-        return list(inspect.signature(PLAIN[family]).parameters)
-    from scipy import stats
-
-    shapes = getattr(getattr(stats, family), "shapes", None) or ""
-    return [*filter(None, (shape.strip() for shape in shapes.split(","))), "loc=0", "scale=1"]
-
-
-def _call(name: str, given: Any) -> tuple[str, list[float], dict[str, float]]:
-    """The parts of a text such as `beta(2, 5, scale=3)`."""
-    remedy = f"write --sample {name}=normal(100, 5)"
-    try:
-        call = ast.parse(str(given).strip(), mode="eval").body
+    try:  # to read a text such as `beta(2, 5, scale=3)`
+        call = ast.parse(str(distribution).strip(), mode="eval").body
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)):
             raise ValueError
         positional = [float(ast.literal_eval(argument)) for argument in call.args]
         named = {word.arg or "": float(ast.literal_eval(word.value)) for word in call.keywords}
     except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError):
-        raise ArgumentError(clause(f"--sample {name}={given} is no distribution"), remedy) from None
-    return call.func.id, positional, named
+        finding = clause(f"--sample {name}={distribution} is no distribution")
+        raise ArgumentError(finding, f"write --sample {name}=normal(100, 5)") from None
+    family = call.func.id
+    known = {key for key in dir(stats) if callable(getattr(getattr(stats, key), "ppf", None))} | set(PLAIN)
+    if family not in known:
+        close = difflib.get_close_matches(family, known, 3)
+        remedy = f"did you mean {' or '.join(close)}?" if close else "take one of scipy.stats, such as lognorm"
+        raise ArgumentError(clause(f"--sample {name}: there is no distribution {family}"), remedy)
+    constructor = PLAIN[family] if family in PLAIN else getattr(stats, family)
+    try:
+        frozen = constructor(*positional, **named)
+        frozen.ppf(0.5)
+    except TypeError:  # its text names internal functions
+        if family in PLAIN:
+            arguments = list(inspect.signature(constructor).parameters)
+        else:
+            shapes = (getattr(constructor, "shapes", None) or "").split(",")
+            arguments = [*filter(None, map(str.strip, shapes)), "loc=0", "scale=1"]
+        form = f"{family}({', '.join(arguments)})"
+        finding = clause(f"--sample {name}={distribution} has other arguments than {form}")
+        raise ArgumentError(finding, f"write {form}") from None
+    except ValueError as error:
+        finding = clause(f"--sample {name}={distribution}: {one_line(str(error), 150)}")
+        remedy = "give its arguments as in normal(mean, deviation), uniform(low, high), or as scipy.stats has them"
+        raise ArgumentError(finding, remedy) from None
+    return frozen

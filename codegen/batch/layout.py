@@ -1,11 +1,10 @@
-"""What the arrays of a sweep are called, which dimensions they have, and where the numbers of one case belong.
+"""The names, dimensions and shapes of the arrays of a sweep, and the chunks of cases that are solved together.
 
-Cases may differ in their number of intervals, and in coordinates and controls where an argument of problem() decides:
-arrays are as large as the largest, names stand at the same place in all, and what a case lacks is NaN.
+Cases may differ in their number of intervals. With arguments of problem() they may differ in coordinates and controls.
+Arrays have the size of the largest case; missing entries are NaN.
 
-Chunks: blocks of cases that are solved one after the other, and written as a whole.
-
-They belong to the sweep and not to who solves it: results are the same however many processes share the work.
+Chunks are blocks of cases that are solved in sequence and written at once. They depend on the sweep alone, so results
+do not depend on the number of processes.
 """
 
 from __future__ import annotations
@@ -29,22 +28,22 @@ from codegen.solving.results.segments import multiplier_names, segments_of
 from codegen.solving.tasks import task_of
 
 KEPT = ("t", "q", "u")
-"""What is kept of each case where nothing is said, and all arrays would be too much."""
+"""Arrays that are kept by default when all arrays would take too much space."""
 FITS = 250_000_000
-"""So many bytes of all cases together are not too much, counted before a file compresses them."""
+"""Bytes of all arrays, before compression, up to which all arrays are kept by default."""
 NUMBERS = {"cost": "f8", "residual": "f8", "iterations": "i4", "seconds": "f8"}
 JUMPS = {"improvement": "f8", "jump": "i4"}
-"""What there is beside where jumps of the cost are looked for: what was won by them, and whether one is left."""
+"""Numbers of each case of sweeps that look for jumps: the gain from a new start, and 1 where a jump remains."""
 WORDS = ("status", "message")
 _COLUMNS = {"q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier"}
-"""The dimension of the columns of an array; others have none."""
+"""The column dimension of arrays that have columns."""
 _ALL = ("t", "q", "p", "u", "multipliers", "energy")
 RATE = "d_"
-"""What names of derivatives begin with, before that of what they are of."""
+"""Prefix of the names of derivatives."""
 BY = "by"
-"""The dimension of the quantities by which there are derivatives."""
+"""The dimension of the quantities that derivatives are taken by."""
 _RATES = ("t", "q", "p", "u", "multipliers")
-"""Arrays that have derivatives."""
+"""Arrays with derivatives."""
 RESERVED = frozenset(
     (
         *(*_ALL, *NUMBERS, *JUMPS, *WORDS, *_COLUMNS.values(), "node", "interval", "stage", "case"),
@@ -56,11 +55,11 @@ RESERVED = frozenset(
 
 @dataclass(frozen=True)
 class Shapes:
-    """The arrays of one module: what their rows belong to, and the names of their columns.
+    """The arrays of one module: the kind of their rows, and the names of their columns.
 
-    `rows` maps an array to `node`, or to the number of its rows on an interval; `parts` is the number of phases, each
-    of which has all intervals that are asked for, and `segments` that of segments, which share them; `steps` are those
-    of the problem itself. `free` are free parameters, and `by` is what there are derivatives by, if they are wanted.
+    `rows` maps an array to `node`, or to its number of rows on an interval. `parts` is the number of phases, each with
+    all intervals; `segments` is the number of segments, which share the intervals. `steps` is the problem's own number
+    of steps, `free` names the free parameters, `by` the quantities that derivatives are taken by.
     """
 
     rows: Mapping[str, str | int]
@@ -73,16 +72,16 @@ class Shapes:
     by: tuple[str, ...] = ()
 
     def intervals(self, steps: int) -> int:
-        """The number of intervals between the nodes that are stored."""
+        """Return the number of intervals between stored nodes."""
         if self.segments:
             return self.segments * -(-steps // self.segments)
         return self.parts * (steps // self.every)
 
 
 def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: int = 0) -> Shapes:
-    """The arrays of a module, read from it without solving; with derivatives, if `sensitivities` are wanted.
+    """Return the arrays of a module without a solve, with derivatives if `sensitivities` is set.
 
-    `particles` are those that are connected.
+    `particles` is the number of particles of a module that connects points.
     """
     metadata, task = module.metadata, task_of(module)
     if task.name == "connect":
@@ -111,9 +110,9 @@ def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: i
 
 @dataclass(frozen=True)
 class Layout:
-    """The arrays of all cases: their dimensions beside those of cases, the sizes of these, and the names of columns.
+    """The arrays of all cases: their dimensions after those of cases, sizes of dimensions, and names of columns.
 
-    `free` are free parameters, which are numbers of each case; `left_out` are arrays for which all cases are too many.
+    `free` are free parameters, one number for each case. `left_out` are arrays that would take too much space.
     """
 
     dims: Mapping[str, tuple[str, ...]]
@@ -125,7 +124,7 @@ class Layout:
 
     @property
     def numbers(self) -> dict[str, str]:
-        """The numbers of each case and their kinds."""
+        """The numbers of each case and their types."""
         return {**NUMBERS, **(JUMPS if self.has_jumps else {}), **{free_label(name): "f8" for name in self.free}}
 
     @property
@@ -135,12 +134,12 @@ class Layout:
 
     @property
     def has_rates(self) -> bool:
-        """Whether there are derivatives."""
+        """True if derivatives are stored."""
         return BY in self.names
 
     @property
     def rates(self) -> tuple[str, ...]:
-        """The arrays of which derivatives are kept."""
+        """The arrays whose derivatives are stored."""
         return tuple(name for name in _RATES if f"{RATE}{name}" in self.dims)
 
     @cached_property
@@ -150,11 +149,11 @@ class Layout:
 
     @property
     def bytes(self) -> int:
-        """What the arrays of one case take before they are compressed."""
+        """Bytes of the arrays of one case before compression."""
         return 8 * sum(math.prod(shape) for shape in self.shapes.values())
 
     def placed(self, name: str, array: Matrix, columns: Sequence[str]) -> Matrix:
-        """The numbers of a case in the shape of its array, NaN where it has none."""
+        """Return the numbers of a case in the shape of its array, with NaN for missing entries."""
         dims = self.dims[name]
         if "stage" in dims:
             array = array.reshape(-1, self.sizes["stage"], array.shape[1])
@@ -169,7 +168,7 @@ class Layout:
         return whole
 
     def placed_rates(self, name: str, rates: NDArray[np.float64], shapes: Shapes) -> NDArray[np.float64]:
-        """Derivatives (m, ...) of a case by the quantities of its module in the shape of their array."""
+        """Return derivatives (m, ...) of a case by the quantities of its module in the shape of their array."""
         whole = np.full(self.shapes[name], np.nan)
         of = name.removeprefix(RATE)
         columns = shapes.columns.get(of, ())
@@ -180,43 +179,45 @@ class Layout:
 
 
 def free_label(name: str) -> str:
-    """What the variable of a free parameter is called: with an underscore, if it has the name of another one."""
+    """Return the variable name of a free parameter, with an underscore if the name is reserved."""
     return f"{name}_" if name in RESERVED else name
 
 
 def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str] | None, cases: int) -> Layout:
-    """The arrays that are kept of so many cases of some modules, of at most so many intervals, or of each module's own.
+    """Return the arrays that are kept of `cases` cases of some modules.
 
-    Without a word, None, all that fit are. Raises ArgumentError where a name is that of no array, or where arrays of
-    the modules do not fit together.
+    `steps` is the largest number of intervals, or None for each module's own. `keep` names arrays, or is None for all
+    that fit. Raises ArgumentError for an unknown array, or for one that the modules store in different ways.
     """
     shapes = tuple(shapes)
-    have = [name for name in _ALL if any(name in own.rows and _has(own, name) for own in shapes)]
+    have = [name for name in _ALL if _row_kinds(shapes, name)]
     if keep is None:
-        every = _laid(shapes, steps, [name for name in have if name in KEPT or _is_one(shapes, name)], have)
+        consistent = [name for name in have if name in KEPT or len(_row_kinds(shapes, name)) == 1]
+        every = _layout_with(shapes, steps, consistent, have)
         if every.bytes * cases <= FITS:
             return every
         left_out = tuple(name for name in _ALL if name in every.dims and name not in KEPT)
-        return replace(_laid(shapes, steps, [name for name in KEPT if name in have], have), left_out=left_out)
-    return _laid(shapes, steps, keep, have)
+        return replace(_layout_with(shapes, steps, [name for name in KEPT if name in have], have), left_out=left_out)
+    return _layout_with(shapes, steps, keep, have)
 
 
-def _is_one(shapes: Iterable[Shapes], name: str) -> bool:
-    return len({own.rows[name] for own in shapes if name in own.rows and _has(own, name)}) == 1
-
-
-def _laid(shapes: Sequence[Shapes], steps: int | None, keep: Sequence[str], have: Sequence[str]) -> Layout:
-    """The layout of arrays with these names, of those that the modules have."""
+def _layout_with(shapes: Sequence[Shapes], steps: int | None, keep: Sequence[str], have: Sequence[str]) -> Layout:
+    """Return the layout of the arrays `keep`; `have` are all arrays of the modules."""
     by = tuple(dict.fromkeys(name for own in shapes for name in own.by))
     free = tuple(dict.fromkeys(name for own in shapes for name in own.free))
     rates = [name for name in _RATES if by and name in have and f"{RATE}{name}" in keep]
-    keep = _required(keep, [*have, *(f"{RATE}{name}" for name in _RATES if by and name in have)], by)
+    known = [*have, *(f"{RATE}{name}" for name in _RATES if by and name in have)]
+    for name in keep:
+        if name not in known and name.startswith(RATE) and name.removeprefix(RATE) in _RATES and not by:
+            raise ArgumentError(clause(f"--keep {name}: there are no derivatives"), "give --sensitivities as well")
+        if name not in known:
+            raise ArgumentError(clause(f"--keep {name}: there is no such array"), f"keep some of {', '.join(known)}")
     dims: dict[str, tuple[str, ...]] = {}
     names: dict[str, tuple[str, ...]] = {}
     intervals = max(own.intervals(steps or own.steps) for own in shapes)
     sizes = {"node": intervals + 1, "interval": intervals}
     for name in (name for name in have if name in keep or name in rates):
-        rows = {own.rows[name] for own in shapes if name in own.rows and _has(own, name)}
+        rows = _row_kinds(shapes, name)
         if len(rows) > 1:
             raise ArgumentError(f"--keep {name}: some of the modules have it elsewhere than others", "leave it out")
         row = rows.pop()
@@ -236,72 +237,64 @@ def _laid(shapes: Sequence[Shapes], steps: int | None, keep: Sequence[str], have
     return Layout(dims, {dim: size for dim, size in sizes.items() if dim in used}, names, free=free)
 
 
-def _required(keep: Sequence[str], have: Sequence[str], by: Sequence[str]) -> Sequence[str]:
-    """The names of arrays to be kept; ArgumentError where one is none."""
-    for name in keep:
-        if name in have:
-            continue
-        if name.startswith(RATE) and name.removeprefix(RATE) in _RATES and not by:
-            raise ArgumentError(clause(f"--keep {name}: there are no derivatives"), "give --sensitivities as well")
-        raise ArgumentError(clause(f"--keep {name}: there is no such array"), f"keep some of {', '.join(have)}")
-    return keep
-
-
-def _has(own: Shapes, name: str) -> bool:
-    return name not in _COLUMNS or bool(own.columns.get(name))
+def _row_kinds(shapes: Iterable[Shapes], name: str) -> set[str | int]:
+    """Return the kinds of rows of an array among the modules that have the array."""
+    return {own.rows[name] for own in shapes if name in own.rows and (name not in _COLUMNS or own.columns.get(name))}
 
 
 MOST = 4096
-"""The most cases of a chunk: finding neighbours takes time in proportion to their square."""
+"""Largest number of cases of a chunk: the search for neighbours is quadratic in it."""
 OVERHEAD = 3e-4
-"""Seconds that a case takes beside its iterations."""
+"""Seconds that a case takes in addition to its iterations."""
 CONTROL_RATE, SIMULATE_RATE, CONNECT_RATE = 1.6e-8, 3e-7, 5e-9
-"""Seconds per iteration, interval and square of the unknowns on it; of a simulation per step and number of a state; of
-particles that are connected per iteration, step and square of all coordinates."""
+"""Seconds per unit of work. An optimisation counts iterations, intervals and the square of the unknowns of an interval.
+A simulation counts steps and numbers of a state. Connected particles count iterations, steps and the square of all
+coordinates.
+"""
 RATES = 5
-"""As many iterations take as long as the sensitivities of a case."""
+"""Number of iterations that take as long as the sensitivities of a case."""
 SLOWER = 50.0
-"""How many times as long drivers take that are no generated solver."""
+"""Ratio of the time of external drivers to that of generated solvers."""
 
 
 @dataclass(frozen=True)
 class Chunks:
-    """The cells of a grid of cases, cut into blocks of one shape, smaller at the far edges; counted likewise."""
+    """The cells of a grid of cases in blocks of one shape, smaller at the far edges; blocks are numbered like cases."""
 
     shape: tuple[int, ...]
     block: tuple[int, ...]
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """How many blocks there are along every dimension."""
+        """Number of blocks along every dimension."""
         return tuple(-(-size // part) for size, part in zip(self.shape, self.block, strict=True))
 
     @property
     def number(self) -> int:
-        """How many blocks there are."""
+        """Number of blocks."""
         return math.prod(self.counts)
 
     def region(self, number: int) -> tuple[slice, ...]:
-        """Where a block lies in each dimension."""
+        """Return the slice of a block in each dimension."""
         place = np.unravel_index(number, self.counts)
         begins = (int(k) * part for k, part in zip(place, self.block, strict=True))
         return tuple(slice(begin, min(begin + part, size)) for begin, part, size in zip(begins, self.block, self.shape))
 
     def extent(self, number: int) -> tuple[int, ...]:
-        """The shape of a block."""
+        """Return the shape of a block."""
         return tuple(part.stop - part.start for part in self.region(number))
 
     def cases(self, number: int) -> NDArray[np.intp]:
-        """The cases of a block (n,), with its last dimension varying fastest."""
+        """Return the cases (n,) of a block; the last dimension varies fastest."""
         parts = np.ix_(*(np.arange(part.start, part.stop) for part in self.region(number)))
         return np.asarray(np.ravel_multi_index(parts, self.shape)).ravel()
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A chunk as whoever solves it needs it: where it lies, and its cases in the order in which they are counted.
+    """The data of a chunk for its worker: its place, and its cases in their order.
 
-    `columns` has the values (n,) of each quantity, `points` (n, quantities) has them in parts of their ranges.
+    `columns` has the values (n,) of each quantity, `points` (n, quantities) the values scaled by their ranges.
     """
 
     number: int
@@ -317,25 +310,25 @@ class Piece:
 
 
 def blocks_of(shape: Sequence[int], size: int, whole: Sequence[bool]) -> Chunks:
-    """Blocks of about `size` cells: whole rows of the last dimensions as far as they fit, then a part of one.
+    """Return blocks of about `size` cells: whole rows of the last dimensions, then a part of one dimension.
 
-    A dimension that is not `whole` is cut into single cells: its values belong to different modules.
+    A dimension that is not `whole` is cut into single cells, because its values belong to different modules.
     """
-    block, left = [1] * len(shape), max(1, min(size, MOST))
+    block, remaining = [1] * len(shape), max(1, min(size, MOST))
     for axis in reversed(range(len(shape))):
         if not whole[axis]:
             continue
-        block[axis] = min(shape[axis], left)
-        left //= block[axis]
-        if block[axis] < shape[axis] or not left:
+        block[axis] = min(shape[axis], remaining)
+        remaining //= block[axis]
+        if block[axis] < shape[axis] or not remaining:
             break
     return Chunks(tuple(shape), tuple(block))
 
 
 def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: int, has_rates: bool = False) -> int:
-    """How many cases like one that took so many iterations, with sensitivities or not, are about a second of work.
+    """Return the number of cases that take about a second, from the iterations of a typical one.
 
-    Counted, and not measured, so that the same sweep has the same chunks, and so the same results, on any day.
+    The number follows from counts and not from measured times. So a sweep has the same chunks and results on every run.
     """
     metadata: Any = module.metadata
     if metadata.task == Task.CONTROL:
@@ -351,9 +344,9 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
 
 
 def serpentine(shape: Sequence[int]) -> NDArray[np.intp]:
-    """The cells of a grid, counted with the last dimension varying fastest, such that neighbours follow each other.
+    """Return the cells of a grid in an order in which successive cells are neighbours.
 
-    Every other row is run through backwards, in all dimensions.
+    Every other row is reversed, in all dimensions; cells are numbered with the last dimension varying fastest.
     """
     order = np.zeros(1, dtype=np.intp)
     size = 1
@@ -364,14 +357,14 @@ def serpentine(shape: Sequence[int]) -> NDArray[np.intp]:
 
 
 def nearest_chain(points: Matrix) -> NDArray[np.intp]:
-    """Points (n, dimensions) from the first one on, each followed by the nearest of those that are left."""
+    """Return an order of points (n, dimensions) from the first one on, each followed by the nearest remaining point."""
     number = len(points)
     order = np.zeros(number, dtype=np.intp)
-    left, rest = np.arange(1, number), points[1:].copy()
-    for place in range(1, number):
-        nearest = int(np.argmin(((rest - points[order[place - 1]]) ** 2).sum(axis=1)))
-        order[place] = left[nearest]
-        # The last one takes the place of the one that is taken, so that nothing is moved.
-        left[nearest], rest[nearest] = left[-1], rest[-1]
-        left, rest = left[:-1], rest[:-1]
+    remaining, rest = np.arange(1, number), points[1:].copy()
+    for k in range(1, number):
+        nearest = int(np.argmin(((rest - points[order[k - 1]]) ** 2).sum(axis=1)))
+        order[k] = remaining[nearest]
+        # The last point replaces the removed one, so that no other point moves.
+        remaining[nearest], rest[nearest] = remaining[-1], rest[-1]
+        remaining, rest = remaining[:-1], rest[:-1]
     return order

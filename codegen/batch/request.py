@@ -1,21 +1,28 @@
-"""What is asked of a sweep, and what is refused about it whatever the problem is."""
+"""The request of a sweep, its checks that need no module, and the quantities that can vary."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from codegen.batch import cases as reading
-from codegen.batch.cases import NUMBER, Cases, require_method, samples
-from codegen.batch.executors.team import team_size
-from codegen.batch.executors.work import counted
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.batch.cases import NUMBER, Cases, grid, require_method, samples, table
+from codegen.batch.executors import team_size
+from codegen.batch.executors.chunks import counted
+from codegen.batch.layout import RATE, free_label
 from codegen.errors import ArgumentError, NumericsError, clause
-from codegen.solving.request import Request
+from codegen.solving.loading import Matrix, Vector, is_control
+from codegen.solving.request import Request, apart_from_delays, duration_arguments, parameter_arguments, prescribed_ends
+from codegen.solving.results.control import control_result
 from codegen.solving.results.output import require_folder
+from codegen.solving.results.result import ControlAttempt, Run
+from codegen.solving.results.sensitivities import rates_at
 
 if TYPE_CHECKING:
     from codegen.solving.loading import GeneratedModule
@@ -30,11 +37,10 @@ OPTIONS = (
 
 @dataclass(frozen=True, eq=False)
 class SweepRequest:
-    """The solve that all cases share, the cases and where they come from, and what becomes of the results.
+    """The solve that all cases share, the cases with their origin, and the treatment of results.
 
-    `keep` are names of arrays, all that fit where it is None; `chunk` is the number of cases of a chunk, about a second
-    of work where it is None; `cluster` is the address of a
-    scheduler of dask, a client of one, "local", or None.
+    `keep` names arrays, or is None for all that fit. `chunk` is the number of cases of a chunk, or None for about a
+    second of work. `cluster` is the address of a scheduler of dask, a client, "local", or None.
     """
 
     solve: Request
@@ -50,7 +56,7 @@ class SweepRequest:
 
     @property
     def is_store(self) -> bool:
-        """Whether results go to a zarr store as they come."""
+        """True if results are written to a zarr store during the sweep."""
         return self.out is not None and self.out.suffix in STORES
 
 
@@ -72,41 +78,37 @@ def sweep_request(
     cluster: Any = None,
     **options: Any,
 ) -> SweepRequest:
-    """The request that these arguments make; see `codegen.sweep`, whose arguments they are.
+    """Return the request of these arguments, which are those of `codegen.sweep`.
 
-    Raises ArgumentError for what does not exist or does not fit together, and NumericsError for unusable numbers.
+    Raises ArgumentError for arguments that do not exist or do not fit together, NumericsError for unusable numbers.
     """
-    _require_known(options)
-    if "formulation" in options:
-        options["method"] = options.pop("formulation")
-    if not isinstance(out, str | PathLike | None):
-        raise ArgumentError(f"--out {clause(repr(out))} is no path", 'give one, such as "sweep.zarr"')
-    place = None if out is None else Path(out)
-    if place is not None:
-        _require_place(place, resume)
-    elif resume:
-        raise ArgumentError("--resume without --out", "name the store to go on with")
-    solve = Request(problem, **options)
-    made, origin = _cases(vary, zipped, samples, cases, method, seed)
-    if keep is not None and (isinstance(keep, str) or not all(isinstance(name, str) for name in keep)):
-        raise ArgumentError(f"--keep {clause(repr(keep))}", 'give names of arrays, such as ("q", "u")')
-    if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
-        raise NumericsError(f"--chunk {clause(repr(chunk))}", "give a positive integer")
-    used = team_size(workers, cluster)
-    kept = None if keep is None else tuple(dict.fromkeys(keep))
-    return SweepRequest(solve, made, origin, place, resume, kept, used, warm_starts, chunk, cluster)
-
-
-def _require_known(options: Iterable[str]) -> None:
     for name in options:
         if name not in OPTIONS:
             close = difflib.get_close_matches(name, OPTIONS, 1)
             remedy = f"did you mean {close[0]}?" if close else f"use some of {', '.join(OPTIONS)}"
             raise ArgumentError(f"codegen.sweep has no option {clause(name)}", remedy)
+    if "formulation" in options:
+        options["method"] = options.pop("formulation")
+    if not isinstance(out, str | PathLike | None):
+        raise ArgumentError(f"--out {clause(repr(out))} is no path", 'give one, such as "sweep.zarr"')
+    path = None if out is None else Path(out)
+    if path is not None:
+        _require_out(path, resume)
+    elif resume:
+        raise ArgumentError("--resume without --out", "name the store to go on with")
+    solve = Request(problem, **options)
+    all_cases, origin = _cases(vary, zipped, samples, cases, method, seed)
+    if keep is not None and (isinstance(keep, str) or not all(isinstance(name, str) for name in keep)):
+        raise ArgumentError(f"--keep {clause(repr(keep))}", 'give names of arrays, such as ("q", "u")')
+    if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
+        raise NumericsError(f"--chunk {clause(repr(chunk))}", "give a positive integer")
+    processes = team_size(workers, cluster)
+    kept = None if keep is None else tuple(dict.fromkeys(keep))
+    return SweepRequest(solve, all_cases, origin, path, resume, kept, processes, warm_starts, chunk, cluster)
 
 
-def _require_place(out: Path, resume: bool) -> None:
-    """Refuse a place that cannot be written to, or that something is at already."""
+def _require_out(out: Path, resume: bool) -> None:
+    """Raise ArgumentError for an output that cannot be written or exists already."""
     if out.suffix not in STORES + FILES:
         raise ArgumentError(f"--out {out}: unknown kind of file", "let it end in .zarr or .nc")
     require_folder(out.absolute().parent, "--out")
@@ -121,31 +123,181 @@ def _cases(
     vary: Mapping[str, Any] | None,
     zipped: Sequence[Sequence[str]],
     distributions: Mapping[str, Any] | None,
-    given: Any,
+    cases: Any,
     method: str,
     seed: int,
 ) -> tuple[Cases, str]:
-    """The cases, and in a few words where they come from."""
+    """Return the cases, and a few words about their origin."""
     require_method(method)
-    is_number = isinstance(given, int) and not isinstance(given, bool)
+    is_number = isinstance(cases, int) and not isinstance(cases, bool)
     if zipped and not vary:
         raise ArgumentError("--zip without --vary", "name what varies together by --vary")
-    if sum(map(bool, (vary, distributions, given is not None and not is_number))) > 1:
+    if sum(map(bool, (vary, distributions, cases is not None and not is_number))) > 1:
         raise ArgumentError("cases are given in several ways", "give --vary, or --sample, or --cases FILE")
     if is_number and not distributions:
-        raise ArgumentError(f"{given} cases of what?", "give distributions, as --sample 'm=normal(100, 5)'")
+        raise ArgumentError(f"{cases} cases of what?", "give distributions, as --sample 'm=normal(100, 5)'")
+    for name, values in (("vary", vary), ("samples", distributions)):
+        if values and not (isinstance(values, Mapping) and all(isinstance(key, str) for key in values)):
+            finding = f"{name} is {clause(repr(values))}"
+            raise ArgumentError(finding, 'give names and values, such as {"r1": [5.5, 6, 6.5]}')
     if vary:
-        return reading.grid(_named(vary, "vary"), zipped), "grid"
+        return grid(vary, zipped), "grid"
     if distributions:
-        number = NUMBER if given is None else given
-        made = samples(_named(distributions, "samples"), number, method, seed)
-        return made, f"{counted(number, f'{method} sample')}, seed {seed}"
-    if given is None:
+        number = NUMBER if cases is None else cases
+        return samples(distributions, number, method, seed), f"{counted(number, f'{method} sample')}, seed {seed}"
+    if cases is None:
         raise ArgumentError("nothing varies", "give --vary, --sample or --cases, as --vary r1=5.5:6.5:101")
-    return reading.table(given), "table"
+    return table(cases), "table"
 
 
-def _named(given: Any, name: str) -> Mapping[str, Any]:
-    if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
-        raise ArgumentError(f"{name} is {clause(repr(given))}", 'give names and values, such as {"r1": [5.5, 6, 6.5]}')
-    return given
+STEPS, GUESS = "steps", "guess"
+COUNTS = (STEPS, GUESS)
+"""Kinds of quantities with positive integers as values."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A varied quantity: its name, its kind, and its key in the functions of the module.
+
+    The kind is `parameter` (an argument of the module's functions), `boundary` (a prescribed value, with end and name
+    as key), `steps`, `guess` (of an optimisation: 1 is the problem's own guess, larger numbers seed random variations),
+    or `argument` (of problem(), with a module for each value).
+    """
+
+    name: str
+    kind: str
+    key: str
+
+
+def quantities(names: Collection[str], module: Any, arguments: Sequence[str]) -> tuple[Quantity, ...]:
+    """Return the quantities that names mean for a module and the `arguments` of its problem().
+
+    Raises ArgumentError with close names for an unknown one.
+    """
+    # An argument of problem() comes last and replaces a parameter of the same name: it may do more than set it.
+    candidates = [
+        Quantity(STEPS, STEPS, STEPS),
+        *([Quantity(GUESS, GUESS, GUESS)] if is_control(module) else []),
+        *(Quantity(key, "parameter", key) for key in duration_arguments(module)),
+        *(Quantity(name, "boundary", " ".join(key)) for name, key in prescribed_ends(module).items()),
+        *(Quantity(name, "parameter", key) for name, key in parameter_arguments(module).items()),
+        *(Quantity(name, "argument", name) for name in arguments),
+    ]
+    by_name = {quantity.name: quantity for quantity in candidates}
+    for name in names:
+        if name not in by_name:
+            # A duration that determines delays has derivatives but cannot vary.
+            refused = {*duration_arguments(module)} - {*apart_from_delays(module)}
+            offered = [word for word in by_name if word not in refused]
+            close = difflib.get_close_matches(name, offered, 3, 0.5)
+            nearest = f"did you mean {' or '.join(close)}? " if close else ""
+            remedy = f"{nearest}{module.metadata.problem} has {', '.join(offered)}"
+            raise ArgumentError(clause(f"{name} is nothing that can be varied"), clause(remedy))
+    return tuple(by_name[name] for name in names)
+
+
+def require_fitting(varied: Iterable[Quantity], cases: Cases) -> None:
+    """Raise an error for words as numbers, and for counts that are no positive integers."""
+    for quantity in varied:
+        column = cases.columns[quantity.name]
+        if quantity.kind != "argument" and column.dtype.kind == "U":
+            row, word = next((row, word) for row, word in enumerate(column.tolist()) if not _is_number(word))
+            finding = f"{cases.origin(row)}{quantity.name} takes numbers, not {word!r}"
+            raise ArgumentError(clause(finding), "give finite numbers")
+        if quantity.kind in COUNTS:
+            counts = np.asarray(column, dtype=float)
+            if not ((counts >= 1.0) & (counts == np.rint(counts)) & (counts < 1e12)).all():
+                finding = f"{quantity.kind} has values that are no positive integers"
+                raise NumericsError(finding, "give positive integers")
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def as_argument(value: float | str) -> str:
+    """Return a value as a text for `--set`; whole numbers fit arguments of type int and float."""
+    if isinstance(value, str):
+        return value
+    return str(int(value)) if value == int(value) and abs(value) < 1e15 else repr(value)
+
+
+def given_to(module_values: Mapping[Quantity, float]) -> dict[str, Any]:
+    """Return the arguments of a module's functions for the values of a case."""
+    arguments: dict[str, Any] = {}
+    for quantity, value in module_values.items():
+        if quantity.kind == "parameter":
+            arguments[quantity.key] = value
+        elif quantity.kind == "boundary":
+            end, name = quantity.key.split(" ", 1)
+            arguments.setdefault(end, {})[name] = value
+    return arguments
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """Derivatives `rates` (m, n) of the n unknowns of a solution by m varied quantities with `values` (m,)."""
+
+    quantities: tuple[Quantity, ...]
+    values: Vector
+    rates: Matrix
+
+    def move(self, values: Mapping[Quantity, float]) -> Vector:
+        """Return the first-order change (n,) of the unknowns for other values."""
+        steps = np.array([values[own] for own in self.quantities]) - self.values
+        return np.asarray(steps @ self.rates)
+
+
+@dataclass(frozen=True, eq=False)
+class CaseRates:
+    """Derivatives of a case by all m quantities: `arrays` (m, ...) by the names of a data set, and a message.
+
+    The message gives the reason if there are no derivatives; it also names one-sided or inaccurate ones. `tangent` is
+    None if a varied quantity has no derivatives.
+    """
+
+    message: str = ""
+    arrays: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    tangent: Tangent | None = None
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The requested derivatives: of the cost, of free parameters, of `arrays`, and `tangents`.
+
+    There are no derivatives of varied quantities.
+    """
+
+    varied: tuple[Quantity, ...]
+    arrays: Sequence[str]
+    tangents: bool
+
+    def of_solution(
+        self, module: Any, driver: str, run: Run, attempt: ControlAttempt, values: Mapping[Quantity, float]
+    ) -> CaseRates:
+        """Return the derivatives of a solved case; `module` has its values."""
+        names = module.metadata.sensitivities
+        fixed = [own.name for own in self.varied if own.name in names]
+        try:
+            rates = rates_at(module, run.steps, attempt.unknowns, fixed)
+        except (ValueError, ArithmeticError) as error:  # a derivative can be infinite at a finite solution
+            return CaseRates(f"no sensitivities: {error.args[-1] if error.args else type(error).__name__}")
+        message = "; ".join(rates.sensitivities.notes)
+        if rates.sensitivities.reason:
+            return CaseRates(message)
+        arrays = {
+            f"{RATE}cost": rates.sensitivities.costs,
+            **{f"{RATE}{free_label(name)}": by for name, by in rates.free.items()},
+        }
+        if self.arrays:
+            derivatives = rates.derivatives(control_result(module, driver, run, attempt))
+            arrays |= {f"{RATE}{name}": np.stack([getattr(by, name) for by in derivatives]) for name in self.arrays}
+        tangent = None
+        if self.tangents and len(fixed) == len(values):
+            rows = [names.index(own.name) for own in values]
+            tangent = Tangent(tuple(values), np.array([*values.values()]), rates.found.unknowns[rows])
+        return CaseRates(message, arrays, tangent)

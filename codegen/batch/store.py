@@ -1,10 +1,10 @@
-"""A sweep in a zarr store: laid out before anything is solved, filled chunk by chunk, gone on with after any end.
+"""The data set of a sweep in memory, in a netCDF file, or in a zarr store that is written chunk by chunk.
 
-Every chunk of cases is one chunk of each array, so that several processes write side by side, and memory does not grow
-with the number of cases.
+A store is laid out before the first solve. Every chunk of cases is one chunk of each array. So several processes write
+at the same time, and memory does not grow with the number of cases.
 
-Stores that are not full: one sweep fills one at a time, and if it ends it says how many cases are there. Another one
-does the rest, with `--resume`.
+One process at a time writes to a store. A sweep that ends early reports the number of stored cases; `--resume` does the
+rest.
 """
 
 from __future__ import annotations
@@ -25,9 +25,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.batch.cases import Cases
-from codegen.batch.executors import journal
-from codegen.batch.executors.journal import damaged, journal_of
-from codegen.batch.executors.work import Tally, only_one
+from codegen.batch.executors.chunks import (
+    Journal,
+    Tally,
+    damaged_journal,
+    journal_of,
+    new_journal,
+    only_one,
+    read_journal,
+)
 from codegen.batch.layout import RESERVED, Chunks, Layout
 from codegen.batch.work import Rows
 from codegen.errors import ArgumentError, ClusterError, ExtraError, FileError, Interrupted
@@ -42,78 +48,66 @@ ANOTHER = "choose another name, or give the problem, cases and options that it w
 
 @dataclass(frozen=True)
 class SweepJournal:
-    """The chunks of a sweep, the tallies of those that are finished by their numbers, and the lines that tell it."""
+    """The chunks of a sweep, the tallies of finished chunks by their numbers, and the file of the journal."""
 
-    lines: journal.Journal
+    file: Journal
     chunks: Chunks
     finished: Mapping[int, Tally]
 
     @property
     def digest(self) -> str:
-        """What tells this sweep from others."""
-        return str(self.lines.header["sweep"])
+        """The digest of the sweep."""
+        return str(self.file.header["sweep"])
 
     def add(self, number: int, tally: Tally) -> None:
-        """Note that a chunk is whole; FileError when the file system refuses."""
-        self.lines.add([{"chunk": number, **tally.as_record()}])
+        """Append a finished chunk; raises FileError when the file system refuses."""
+        self.file.add([{"chunk": number, **tally.as_record()}])
 
 
-def begun_journal(path: Path, digest: str, chunks: Chunks) -> SweepJournal:
-    """A new journal, in which no chunk is finished."""
-    header = {"sweep": digest, "cases": chunks.shape, "chunk": chunks.block}
-    return SweepJournal(journal.begun(path, header), chunks, {})
-
-
-def read_journal(path: Path, digest: str) -> SweepJournal:
-    """The journal of a sweep that was begun; ArgumentError where it is that of another, or none."""
-    lines = journal.read(path, "sweep", digest, ANOTHER)
+def read_sweep_journal(path: Path, digest: str) -> SweepJournal:
+    """Return the journal of a sweep; raises ArgumentError for another sweep or a damaged journal."""
+    file = read_journal(path, "sweep", digest, ANOTHER)
     try:
-        chunks = Chunks(tuple(map(int, lines.header["cases"])), tuple(map(int, lines.header["chunk"])))
-        finished = {int(record["chunk"]): Tally.from_record(record) for record in lines.records}
+        chunks = Chunks(tuple(map(int, file.header["cases"])), tuple(map(int, file.header["chunk"])))
+        finished = {int(record["chunk"]): Tally.from_record(record) for record in file.records}
     except (KeyError, TypeError, ValueError):
-        raise damaged(path) from None
-    return SweepJournal(lines, chunks, finished)
-
-
-_REST = "--resume does the rest"
+        raise damaged_journal(path) from None
+    return SweepJournal(file, chunks, finished)
 
 
 def only_sweep(out: Path) -> AbstractContextManager[None]:
-    """Refuse, as an ArgumentError, a store that another process of this machine fills at this time."""
+    """Return a context that raises ArgumentError if another process of this machine writes to the store."""
     remedy = "wait until it ends, or choose another name"
     return only_one(str(out.resolve()), ArgumentError(f"--out {out}: another process is at work on it", remedy))
 
 
 @contextmanager
-def resumable(out: Path, begun: SweepJournal) -> Iterator[None]:
-    """Have an interrupt, a disk that refuses and a cluster that is lost say how many cases are in the store by then."""
+def resumable(out: Path, journal: SweepJournal) -> Iterator[None]:
+    """Add the number of stored cases to an interrupt, and to the errors of a full disk and of a lost cluster."""
+    rest = "--resume does the rest"
     try:
         yield
-    except KeyboardInterrupt:
-        raise Interrupted(f"interrupted; {_kept(out, begun)}; {_REST}") from None
-    except (ClusterError, FileError) as error:
-        remedy = error.remedy if "--resume" in error.remedy else f"{error.remedy}; {_REST}"
-        raise type(error)(f"{error.finding}, {_kept(out, begun)}", remedy) from error
-
-
-def _kept(out: Path, begun: SweepJournal) -> str:
-    """How many cases the journal has by now; an interrupt may have come just after it was written to."""
-    noted = read_journal(begun.lines.path, begun.digest).finished.values()
-    return f"{sum(tally.cases for tally in noted)} of {math.prod(begun.chunks.shape)} cases are in {out}"
+    except (KeyboardInterrupt, ClusterError, FileError) as error:
+        # Read the journal again: an interrupt may come just after a line was written.
+        tallies = read_sweep_journal(journal.file.path, journal.digest).finished.values()
+        stored = f"{sum(tally.cases for tally in tallies)} of {math.prod(journal.chunks.shape)} cases are in {out}"
+        if isinstance(error, KeyboardInterrupt):
+            raise Interrupted(f"interrupted; {stored}; {rest}") from None
+        remedy = error.remedy if "--resume" in error.remedy else f"{error.remedy}; {rest}"
+        raise type(error)(f"{error.finding}, {stored}", remedy) from error
 
 
 def require_xarray() -> None:
-    """Refuse to go on without xarray and zarr; ExtraError names the command that installs them."""
+    """Raise ExtraError, with the command that installs them, if xarray or zarr is missing."""
     for name in ("xarray", "zarr"):
-        if find_spec(name) is None:  # they take long to import, and a command may need only one of them
-            raise ExtraError(
-                f"a sweep needs {name}, which is not installed", "pip install 'variational-codegen[sweep]'"
-            )
+        if find_spec(name) is None:  # a quick test: both are slow to import
+            remedy = "pip install 'variational-codegen[sweep]'"
+            raise ExtraError(f"a sweep needs {name}, which is not installed", remedy)
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a data set is, but for its numbers: cases and arrays with their dimensions, and attributes."""
+    """A data set without numbers: cases and arrays with their dimensions, and attributes."""
 
     cases: Cases
     layout: Layout
@@ -121,7 +115,7 @@ class Frame:
 
     @property
     def labels(self) -> dict[str, str]:
-        """What varied quantities are called: those that have the name of a variable, with an underscore."""
+        """Variable names of the varied quantities, with an underscore if the name is taken."""
         taken = {*RESERVED, *self.layout.numbers, *self.layout.dims}
         return {name: f"{name}_" if name in taken else name for name in self.cases.columns}
 
@@ -132,7 +126,7 @@ class Frame:
 
     @property
     def coordinates(self) -> dict[str, tuple[tuple[str, ...], NDArray[Any]]]:
-        """Varied quantities, and the names of columns: dimensions and values by name."""
+        """Dimensions and values of varied quantities and of column names."""
         dims = self.case_dims
         varied = {
             self.labels[name]: ((dims[self.cases.axes[name]],), np.asarray(column))
@@ -143,17 +137,15 @@ class Frame:
 
     @property
     def variables(self) -> dict[str, tuple[tuple[str, ...], tuple[int, ...], str]]:
-        """Dimensions, shapes and kinds of numbers by name; words have the kind `str`."""
+        """Dimensions, shapes and types of variables by name; texts have the type `str`."""
         dims, shape = self.case_dims, self.cases.shape
-        found = {
-            name: ((*dims, *self.layout.dims[name]), (*shape, *self.layout.shapes[name]), "f8")
-            for name in self.layout.dims
-        }
-        found |= {name: (dims, shape, kind) for name, kind in self.layout.numbers.items()}
-        return found | dict.fromkeys(self.layout.words, (dims, shape, "str"))
+        layout = self.layout
+        variables = {name: ((*dims, *layout.dims[name]), (*shape, *layout.shapes[name]), "f8") for name in layout.dims}
+        variables |= {name: (dims, shape, kind) for name, kind in layout.numbers.items()}
+        return variables | dict.fromkeys(layout.words, (dims, shape, "str"))
 
     def outlined(self) -> Dataset:
-        """The data set without its numbers, which takes no memory."""
+        """Return the data set with constant arrays, which take no memory."""
         import xarray
 
         fills: dict[str, Any] = {"str": "", "i4": 0, "f8": np.nan}
@@ -165,7 +157,7 @@ class Frame:
 
 
 class Memory:
-    """All rows of a sweep, in memory."""
+    """The rows of a sweep in memory."""
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
@@ -177,12 +169,12 @@ class Memory:
                 self.arrays[name] = np.full(shape, -1 if kind == "i4" else np.nan, kind)
 
     def write(self, region: tuple[slice, ...], rows: Rows) -> None:
-        """Put the rows of a chunk where they belong."""
+        """Write the rows of a chunk."""
         for name, array in rows.items():
             self.arrays[name][region] = array
 
     def dataset(self) -> Dataset:
-        """The data set."""
+        """Return the data set."""
         import xarray
 
         variables = {}
@@ -193,26 +185,25 @@ class Memory:
 
 
 def write_netcdf(data: Dataset, path: Path) -> None:
-    """Write a file of netCDF as a whole; FileError when the file system refuses."""
+    """Replace a netCDF file; raises FileError when the file system refuses."""
     with replacing(path) as temporary:
         data.to_netcdf(temporary)
 
 
 DIGEST = "sweep"
-"""The attribute that says which sweep a store belongs to."""
+"""The attribute of a store that identifies its sweep."""
 _CONFIG: Any = {"write_empty_chunks": True}
-"""A chunk of cases that failed has its files as well, so that one which is missing was taken away."""
-_INCOMPLETE = "delete the store, or choose another name"
+"""Failed cases are written as well, so a missing file of a chunk was deleted."""
 
 
 @dataclass(frozen=True)
 class Store:
-    """The folder of a zarr store; it can be sent to other processes."""
+    """The folder of a zarr store; it can be pickled."""
 
     path: Path
 
     def write(self, region: tuple[slice, ...], rows: Rows) -> None:
-        """Write the rows of a chunk; FileError when the file system refuses."""
+        """Write the rows of a chunk; raises FileError when the file system refuses."""
         try:
             arrays = _opened(self.path, self.mark(), tuple(rows))
             for name, array in rows.items():
@@ -221,30 +212,30 @@ class Store:
             raise refused(error, self.path) from error
 
     def mark(self) -> tuple[int, ...]:
-        """What tells this store from one that is elsewhere under the same name; nothing where there is none."""
+        """Return an identification of this store, empty if it does not exist."""
         try:
-            found = (self.path / "zarr.json").stat()
+            status = (self.path / "zarr.json").stat()
         except OSError:
             return ()
-        return found.st_ino, found.st_mtime_ns, found.st_size
+        return status.st_ino, status.st_mtime_ns, status.st_size
 
     def read(self, name: str) -> NDArray[Any]:
-        """All numbers of a variable."""
+        """Return all numbers of a variable."""
         import zarr
 
         return np.asarray(zarr.open_group(self.path, mode="r", use_consolidated=False)[name][...])  # type: ignore[index]
 
     def dataset(self) -> Dataset:
-        """The data set, whose numbers are read when they are asked for."""
+        """Return the data set, whose numbers are read on demand."""
         import xarray
 
-        found: Dataset = xarray.open_zarr(self.path, chunks=None)
-        return found
+        data: Dataset = xarray.open_zarr(self.path, chunks=None)
+        return data
 
 
 @lru_cache(maxsize=1)
 def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[str, Any]:
-    """The arrays of a store, which its `mark` tells from others: to open them takes a third of the time of writing."""
+    """Return the open arrays of a store with this `mark`: opening takes a third of the time of writing."""
     import zarr
 
     group: Any = zarr.open_group(path, mode="r+", use_consolidated=False)
@@ -252,12 +243,13 @@ def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[s
 
 
 def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> SweepJournal:
-    """Lay out a store and its journal; the store has its name only when it is whole. FileError when that is refused."""
+    """Lay out a store and its journal, and rename the complete store; raises FileError when the file system refuses."""
     try:
         folder = Path(tempfile.mkdtemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix))
         try:
             _laid_out(folder, frame, chunks, digest)
-            started = begun_journal(journal_of(path), digest, chunks)
+            header = {"sweep": digest, "cases": chunks.shape, "chunk": chunks.block}
+            journal = SweepJournal(new_journal(journal_of(path), header), chunks, {})
             folder.chmod(0o755)
             folder.rename(path)
         except BaseException:
@@ -265,46 +257,49 @@ def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> SweepJournal
             raise
     except OSError as error:
         raise refused(error, path) from error
-    return started
+    return journal
 
 
 def resumed(path: Path, frame: Frame, digest: str) -> SweepJournal:
-    """The journal of a store that is there already.
+    """Return the journal of an existing store.
 
-    ArgumentError where it belongs to another sweep, is none, or lacks something that was written.
+    Raises ArgumentError if the folder is no store, is the store of another sweep, or lacks files.
     """
     import zarr
 
     try:
         attributes = dict(zarr.open_group(path, mode="r", use_consolidated=False).attrs)
-    except Exception:  # zarr has many ways to say that this is no store
+    except Exception:  # zarr raises errors of many types here
         raise ArgumentError(f"--resume: {path} is no store of a sweep", "choose another name") from None
     if attributes.get(DIGEST) != digest:
         raise ArgumentError(f"--resume: {path} is the store of another sweep", ANOTHER)
-    found = read_journal(journal_of(path), digest)
-    # Refuse a store without arrays that it was laid out with, or without chunks that its journal says are whole.
+    journal = read_sweep_journal(journal_of(path), digest)
     for name, (_, values) in frame.coordinates.items():
         _require_files(path, name, [(0,)] if values.size else [])
-    places = [tuple(map(int, np.unravel_index(number, found.chunks.counts))) for number in sorted(found.finished)]
+    counts = journal.chunks.counts
+    indices = [tuple(map(int, np.unravel_index(number, counts))) for number in sorted(journal.finished)]
     for name, (_, shape, _) in frame.variables.items():
-        inner = shape[len(found.chunks.block) :]
-        _require_files(path, name, [(*place, *(0 for _ in inner)) for place in places] if 0 not in inner else [])
-    return found
+        inner = shape[len(journal.chunks.block) :]
+        _require_files(path, name, [(*index, *(0 for _ in inner)) for index in indices] if 0 not in inner else [])
+    return journal
 
 
-def _require_files(path: Path, name: str, places: list[tuple[int, ...]]) -> None:
-    """Refuse a store that lacks an array, or its chunks at some places."""
-    for file in ("zarr.json", *("/".join(map(str, ("c", *place))) for place in places)):
+def _require_files(path: Path, name: str, indices: list[tuple[int, ...]]) -> None:
+    """Raise ArgumentError if an array, or one of its chunks, has no file."""
+    for file in ("zarr.json", *("/".join(map(str, ("c", *place))) for place in indices)):
         if not (path / name / file).is_file():
             lacking = f"{name}/{file}" if (path / name).is_dir() else name
-            raise ArgumentError(f"--resume: {path} lacks {lacking}, which was written", _INCOMPLETE)
+            remedy = "delete the store, or choose another name"
+            raise ArgumentError(f"--resume: {path} lacks {lacking}, which was written", remedy)
 
 
 def _laid_out(folder: Path, frame: Frame, chunks: Chunks, digest: str) -> None:
-    """Write what a store holds but the numbers of the cases."""
+    """Write the arrays of a store without the numbers of cases."""
     import zarr
 
-    group = zarr.create_group(folder, overwrite=True, attributes={**frame.attributes, **_named(frame), DIGEST: digest})
+    beside = [name for name, (dims, _) in frame.coordinates.items() if dims != (name,)]
+    named = {"coordinates": " ".join(beside)} if beside else {}
+    group = zarr.create_group(folder, overwrite=True, attributes={**frame.attributes, **named, DIGEST: digest})
     for name, (dims, values) in frame.coordinates.items():
         words = values.dtype.kind == "U"
         array = _array(group, name, dims, values.shape, values.shape, "str" if words else "f8")
@@ -312,13 +307,8 @@ def _laid_out(folder: Path, frame: Frame, chunks: Chunks, digest: str) -> None:
     for name, (dims, shape, kind) in frame.variables.items():
         _array(group, name, dims, shape, (*chunks.block, *shape[len(chunks.block) :]), kind)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that other readers of the format need not know consolidated metadata
+        warnings.simplefilter("ignore")  # zarr warns that some readers do not support consolidated metadata
         zarr.consolidate_metadata(folder)
-
-
-def _named(frame: Frame) -> dict[str, str]:
-    beside = [name for name, (dims, _) in frame.coordinates.items() if dims != (name,)]
-    return {"coordinates": " ".join(beside)} if beside else {}
 
 
 def _array(
@@ -327,7 +317,7 @@ def _array(
     from zarr.codecs import BloscCodec
 
     fill: Any = {"str": "", "i4": -1}.get(kind, np.nan)
-    # In files of the same size as those of zarr's own choice, and in half of its time.
+    # This codec needs half of the time of the default one, for files of the same size.
     codec = BloscCodec(cname="lz4", clevel=1)
     return group.create_array(
         name,

@@ -1,6 +1,7 @@
-"""The work of a sweep: solving the cases of one chunk, in whatever process, and what becomes of their numbers.
+"""The modules of a sweep, and its work: the solves of the cases of a chunk and the rows of their results.
 
-It can be pickled, and is small: an engine sends it to its workers once, and then the numbers of chunks.
+Each combination of arguments of problem() that vary has its own module, derived and compiled once. The work is pickled
+once for each worker and is small; after that workers receive chunks.
 """
 
 from __future__ import annotations
@@ -9,19 +10,21 @@ import hashlib
 import math
 import platform
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.case import Attempt, Continuation, Start, Variant, Varied, not_built, solve_case
+from codegen.batch.case import NOT_BUILT, Attempt, Continuation, Start, Variant, Varied, failed, solve_case
 from codegen.batch.cases import Cases, rows_of
-from codegen.batch.executors.work import (
+from codegen.batch.executors import Working
+from codegen.batch.executors.chunks import (
     LOST,
     Abandoned,
     Done,
@@ -33,85 +36,185 @@ from codegen.batch.executors.work import (
     workers_folder,
 )
 from codegen.batch.jumps import Grid, Neighbours, along_dimensions, improved, is_better, scattered
-from codegen.batch.layout import JUMPS, RATE, Chunks, Layout, Piece, Shapes, free_label, nearest_chain, serpentine
-from codegen.batch.quantities import GUESS, CaseRates, Quantity, Wanted, as_argument
-from codegen.errors import ArgumentError
+from codegen.batch.layout import (
+    JUMPS,
+    RATE,
+    Chunks,
+    Layout,
+    Piece,
+    Shapes,
+    free_label,
+    nearest_chain,
+    serpentine,
+    shapes_of,
+)
+from codegen.batch.request import GUESS, STEPS, Quantity, Wanted, as_argument, quantities, require_fitting
+from codegen.errors import ArgumentError, CodegenError
 from codegen.files import write_text
-from codegen.solving import loading
+from codegen.solving import compiler, loading
 from codegen.solving.drivers import DRIVERS
 from codegen.solving.machine_code import processes
+from codegen.solving.outcome import points_of
+from codegen.solving.request import Request, require_apart_from_arrays, require_apart_from_delays
 from codegen.solving.results.result import Run
-from codegen.solving.results.sensitivities import UNSOLVED
+from codegen.solving.results.sensitivities import UNSOLVED, require_sensitive
+
+if TYPE_CHECKING:
+    from codegen.problem.points import PointSet
+
+MOST_MODULES = 100
+"""Largest number of modules of a sweep: each takes seconds to derive and compile."""
+Rows = dict[str, NDArray[Any]]
+"""Arrays by name, with a row for each case of a chunk in the order of the cases."""
+APART = 1e6
+"""Distance of cases of different modules, relative to the ranges of quantities."""
 
 
 @dataclass(frozen=True, eq=False)
-class Texts:
-    """The texts of modules by their variants, and the machine that they come from."""
+class Modules:
+    """The modules by the texts of the arguments that vary, the quantities that vary, and messages for the user.
 
-    texts: dict[tuple[str, ...], str]
-    origin: Target
+    `first` is the first module that could be derived; `points` are the points of particles to connect, or None.
+    """
 
-    def placed(
-        self, variants: Mapping[tuple[str, ...], Variant], driver: str
-    ) -> tuple[dict[tuple[str, ...], Variant], tuple[str, ...]]:
-        """The variants where this machine has their modules, compiled for it, and what is to be said of it."""
-        here, notes, found = target(), [], dict(variants)
-        for key, text in self.texts.items():
-            variant = variants[key]
-            assert variant.path is not None, "what has a text has a name"
-            path = variant.path if self._is_here(variant.path, text, here) else _place(variant.path.name, text, here)
-            if _compiled(path, text, driver):
-                notes.append(compiled_note(path.stem, here, self.origin, "the sweep"))
-            found[key] = replace(variant, path=path)
-        return found, tuple(notes)
+    arguments: tuple[str, ...]
+    quantities: tuple[Quantity, ...]
+    variants: dict[tuple[str, ...], Variant]
+    first: Any
+    messages: tuple[str, ...]
+    points: PointSet | None = None
 
-    def _is_here(self, path: Path, text: str, here: Target) -> bool:
-        """Whether the module is there in the same place, and its machine code, if there is some, fits."""
+    @property
+    def texts(self) -> Iterator[bytes]:
+        """The contents of the files of modules."""
+        for variant in self.variants.values():
+            path = variant.path or getattr(self.first, "__file__", None)
+            yield variant.message.encode() if path is None else Path(path).read_bytes()
+
+
+def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
+    """Derive all modules of the cases, check names and values, then compile.
+
+    A combination that cannot be derived is a variant without a module, unless none can be derived. Raises
+    ArgumentError for unknown names, and for a value that an argument does not take.
+    """
+    if request.is_built:
+        module = loading.load(request.problem) if isinstance(request.problem, str | Path) else request.problem
+        varied = _checked_quantities(request, cases, module, ())
+        file = getattr(module, "__file__", None)
+        points = _points(request, [module])
+        variant = Variant(Path(file) if file else None, _shapes(request, module, points))
+        return Modules((), varied, {(): variant}, module, (), points)
+    known = request.source.arguments
+    names = tuple(name for name in cases.columns if name in known)
+    if twice := next((name for name in names if name in request.arguments), None):
+        raise ArgumentError(f"{twice} varies and is given by --set", "leave one of them out")
+    combinations = _combinations(names, cases)
+    derived, errors = dict[tuple[str, ...], tuple[Any, compiler.Build]](), dict[tuple[str, ...], CodegenError]()
+    varied = ()
+    for number, key in enumerate(combinations, start=1):
+        count = f" (module {number} of {len(combinations)})" if len(combinations) > 1 else ""
         try:
-            return here == self.origin and path.read_text(encoding="utf-8") == text
-        except (OSError, UnicodeDecodeError):
-            return False
+            with _formulation_in_errors(), working(f"Deriving{count}"):
+                build = compiler.build(
+                    request.source, {**request.arguments, **dict(zip(names, key, strict=True))}, scheme=request.scheme,
+                    method=request.method, controls=request.controls, sensitivities=request.sensitivities,
+                )  # fmt: skip
+                module = loading.load(build.path)
+        except ArgumentError:
+            raise
+        except CodegenError as error:
+            errors[key] = error
+            continue
+        varied = _checked_quantities(request, cases, module, names)
+        derived[key] = module, build
+    if not derived:
+        raise next(iter(errors.values()))
+    points, messages = _points(request, [module for module, _ in derived.values()]), list[str]()
+    for module, build in derived.values():
+        if DRIVERS[request.driver].generated:
+            messages += processes.require(build.path, module, build.written, working)[1]
+    variants = {
+        key: Variant(derived[key][1].path, _shapes(request, derived[key][0], points))
+        if key in derived
+        else Variant(None, None, str(errors[key]))
+        for key in combinations
+    }
+    return Modules(names, varied, variants, next(iter(derived.values()))[0], tuple(messages), points)
 
 
-def _place(name: str, text: str, here: Target) -> Path:
-    """Where this machine keeps a module; several may share a disk."""
-    machine = f"{platform.node()}-{here.processor}-{here.features}-numba-{here.numba}-python-{here.python}"
-    return workers_folder() / machine / hashlib.sha256(text.encode()).hexdigest()[:20] / name
+def _points(request: Request, modules: Sequence[Any]) -> PointSet | None:
+    """Return the points that all cases connect; raises ArgumentError if they differ among modules."""
+    first, *others = (points_of(request, module) for module in modules)
+    for other in others:
+        if first is not None and other is not None and not np.array_equal(first.table, other.table):
+            raise ArgumentError("the points differ among values of an argument", "sweep over each value by itself")
+    return first
 
 
-def _compiled(path: Path, text: str, driver: str) -> bool:
-    """Have a module where it belongs, with its machine code; whether it was this process that had to compile it."""
-    with alone(str(path)):
-        if not path.is_file() or path.read_text(encoding="utf-8") != text:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(path, text)
-        if not DRIVERS[driver].generated:
-            return False
-        seconds, _ = processes.require(path, loading.load(path), False, lambda what: nullcontext())
-        return seconds > 0.0
+def _shapes(request: Request, module: Any, points: PointSet | None) -> Shapes:
+    return shapes_of(module, request.every, request.sensitivities, 0 if points is None else len(points.start))
 
 
-Rows = dict[str, NDArray[Any]]
-"""Arrays by name, with a row for each case of a chunk in the order in which cases are counted."""
-APART = 1e6
-"""How far cases of different modules are from each other, in parts of ranges."""
+def _checked_quantities(request: Request, cases: Cases, module: Any, arguments: Sequence[str]) -> tuple[Quantity, ...]:
+    """Return the quantities that vary; raises an error if options, names or values do not fit the module."""
+    request.driver_for(module)
+    if request.sensitivities:
+        require_sensitive(module)
+    others = [name for name in cases.columns if name not in arguments]
+    require_apart_from_delays(module, others)
+    require_apart_from_arrays(module, others)
+    varied = quantities(cases.columns, module, arguments)
+    require_fitting(varied, cases)
+    if request.steps is not None and any(quantity.kind == STEPS for quantity in varied):
+        raise ArgumentError("steps vary and are given by --steps", "leave one of them out")
+    return varied
+
+
+def _combinations(names: Sequence[str], cases: Cases) -> list[tuple[str, ...]]:
+    """Return the texts of arguments that occur together."""
+    axes = sorted({cases.axes[name] for name in names})
+    groups = [[name for name in names if cases.axes[name] == axis] for axis in axes]
+    texts = {name: [as_argument(value) for value in cases.columns[name].tolist()] for name in names}
+    along = [dict.fromkeys(zip(*(texts[name] for name in group), strict=True)) for group in groups]
+    number = math.prod(map(len, along))
+    if number > MOST_MODULES:
+        finding = f"{' and '.join(names)} of problem() would need {number} modules, one for each value"
+        raise ArgumentError(finding, f"take at most {MOST_MODULES} values, or vary parameters of the module")
+    order = [name for group in groups for name in group]
+    combinations = []
+    for parts in product(*along):
+        values = dict(zip(order, (text for part in parts for text in part), strict=True))
+        combinations.append(tuple(values[name] for name in names))
+    return combinations
+
+
+@contextmanager
+def _formulation_in_errors() -> Iterator[None]:
+    """Replace `--method` in errors: in a sweep this option is the sampling method."""
+    try:
+        yield
+    except CodegenError as error:
+        parts = (text.replace("--method", "--formulation") for text in (error.finding, error.remedy))
+        raise type(error)(*parts) from error
 
 
 class Sink(Protocol):
-    """Where the rows of a chunk go in the process that has made them."""
+    """A store for the rows of chunks that any worker process can write to."""
 
     def write(self, region: tuple[slice, ...], rows: Rows) -> None:
-        """Write the rows of a chunk to its place among the cases."""
+        """Write the rows of a chunk."""
 
     def mark(self) -> tuple[int, ...]:
-        """What only this place has; another machine where it is the same can write to it as well."""
+        """Return an identification of the store; a machine that reads the same one can write to the store."""
 
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """All that solving any chunk needs; `run` holds what all cases share, but for `steps`, None for a module's own.
+    """The data that solves of all chunks need.
 
-    `variants` are the modules, by the texts of the arguments of problem() that vary; `module` is one in no file.
+    `run` is common to all cases. `steps` is the largest number of steps, or None for each module's own. `variants`
+    are the modules by the texts of the arguments of problem() that vary; `module` is a module without a file.
     """
 
     driver: str
@@ -127,88 +230,112 @@ class Work:
     module: Any = None
 
     def piece(self, number: int) -> Piece:
-        """What solving a chunk needs beside the work; it is as small as the chunk."""
+        """Return the data of a chunk that a worker needs in addition to the work."""
         indices = self.chunks.cases(number)
         columns, points = self.cases.chosen(indices), self.cases.points(indices)
         return Piece(number, self.chunks.region(number), self.cases.is_grid, columns, points)
 
     def parcel(self) -> Parcel:
-        """What is to be sent, whose size does not depend on the number of cases: workers are given each piece.
-
-        ArgumentError where a module is in no file.
-        """
+        """Return the work without its cases, for other machines; raises ArgumentError for a module without a file."""
         if self.module is not None:
             remedy = "build it, and give its path"
             raise ArgumentError("a module that is in no file cannot be sent to a cluster", remedy)
         bare = replace(self, cases=Cases((), (), {}, {}), chunks=Chunks((), ()))
-        # The texts of what is in files.
-        variants = self.variants
         texts = {
             key: variant.path.read_text(encoding="utf-8")
-            for key, variant in variants.items()
+            for key, variant in self.variants.items()
             if variant.path is not None and variant.shapes is not None
         }
-        return Parcel(bare, Texts(texts, target()), () if self.sink is None else self.sink.mark())
+        return Parcel(bare, texts, target(), () if self.sink is None else self.sink.mark())
 
     def returned(self, number: int, done: Done) -> Done:
-        """Write the rows of a worker who does not see the sink."""
+        """Write the rows of a worker that cannot write to the sink."""
         if done.rows is None or self.sink is None:
             return done
         self.sink.write(self.chunks.region(number), done.rows)
         return replace(done, rows=None)
 
-    def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
-        """Solve the cases of a chunk, along a path through neighbours, and again where their cost jumps.
+    def loaded(self) -> Work:
+        """Load every module in this process."""
+        for variant in self.variants.values():
+            self._module(variant)
+        return self
 
-        Raises Abandoned as soon as it is no longer wanted.
+    def lost(self, number: int, reason: str) -> Done:
+        """Return the result of a chunk whose workers were lost."""
+        rows = self._empty_rows(math.prod(self.chunks.extent(number)))
+        rows["status"][:], rows["message"][:] = LOST, reason
+        return self._finished(self.chunks.region(number), rows)
+
+    def tried(self, variant: Variant, index: int) -> Attempt:
+        """Solve a case from the problem's own guess without storing the result."""
+        varied = self._varied(variant)
+        assert varied is not None, "a case that is solved has a module"
+        if not DRIVERS[self.driver].generated:  # external drivers call other functions of the module
+            varied.task.touch(varied.module, varied.run.steps)
+        return solve_case(varied, self._module_values(self.cases.values(np.array([index]))[0]), None)
+
+    def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
+        """Solve the cases of a chunk along a path through neighbours, and again beside jumps of the cost.
+
+        Raises Abandoned as soon as `is_wanted` returns False.
         """
         values = rows_of(piece.columns)
-        keys = [self._key(of_case) for of_case in values]
-        families = self._families(keys, values)
-        continuation = Continuation[Attempt](piece.points, families, self.warm_starts)
+        arguments = [own.name for own in self.quantities if own.kind == "argument"]
+        guesses = [own.name for own in self.quantities if own.kind == GUESS]
+        keys = [tuple(as_argument(of_case[name]) for name in arguments) for of_case in values]
+        # Cases of one family may start from each other: they have the same module and the same guess.
+        labels = [(key, *(of_case[name] for name in guesses)) for key, of_case in zip(keys, values, strict=True)]
+        numbers = {label: number for number, label in enumerate(dict.fromkeys(labels))}
+        families = np.array([numbers[label] for label in labels])
         modules = {key: self._varied(self.variants[key]) for key in dict.fromkeys(keys)}
-        given = [self._given(of_case) for of_case in values]
+        module_values = [self._module_values(of_case) for of_case in values]
 
         def attempt(index: int, start: Start[Attempt] | None) -> Attempt:
             if not is_wanted():
                 raise Abandoned
             module = modules[keys[index]]
-            return not_built(self.variants[keys[index]]) if module is None else solve_case(module, given[index], start)
+            if module is None:
+                return failed(NOT_BUILT, self.variants[keys[index]].message)
+            return solve_case(module, module_values[index], start)
 
-        def noted(index: int, start: Start[Attempt] | None) -> Attempt:
-            # What is solved is the outcome. Rows have its arrays at once, and others may start from its unknowns alone:
-            # thousands of arrays that are kept take longer to get than to compute.
-            found = attempt(index, start)
-            self._place(rows, index, self.variants[keys[index]], found)
-            return found.without_arrays()
+        def attempt_in_rows(index: int, start: Start[Attempt] | None) -> Attempt:
+            # Store the arrays at once: other cases start from the unknowns alone, and thousands of arrays in memory
+            # take longer to allocate than to compute.
+            result = attempt(index, start)
+            self._write_arrays(rows, index, self.variants[keys[index]], result)
+            return result.without_arrays()
 
         rows = self._empty_rows(len(values))
         attempts: list[list[Attempt]] = [[]] * len(values)
-        for index in self._order(piece, families).tolist():
+        continuation = Continuation[Attempt](piece.points, families, self.warm_starts)
+        if piece.is_grid:
+            order = serpentine(piece.extent)
+        else:
+            order = nearest_chain(np.column_stack([piece.points, APART * families]))
+        for index in order.tolist():
             if modules[keys[index]] is None:
                 attempts[index] = [attempt(index, None)]
             else:
-                attempts[index] = continuation.solve(index, partial(noted, index))
+                attempts[index] = continuation.solve(index, partial(attempt_in_rows, index))
         if self.layout.has_jumps:
-            neighbours = self._neighbours(piece, families, [own[-1] for own in attempts])
+            neighbours: Neighbours
+            if piece.is_grid:  # a block of a grid has one module
+                neighbours = Grid(piece.extent, tuple(along_dimensions(piece.points, piece.extent)))
+            else:
+                solved = np.array([own[-1].is_start and np.isfinite(own[-1].cost) for own in attempts])
+                neighbours = scattered(piece.points, families, solved)
             for index in self._improve(neighbours, attempts, rows, attempt):
-                self._place(rows, index, self.variants[keys[index]], attempts[index][-1])
+                self._write_arrays(rows, index, self.variants[keys[index]], attempts[index][-1])
         for index, own in enumerate(attempts):
-            self._tell(rows, index, own)
+            outcome = own[-1]
+            rows["status"][index], rows["message"][index] = outcome.outline.status, outcome.outline.message
+            rows["residual"][index] = outcome.outline.residual
+            rows["iterations"][index] = sum(one.iterations for one in own)
+            rows["seconds"][index] = sum(one.seconds for one in own)
+            if outcome.is_solved:
+                rows["cost"][index] = outcome.cost
         return self._finished(piece.region, rows)
-
-    def _families(self, keys: Sequence[tuple[str, ...]], values: Sequence[Mapping[str, Any]]) -> NDArray[np.intp]:
-        """Which cases may start from each other (n,): those of a module, and of a guess where these vary."""
-        guesses = [own.name for own in self.quantities if own.kind == GUESS]
-        families = [(key, *(of_case[name] for name in guesses)) for key, of_case in zip(keys, values, strict=True)]
-        known = {family: number for number, family in enumerate(dict.fromkeys(families))}
-        return np.array([known[family] for family in families])
-
-    def _neighbours(self, piece: Piece, families: NDArray[np.intp], outcomes: Sequence[Attempt]) -> Neighbours:
-        """Which cases of a chunk are neighbours; blocks of grids have one module."""
-        if piece.is_grid:
-            return Grid(piece.extent, tuple(along_dimensions(piece.points, piece.extent)))
-        return scattered(piece.points, families, np.array([own.is_start and np.isfinite(own.cost) for own in outcomes]))
 
     def _improve(
         self,
@@ -217,46 +344,23 @@ class Work:
         rows: Rows,
         attempt: Callable[[int, Start[Attempt]], Attempt],
     ) -> list[int]:
-        """Begin what is on the worse side of a jump from the better one, and say what it won; the cases that did."""
+        """Start cases on the worse side of a jump from the better side; return the improved cases."""
         outcomes = [own[-1] for own in attempts]
-        found = improved(outcomes, neighbours, lambda index, solution: attempt(index, Start(solution)))
-        for index, more in found.items():
-            kept = outcomes[index]
+        further = improved(outcomes, neighbours, lambda index, solution: attempt(index, Start(solution)))
+        for index, more in further.items():
+            best = outcomes[index]
             for one in more:
-                kept = one if is_better(one, kept) else kept
-            rest = [own for own in (*attempts[index], *more) if own is not kept]
-            attempts[index] = [*rest, kept]
+                best = one if is_better(one, best) else best
+            rest = [own for own in (*attempts[index], *more) if own is not best]
+            attempts[index] = [*rest, best]
         costs = np.array([own[-1].cost for own in attempts])
         rows["improvement"][:] = np.array([outcome.cost for outcome in outcomes]) - costs
         rows["jump"][:] = 0
         rows["jump"][[worse for worse, _ in neighbours.jumps(costs, certain=True)]] = 1
-        return [index for index in found if attempts[index][-1] is not outcomes[index]]
+        return [index for index in further if attempts[index][-1] is not outcomes[index]]
 
-    def lost(self, number: int, reason: str) -> Done:
-        """A chunk of which nothing came."""
-        rows = self._empty_rows(math.prod(self.chunks.extent(number)))
-        rows["status"][:], rows["message"][:] = LOST, reason
-        return self._finished(self.chunks.region(number), rows)
-
-    def loaded(self) -> Work:
-        """The same; every module is loaded in this process from now on."""
-        for variant in self.variants.values():
-            self._module(variant)
-        return self
-
-    def tried(self, variant: Variant, index: int) -> Attempt:
-        """A solve of a case by some module, from the problem's own guess, of which nothing is kept."""
-        varied = self._varied(variant)
-        assert varied is not None, "what is solved has a module"
-        if not DRIVERS[self.driver].generated:  # the others call what this one does not
-            varied.task.touch(varied.module, varied.run.steps)
-        return solve_case(varied, self._given(self.cases.values(np.array([index]))[0]), None)
-
-    def _given(self, values: Mapping[str, Any]) -> dict[Quantity, float]:
+    def _module_values(self, values: Mapping[str, Any]) -> dict[Quantity, float]:
         return {own: values[own.name] for own in self.quantities if own.kind != "argument"}
-
-    def _key(self, values: Mapping[str, float | str]) -> tuple[str, ...]:
-        return tuple(as_argument(values[own.name]) for own in self.quantities if own.kind == "argument")
 
     def _module(self, variant: Variant) -> Any:
         if variant.shapes is None:
@@ -267,56 +371,34 @@ class Work:
         if variant.shapes is None:
             return None
         run = replace(self.run, steps=self.steps or variant.shapes.steps)
-        return Varied(self._module(variant), self.driver, run, self._wanted(variant))
+        wanted = None
+        if variant.shapes.by:
+            varied = tuple(own for own in self.quantities if own.kind != "argument")
+            wanted = Wanted(varied, self.layout.rates, self.warm_starts)
+        return Varied(self._module(variant), self.driver, run, wanted)
 
-    def _wanted(self, variant: Variant) -> Wanted | None:
-        if variant.shapes is None or not variant.shapes.by:
-            return None
-        varied = tuple(own for own in self.quantities if own.kind != "argument")
-        return Wanted(varied, self.layout.rates, self.warm_starts)
-
-    def _order(self, piece: Piece, families: NDArray[np.intp]) -> NDArray[np.intp]:
-        if piece.is_grid:
-            return serpentine(piece.extent)
-        return nearest_chain(np.column_stack([piece.points, APART * families]))
-
-    def _tell(self, rows: Rows, index: int, attempts: Sequence[Attempt]) -> None:
-        """Put how a case ended, the last attempt, into its row; iterations and seconds are those of all."""
-        outcome = attempts[-1]
-        outline = outcome.outline
-        rows["status"][index], rows["message"][index] = outline.status, outline.message
-        rows["residual"][index] = outline.residual
-        rows["iterations"][index] = sum(attempt.iterations for attempt in attempts)
-        rows["seconds"][index] = sum(attempt.seconds for attempt in attempts)
-        if outcome.is_solved:
-            rows["cost"][index] = np.nan if outline.cost is None else outline.cost
-
-    def _place(self, rows: Rows, index: int, variant: Variant, outcome: Attempt) -> None:
-        """Put the arrays of a solution into its row."""
+    def _write_arrays(self, rows: Rows, index: int, variant: Variant, outcome: Attempt) -> None:
+        """Write the arrays and derivatives of a solution into its row."""
         if not outcome.is_solved:
             return
         shapes, outline = variant.shapes, outcome.outline
-        assert shapes is not None, "what is solved has a module"
+        assert shapes is not None, "a case that is solved has a module"
         for name in self.layout.dims:
             if name in outline.arrays:
                 rows[name][index] = self.layout.placed(name, outline.arrays[name], shapes.columns.get(name, ()))
         for name, value in outline.free.items():
             rows[free_label(name)][index] = value
         if outcome.rates is not None:
-            self._place_rates(rows, index, shapes, outcome.rates)
-
-    def _place_rates(self, rows: Rows, index: int, shapes: Shapes, found: CaseRates) -> None:
-        """Put the derivatives of a solution into its row, where there are some, and what is to be said of them."""
-        rows[f"{RATE}message"][index] = found.message
-        for name in self.layout.dims:
-            if name.startswith(RATE):
-                array = found.arrays.get(name)
-                rows[name][index] = np.nan if array is None else self.layout.placed_rates(name, array, shapes)
+            rows[f"{RATE}message"][index] = outcome.rates.message
+            for name in self.layout.dims:
+                if name.startswith(RATE):
+                    array = outcome.rates.arrays.get(name)
+                    rows[name][index] = np.nan if array is None else self.layout.placed_rates(name, array, shapes)
 
     def _finished(self, region: tuple[slice, ...], rows: Rows) -> Done:
-        """A chunk whose rows are where they belong."""
+        """Write the rows to the sink, or return them without one."""
         statuses = rows["status"].tolist()
-        messages = dict(zip(reversed(statuses), reversed(rows["message"].tolist())))  # the first of each
+        messages = dict(zip(reversed(statuses), reversed(rows["message"].tolist())))  # the first of each status
         won, jumps = (int((rows[name] > 0).sum()) if name in rows else 0 for name in JUMPS)
         tally = Tally(Counter(statuses), messages, float(np.nansum(rows["seconds"])), won, jumps)
         extent = tuple(part.stop - part.start for part in region)
@@ -327,7 +409,7 @@ class Work:
         return Done(tally, None)
 
     def _empty_rows(self, number: int) -> Rows:
-        """Rows of cases that are not solved."""
+        """Return rows of cases that are not solved."""
         rows: Rows = {name: np.full((number, *self.layout.shapes[name]), np.nan) for name in self.layout.dims}
         for name, kind in self.layout.numbers.items():
             rows[name] = np.full(number, -1 if kind == "i4" else np.nan, kind)
@@ -339,18 +421,44 @@ class Work:
 
 @dataclass(frozen=True, eq=False)
 class Parcel:
-    """Work without its cases, the texts of its modules, and what tells whether another machine sees its sink."""
+    """Work without its cases, the texts of its modules by variant, their machine, and the mark of the sink."""
 
     work: Work
-    texts: Texts
+    texts: dict[tuple[str, ...], str]
+    origin: Target
     mark: tuple[int, ...]
 
     def unpacked(self) -> tuple[Work, tuple[str, ...]]:
-        """The work, ready to solve here, and what is to be said of this machine.
+        """Return the work, ready to solve on this machine, and notes about the machine.
 
-        Where it does not see the store of the work it has none: rows are to be sent back.
+        Modules are compiled for this machine. A machine that does not see the store gets work without a sink: it sends
+        its rows back.
         """
-        variants, notes = self.texts.placed(self.work.variants, self.work.driver)
+        local, notes, variants = target(), [], dict(self.work.variants)
+        machine = f"{platform.node()}-{local.processor}-{local.features}-numba-{local.numba}-python-{local.python}"
+        for key, text in self.texts.items():
+            path = variants[key].path
+            assert path is not None, "a module with a text has a file name"
+            if local != self.origin or not _has_text(path, text):  # several machines may share a disk
+                path = workers_folder() / machine / hashlib.sha256(text.encode()).hexdigest()[:20] / path.name
+            seconds = 0.0
+            with alone(str(path)):
+                if not _has_text(path, text):
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    write_text(path, text)
+                if DRIVERS[self.work.driver].generated:
+                    seconds, _ = processes.require(path, loading.load(path), False, lambda what: nullcontext())
+            if seconds > 0.0:
+                notes.append(compiled_note(path.stem, local, self.origin, "the sweep"))
+            variants[key] = replace(variants[key], path=path)
         sink = self.work.sink
-        sees = sink is not None and bool(self.mark) and sink.mark() == self.mark
-        return replace(self.work, variants=variants, sink=sink if sees else None).loaded(), notes
+        has_store = sink is not None and bool(self.mark) and sink.mark() == self.mark
+        return replace(self.work, variants=variants, sink=sink if has_store else None).loaded(), tuple(notes)
+
+
+def _has_text(path: Path, text: str) -> bool:
+    """Return True if a file can be read and has this text."""
+    try:
+        return path.read_text(encoding="utf-8") == text
+    except (OSError, UnicodeDecodeError):
+        return False

@@ -1,7 +1,7 @@
-"""The command line: one file for each command, which reads its options and leaves the work to others.
+"""The command line: one file and one row of COMMANDS for each command.
 
-Exit status 0: it worked; 1: the numerics or a check failed; 2: the input was wrong, which is said in one line.
-Everything that is slow to import is imported by the command that needs it: `codegen --help` must be instant.
+Exit status 0: success; 1: the numerics or a check failed; 2: the input was wrong. Errors are one line on stderr.
+Commands import slow packages in their functions, so that `codegen --help` is instant.
 """
 
 from __future__ import annotations
@@ -11,20 +11,29 @@ from typing import Annotated
 
 import typer
 
-from codegen.errors import ArgumentError
 from codegen.terminal import OneLineErrors
 
+HELP_WIDTH = 120
+"""Largest number of columns of help texts, which use the width of the terminal."""
 main = typer.Typer(
     cls=OneLineErrors,
     help="Derive, emit and solve discrete mechanics: problems in sympy become self-contained numba solvers.",
-    add_completion=False,
-    rich_markup_mode=None,  # plain help needs no rich
+    context_settings={"max_content_width": HELP_WIDTH},
+    rich_markup_mode=None,  # plain help does not import rich
 )
-COMMANDS = ("build", "solve", "sweep", "check", "show", "analyse", "report", "stress", "warp", "distances", "app")
-"""Each has a file of that name here, with a function of that name; help lists them in this order."""
+COMMANDS = (
+    "new", "build", "solve", "sweep", "check", "show", "analyse", "report", "stress", "warp", "distances", "app",
+)  # fmt: skip
+"""Names of files of this folder, in the order of help.
+
+Each file has a function of that name, and examples in EXAMPLES.
+"""
 
 for name in COMMANDS:
-    main.command()(getattr(import_module(f"codegen.cli.{name}"), name))
+    module = import_module(f"codegen.cli.{name}")
+    # In an epilog \b keeps the line breaks of the paragraph.
+    examples = "\n".join(("\b\nExamples:", *(f"  {line}" for line in getattr(module, "EXAMPLES", ()))))
+    main.command(epilog=examples if hasattr(module, "EXAMPLES") else None)(getattr(module, name))
 
 
 @main.callback(invoke_without_command=True)
@@ -36,11 +45,8 @@ def _group(
         from codegen import __version__
 
         typer.echo(f"codegen {__version__}")
-        raise typer.Exit
-    if context.invoked_subcommand is None:
-        raise ArgumentError("no command was given", f"use {_listed_commands()}; see codegen --help")
-
-
-def _listed_commands() -> str:
-    *names, last = [command.callback.__name__ for command in main.registered_commands if command.callback]
-    return f"{', '.join(names)} or {last}"
+    elif context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+    else:
+        return
+    raise typer.Exit

@@ -9,6 +9,11 @@ import typer
 from codegen.cli.options import Method, Problem, Set
 from codegen.terminal import working
 
+EXAMPLES = (
+    "codegen analyse problems/pendulum.py --scheme stormer-verlet",
+    "codegen analyse problems/pendulum.py --scheme alpha --order 4 --latex",
+)
+
 
 def analyse(
     problem: Problem,
@@ -18,7 +23,7 @@ def analyse(
     order: Annotated[int, typer.Option(metavar="N", help="Highest power of the step h.")] = 3,
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX.")] = False,
 ) -> None:
-    """Print the modified equations of a scheme, and the modified Hamiltonian if there is one."""
+    """Print the modified equations of a scheme. Also print the modified Hamiltonian, if it exists."""
     from codegen.evidence.analysis.modified_equations import analysis
     from codegen.problem.sources import parse_arguments
 

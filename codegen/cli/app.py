@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-# Nothing of codegen.registration may be imported before the command runs: it brings numba.
-
+EXAMPLES = ("codegen app", "codegen app moving.png fixed.png --port 5010")
 Images = Annotated[
     list[Path] | None,
     typer.Argument(metavar="[IMAGE]...", help="A moving and a fixed image, or one to be bent. [default: an example]"),
@@ -21,11 +20,11 @@ def app(
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Open no browser; print the address.")] = False,
     state: Annotated[
         Path | None,
-        typer.Option("--state", metavar="FOLDER", help="Where works are saved. [default: $CODEGEN_STATE_DIR]"),
+        typer.Option("--state", metavar="FOLDER", help="Folder for saved work. [default: $CODEGEN_STATE_DIR]"),
     ] = None,
 ) -> None:
-    """Register images in the browser: click pairs of points, drag them, see the warp; Ctrl+C ends it."""
-    from codegen.registration import app as page
+    """Register images in the browser. Click pairs of points, drag them, and see the warp; Ctrl+C ends it."""
+    from codegen.registration import app as page  # imports numba
 
     page.prepare(images or [], state)
     typer.echo(f"http://localhost:{port} (Ctrl+C ends it)")

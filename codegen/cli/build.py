@@ -13,6 +13,11 @@ from codegen.cli.options import Controls, ControlSites, Method, Problem, Scheme,
 from codegen.emit.deadline import BUILD
 from codegen.terminal import working
 
+EXAMPLES = (
+    "codegen build problems/pendulum.py --scheme stormer-verlet",
+    "codegen build problems/cart_pole.py --standalone --out modules",
+)
+
 
 def build(
     problem: Problem,
@@ -21,40 +26,38 @@ def build(
     method: Method = None,
     controls: ControlSites = Controls.INTERVAL,
     sensitivities: Annotated[
-        bool, typer.Option("--sensitivities", help="With what derivatives of solutions need.")
+        bool, typer.Option("--sensitivities", help="Include the functions for derivatives of solutions.")
     ] = False,
     standalone: Annotated[
-        bool, typer.Option("--standalone", help="As one file that needs numpy and numba alone; it is compiled later.")
+        bool, typer.Option("--standalone", help="Write one file that needs numpy and numba alone; compile later.")
     ] = False,
     out: Annotated[Path, typer.Option(help="Folder for the module.")] = Path("generated"),
-    no_compile: Annotated[bool, typer.Option("--no-compile", help="Leave compilation to the first solve.")] = False,
+    no_compile: Annotated[bool, typer.Option("--no-compile", help="Compile at the first solve.")] = False,
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of derivation.")] = BUILD,
 ) -> None:
-    """Derive and write the module that solves a problem, and compile it."""
+    """Derive, write and compile the module that solves a problem."""
     from codegen.problem.sources import parse_arguments
     from codegen.solving import compiler
     from codegen.solving.loading import load
-    from codegen.solving.machine_code import processes as machine_code
-    from codegen.solving.machine_code.processes import compilers
+    from codegen.solving.machine_code.processes import compilers, require
     from codegen.solving.results import output
-    from codegen.solving.results import output as notes
 
     output.require_folder(out, "--out", may_be_made=True)
     begin, arguments = time.perf_counter(), parse_arguments(set_, problem)
     with nullcontext() if no_compile or standalone else compilers() as processes:
         with working("Deriving"):
-            made = compiler.build(
+            result = compiler.build(
                 problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out,
                 time_limit=time_limit, sensitivities=sensitivities, standalone=standalone,
                 deriving=(lambda: None) if processes is None else processes.start,
             )  # fmt: skip
-        said: list[str] = []
+        messages: list[str] = []
         if processes is not None:
-            said = machine_code.require(made.path, load(made.path), made.written, working, processes)[1]
-    for line in said:
+            messages = require(result.path, load(result.path), result.written, working, processes)[1]
+    for line in messages:
         typer.echo(line, err=True)
     seconds = time.perf_counter() - begin
-    state = "written" if made.written else "up to date"
-    typer.echo(f"{made.path}: {state} ({seconds:.2f} s{', derivation cached' if made.cached else ''})")
-    for note in notes.notes_of_file(made.path):
+    state = "written" if result.written else "up to date"
+    typer.echo(f"{result.path}: {state} ({seconds:.2f} s{', derivation cached' if result.cached else ''})")
+    for note in output.notes_of_file(result.path):
         typer.echo(f"codegen: note: {note}", err=True)

@@ -1,4 +1,4 @@
-"""The command `codegen distances`: geodesic distances between specimens, and where they lie in two dimensions."""
+"""The command `codegen distances`: geodesic distances between specimens, and their map in two dimensions."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from codegen.cli.options import positive
 from codegen.errors import ArgumentError, one_line
 from codegen.terminal import progress, working
 
+EXAMPLES = ("codegen distances specimens.tps --out distances.csv --plot map.png",)
 KINDS = (".png", ".svg", ".pdf")
 
 
@@ -28,10 +29,10 @@ def distances(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Tell how far specimens are from each other: the lengths of geodesics between their landmarks."""
+    """Compute the distances of specimens. They are the lengths of geodesics between their landmarks."""
     import numpy as np
 
-    from codegen.batch.executors.team import team_size
+    from codegen.batch.executors import team_size
     from codegen.registration.distances import geodesic_distances, read_specimens, write_distances, write_mean
     from codegen.solving.results import output
 
@@ -45,30 +46,30 @@ def distances(
             raise ArgumentError(f"{path} is read and would be overwritten", "choose another name for the output")
     if plot is not None:
         output.require_writable(plot, KINDS, "--plot")
-    found = geodesic_distances(read_specimens(specimens), team_size(workers, None), working, progress)
-    write_distances(out, found)
+    result = geodesic_distances(read_specimens(specimens), team_size(workers, None), working, progress)
+    write_distances(out, result)
     if mean is not None:
-        write_mean(mean, found)
-    known = np.isfinite(found.points[:, 0])
-    left_out = [name for name, is_known in zip(found.names, known, strict=True) if not is_known]
-    if plot is not None and known.any():
+        write_mean(mean, result)
+    is_placed = np.isfinite(result.points[:, 0])
+    left_out = [name for name, placed in zip(result.names, is_placed, strict=True) if not placed]
+    if plot is not None and is_placed.any():
         from codegen.show.figures import save_specimens
 
-        shown = [name for name in found.names if name not in left_out]
-        save_specimens(found.points[known], shown, found.share, plot)
-    count = len(found.names) * (len(found.names) - 1) // 2
+        shown = [name for name in result.names if name not in left_out]
+        save_specimens(result.points[is_placed], shown, result.share, plot)
+    count = len(result.names) * (len(result.names) - 1) // 2
     if json:
         record = {
-            "problem": "image_registration", "task": "distances", "specimens": len(found.names), "pairs": count,
-            "failed": list(found.failed), "status": "failed" if found.failed else "solved",
-            "share": found.share if known.any() else None, "left_out": left_out, "out": str(out),
+            "problem": "image_registration", "task": "distances", "specimens": len(result.names), "pairs": count,
+            "failed": list(result.failed), "status": "failed" if result.failed else "solved",
+            "share": result.share if is_placed.any() else None, "left_out": left_out, "out": str(out),
         }  # fmt: skip
         typer.echo(output.as_json(record))
     else:
-        typer.echo(f"{count} distances between {len(found.names)} specimens; see {out}", err=True)
-    for said in found.failed:
-        typer.echo(one_line(f"codegen: {said}", 400), err=True)
+        typer.echo(f"{count} distances between {len(result.names)} specimens; see {out}", err=True)
+    for failure in result.failed:
+        typer.echo(one_line(f"codegen: {failure}", 400), err=True)
     if left_out:
         typer.echo(f"codegen: not in the picture, for want of distances: {', '.join(left_out)}", err=True)
-    if found.failed:
+    if result.failed:
         raise typer.Exit(1)

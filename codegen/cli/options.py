@@ -10,7 +10,7 @@ import typer
 
 
 def positive(text: str | int) -> int:
-    """A positive integer; typer passes defaults through as well."""
+    """Return a positive integer; typer also passes defaults."""
     if isinstance(text, int):
         return text
     if not (text.isascii() and text.isdigit() and len(text) < 13 and int(text) > 0):
@@ -19,7 +19,7 @@ def positive(text: str | int) -> int:
 
 
 class Controls(StrEnum):
-    """Where controls live."""
+    """Times at which controls are defined."""
 
     INTERVAL = "interval"
     STAGES = "stages"
@@ -27,7 +27,7 @@ class Controls(StrEnum):
 
 
 class PictureStyles(StrEnum):
-    """What a picture is for."""
+    """Uses of a picture."""
 
     PAGE = "page"
     PAPER = "paper"
@@ -39,17 +39,17 @@ Set = Annotated[list[str], typer.Option("--set", metavar="NAME=VALUE", help="An 
 Scheme = Annotated[str | None, typer.Option(help="Discretisation, such as midpoint or stormer-verlet.")]
 Method = Annotated[
     str | None,
-    typer.Option(help="Formulation: variational, hamiltonian or one-step; of particles stepping, full or action."),
+    typer.Option(help="Formulation: variational, hamiltonian or one-step; for particles stepping, full or action."),
 ]
-ControlSites = Annotated[Controls, typer.Option(help="Where controls live; nodal averages neighbouring nodes.")]
+ControlSites = Annotated[Controls, typer.Option(help="Times of the controls; nodal averages neighbouring nodes.")]
 Steps = Annotated[
     int | None, typer.Option(parser=positive, metavar="N", help="Number of intervals. [default: the problem's own]")
 ]
-Every = Annotated[int, typer.Option(parser=positive, metavar="N", help="Store every so many-th step of a simulation.")]
-Repeat = Annotated[int, typer.Option(parser=positive, metavar="N", help="Time the best of so many solves.")]
+Every = Annotated[int, typer.Option(parser=positive, metavar="N", help="Store every N-th step of a simulation.")]
+Repeat = Annotated[int, typer.Option(parser=positive, metavar="N", help="Report the best time of N solves.")]
 Log = Annotated[bool, typer.Option("--log", help="Print the iterates of the generated solver (newton).")]
 PictureStyle = Annotated[
-    PictureStyles, typer.Option(help="What the picture is for: a page, a paper's two columns, or slides.")
+    PictureStyles, typer.Option(help="Use of the picture: a page, the two columns of a paper, or slides.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Out = Annotated[Path | None, typer.Option(help="Folder for the module. [default: generated if current, else a cache]")]
@@ -57,9 +57,9 @@ Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture:
 
 
 PAGE = "Statuses and errors"
-"""Its title, which the site's search finds; `docs/guide/statuses.md` in the sources."""
+"""Title of the page about statuses, `docs/guide/statuses.md` in the sources."""
 
 
 def on_statuses(*statuses: str) -> str:
-    """The end of a line about failures: the page, and what to look for there."""
+    """Return the end of a message about failures, which names the page about statuses."""
     return f'; the guide explains {", ".join(statuses)}: see "{PAGE}"'

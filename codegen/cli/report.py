@@ -1,4 +1,4 @@
-"""The command `codegen report`: measure everything, and write one page."""
+"""The command `codegen report`: measurements of problems on one page."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ import typer
 
 from codegen.errors import one_line
 
+EXAMPLES = (
+    "codegen report problems/pendulum.py --out report --quick",
+    "codegen report --all --out report --compare earlier",
+)
+
 
 def report(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the page and the measurements.")],
@@ -16,15 +21,15 @@ def report(
         Path | None, typer.Argument(metavar="[PROBLEM.py]", help="The problem file; with --all a folder of them.")
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="All problems of a folder. [default: problems]")] = False,
-    quick: Annotated[bool, typer.Option("--quick", help="A few cases only, in less than two minutes.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Measure a few cases only, in less than two minutes.")] = False,
     limit: Annotated[
-        float | None, typer.Option(min=0.1, metavar="S", help="Go no further after a solve of S seconds.")
+        float | None, typer.Option(min=0.1, metavar="S", help="Skip finer grids after a solve of S seconds.")
     ] = None,
     compare: Annotated[
         Path | None, typer.Option(metavar="OLD", help="An earlier report; exit status 1 if more than times is worse.")
     ] = None,
 ) -> None:
-    """Measure everything about problems and write one page; what DIR holds already is not measured again."""
+    """Measure every scheme and driver and write one page. Measurements that DIR has are not repeated."""
     from codegen.evidence import report as reports
     from codegen.evidence.report.gallery import table_of
     from codegen.solving.results import output

@@ -9,6 +9,8 @@ import typer
 from codegen.cli.options import Controls, ControlSites, Method, Problem, Scheme, Set
 from codegen.terminal import working
 
+EXAMPLES = ("codegen show problems/pendulum.py", "codegen show problems/cart_pole.py --scheme midpoint --latex")
+
 
 def show(
     problem: Problem,

@@ -1,7 +1,4 @@
-"""The command `codegen solve`: build where necessary, solve, and say how it ended.
-
-What `codegen solve` draws: a page about the solution, and a film of the problem's drawing.
-"""
+"""The command `codegen solve`: build the module if necessary, solve, print the outcome, and draw pictures."""
 
 from __future__ import annotations
 
@@ -81,6 +78,14 @@ Animate = Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film:
 Save = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")]
 
 
+EXAMPLES = (
+    "codegen solve problems/cart_pole.py --steps 100 --plot cart_pole.png",
+    "codegen solve problems/pendulum.py --scheme stormer-verlet --parameter duration=20 --json",
+)
+PLOTS = (".png", ".pdf", ".svg")
+ANIMATIONS = (".gif", ".mp4")
+
+
 def solve(
     problem: Problem,
     set_: Set = [],  # noqa: B006
@@ -111,19 +116,24 @@ def solve(
     save: Save = None,
     out: Out = None,
 ) -> None:
-    """Solve a problem, building its module first where that is necessary."""
+    """Solve a problem; build its module first if necessary."""
     from codegen.problem.sources import parse_arguments
-
-    pass
     from codegen.solving.outcome import outcome_of
     from codegen.solving.request import Request
     from codegen.solving.results import output
 
+    values: dict[str, float] = {}
+    for name, text in _pairs(parameter, "--parameter", "VALUE", "m=2.5").items():
+        try:
+            values[name] = float(text)
+        except ValueError:
+            raise ArgumentError(f"--parameter {name}={text} is no number", "write --parameter m=2.5") from None
+    tables = {name: Path(file) for name, file in _pairs(table, "--table", "FILE", "thrust=other.csv").items()}
     request = Request(
         problem, driver, arguments=parse_arguments(set_, problem), scheme=scheme, method=method,
         controls=controls.value, out=out, steps=steps, every=every, repeat=repeat, warm=warm, doublings=doublings,
         accuracy=accuracy, guesses=guesses, tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit,
-        scaling=scaling, log=log, parameters=values_of(parameter), tables=files_of(table),
+        scaling=scaling, log=log, parameters=values or None, tables=tables or None,
         observations=observations or None, sensitivities=sensitivities,
     )  # fmt: skip
     if save is not None:
@@ -135,47 +145,33 @@ def solve(
     if save is not None:
         output.save(outcome.result, outcome.record, save)
     wanted.save(outcome.module, outcome.result)
-    _tell(outcome, json, log)
-    if not outcome.result.solved:
-        message = one_line(f"codegen: {outcome.result.message}{_hint(outcome.result, guesses)}")
-        typer.echo(message + on_statuses(outcome.result.status), err=True)
+    _print(outcome, json, log)
+    result = outcome.result
+    if not result.solved:
+        may_help = guesses == 1 and "guesses" in TASKS[result.task].options
+        is_stuck = result.status in ("infeasible", "saddle point", "stalled")
+        hint = "; --guesses 10 tries ten first guesses" if may_help and is_stuck else ""
+        typer.echo(one_line(f"codegen: {result.message}{hint}") + on_statuses(result.status), err=True)
         raise typer.Exit(1)
 
 
-def files_of(items: Sequence[str]) -> dict[str, Path] | None:
-    """The files of `--table`, by the names of tables; ArgumentError for what is not of the form NAME=FILE."""
-    return {name: Path(file) for name, file in _named(items, "--table", "FILE", "thrust=other.csv").items()} or None
-
-
-def values_of(items: Sequence[str]) -> dict[str, float] | None:
-    """The numbers of `--parameter`, by name; ArgumentError for what is not of the form NAME=VALUE."""
-    values: dict[str, float] = {}
-    for name, text in _named(items, "--parameter", "VALUE", "m=2.5").items():
-        try:
-            values[name] = float(text)
-        except ValueError:
-            raise ArgumentError(f"--parameter {name}={text} is no number", "write --parameter m=2.5") from None
-    return values or None
-
-
-def _named(items: Sequence[str], option: str, what: str, example: str) -> dict[str, str]:
-    """Both sides of every NAME=..., none of which comes twice."""
-    found: dict[str, str] = {}
+def _pairs(items: Sequence[str], option: str, what: str, example: str) -> dict[str, str]:
+    """Return the items NAME=... of an option as a dict; raises ArgumentError for another form or a repeated name."""
+    pairs: dict[str, str] = {}
     for item in items:
         name, equals, text = item.partition("=")
         name = name.strip()
         if not (name and equals and text):
             raise ArgumentError(f"{option} {item!r} is not of the form NAME={what}", f"write {option} {example}")
-        if name in found:
+        if name in pairs:
             raise ArgumentError(f"{option} gives {name} twice", "give it once")
-        found[name] = text.strip()
-    return found
+        pairs[name] = text.strip()
+    return pairs
 
 
-def _tell(outcome: Outcome, json: bool, log: bool) -> None:
-    """Print the outcome, and on stderr what there is to say beside it."""
+def _print(outcome: Outcome, json: bool, log: bool) -> None:
+    """Print the outcome, and messages and notes on stderr."""
     from codegen.solving.results import output
-    from codegen.solving.results import output as notes
 
     result, record = outcome.result, outcome.record
     for line in outcome.notices:
@@ -184,8 +180,8 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
         console(stderr=json).print(output.log_table(result))
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
-    found = [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]
-    for note in (*notes.notes(outcome.module.metadata), *found, *result.notes):
+    notes = [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]
+    for note in (*output.notes(outcome.module.metadata), *notes, *result.notes):
         typer.echo(f"codegen: note: {note}", err=True)
     if json:
         typer.echo(output.as_json(record))
@@ -199,33 +195,20 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
 
 
 def with_options(outcome: Outcome) -> Outcome:
-    """An outcome whose messages name options of the command where they named arguments of a function."""
+    """Return the outcome with options of the command in its messages, in place of arguments of `codegen.solve`."""
+
+    def replaced(message: str) -> str:
+        argument = r"\braise (max_iterations|time_limit)\b"
+        return re.sub(argument, lambda match: f"raise --{match[1].replace('_', '-')}", message)
+
     result = outcome.result
-    levels = tuple(replace(level, message=_with_options(level.message)) for level in result.levels)
-    return replace(outcome, result=replace(result, message=_with_options(result.message), levels=levels))
-
-
-def _with_options(message: str) -> str:
-    option = r"\braise (max_iterations|time_limit)\b"
-    return re.sub(option, lambda found: f"raise --{found[1].replace('_', '-')}", message)
-
-
-def _hint(result: Result, guesses: int) -> str:
-    """What may help where a first guess has led nowhere."""
-    may_help = "guesses" in TASKS[result.task].options and guesses == 1
-    return "; --guesses 10 tries ten first guesses" if may_help and result.status in _LED_NOWHERE else ""
-
-
-_LED_NOWHERE = ("infeasible", "saddle point", "stalled")
-
-
-PLOTS = (".png", ".pdf", ".svg")
-ANIMATIONS = (".gif", ".mp4")
+    levels = tuple(replace(level, message=replaced(level.message)) for level in result.levels)
+    return replace(outcome, result=replace(result, message=replaced(result.message), levels=levels))
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """The files that are wanted, with what the problem file has to say about them."""
+    """The requested picture files, and the model of the problem for its drawing."""
 
     plot: Path | None = None
     animation: Path | None = None
@@ -234,27 +217,24 @@ class Pictures:
     style: str = "page"
 
     def save(self, module: GeneratedModule, result: Result) -> None:
-        """Write the files, each as a whole or not at all."""
+        """Write the files."""
         if self.plot is not None:
             from codegen.show.figures.picture import Picture
             from codegen.show.films import figure_of
 
             Picture(figure_of(module, self.model, result, self.unit, self.style), self.style).save(self.plot)
         if self.animation is not None:
-            self._save_animation(self.animation, result)
+            from codegen.show.films import save_film
 
-    def _save_animation(self, path: Path, result: Result) -> None:
-        from codegen.show.films import save_film
-
-        with replacing(path) as temporary:
-            save_film(self.model, result, temporary, _with_progress)
+            with replacing(self.animation) as temporary:
+                save_film(self.model, result, temporary, _with_progress)
 
 
 def requested(request: Request, plot: Path | None, animation: Path | None, style: str = "page") -> Pictures:
-    """Check, before anything is solved, that the wanted pictures can be drawn.
+    """Check the requested pictures before the solve.
 
-    Raises ArgumentError for files that cannot be written, for a film of type .mp4 without ffmpeg and for a film of a
-    problem without a drawing, as a generated module is; what the problem file raises.
+    Raises ArgumentError for files that cannot be written, for a film .mp4 without ffmpeg, and for a film of a problem
+    without a drawing. Raises the errors of the problem file.
     """
     from codegen.solving.results.output import require_writable
 
@@ -282,7 +262,7 @@ def requested(request: Request, plot: Path | None, animation: Path | None, style
 
 
 def _with_progress(frames: Iterable[Any], count: int) -> Iterable[Any]:
-    """A progress bar on a terminal, nothing elsewhere."""
+    """Show a progress bar on a terminal."""
     if not sys.stderr.isatty():
         return frames
     from rich.console import Console

@@ -1,4 +1,4 @@
-"""The command `codegen stress`: stiff and extreme cases, and what becomes of them."""
+"""The command `codegen stress`: solves of stiff and extreme cases."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from codegen.cli.options import Set
 from codegen.errors import ArgumentError, one_line
 from codegen.terminal import console, progress, working
 
+EXAMPLES = ("codegen stress problems/pendulum.py --out stress", "codegen stress --quick --out stress")
+
 
 def stress(
-    problem: Annotated[Path | None, typer.Argument(metavar="PROBLEM.py", help="Stress this problem alone.")] = None,
+    problem: Annotated[Path | None, typer.Argument(metavar="PROBLEM.py", help="The problem file.")] = None,
     set_: Set = [],  # noqa: B006
     all_: Annotated[bool, typer.Option("--all", help="All stiff and extreme cases of every kind of problem.")] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Only the cases of a few modules.")] = False,
     out: Annotated[Path, typer.Option(help="Folder for stress.csv and stress.html.", show_default=False)] = ...,  # type: ignore[assignment]
 ) -> None:
-    """Solve stiff and extreme cases; exit status 1 if one ends in a wrong answer, a NaN, a hang or an untyped error."""
-    from codegen.evidence import stress as stressing
-    from codegen.evidence.stress import families, page
+    """Solve stiff and extreme cases. Exit status 1 after a wrong answer, a NaN, a hang or an unexpected error."""
+    from codegen.evidence.stress import families, page, run
     from codegen.solving.results import output
 
     if (problem is None) != (all_ or quick):
@@ -34,8 +35,8 @@ def stress(
             cases = families.cases_of(problem, parse_arguments(set_, problem))
     else:
         cases = families.quick_cases() if quick else families.all_cases()
-    with progress("Stressing", len(cases)) as moved:
-        rows = stressing.run(cases, out, moved)
+    with progress("Stressing", len(cases)) as show:
+        rows = run(cases, out, show)
     console().print(page.table(rows))
     failed = [row for row in rows if not row.passed]
     for row in failed:

@@ -1,11 +1,10 @@
-"""The command `codegen sweep`: many solves of one problem, shared between processes, into one file."""
+"""The command `codegen sweep`: many solves of one problem in several processes, into one file."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -27,6 +26,9 @@ from codegen.cli.options import (
 from codegen.errors import ArgumentError
 from codegen.terminal import console, progress, working
 
+if TYPE_CHECKING:
+    from codegen.batch.sweep import SweepOutcome
+
 Vary = Annotated[
     list[str], typer.Option(metavar="NAME=VALUES", help="first:last:count or a,b,c; all combinations are cases.")
 ]
@@ -41,22 +43,22 @@ CasesOf = Annotated[
     str | None,
     typer.Option(
         metavar="FILE.csv or N",
-        help="A table with a row for each case; of samples how many. [default: 1000 samples]",
+        help="A table with a row for each case, or the number of samples. [default: 1000 samples]",
         show_default=False,
     ),
 ]
-Sampling = Annotated[str, typer.Option(help="Of samples: random, latin or sobol.")]
-Seed = Annotated[int, typer.Option(min=0, help="Of samples.")]
+Sampling = Annotated[str, typer.Option(help="Sampling method: random, latin or sobol.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the samples.")]
 Store = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Where results go: .zarr, as they come, or .nc, at the end.")
+    Path | None, typer.Option(metavar="FILE", help="File for results: .zarr during the sweep, or .nc at the end.")
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with a store that was begun by the same sweep.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue a store of the same sweep.")]
 Keep = Annotated[
     str,
     typer.Option(
         metavar="NAMES",
-        help="Of t,q,p,u,multipliers,energy, and of d_q, d_u, ..., derivatives of them; or none. [default: all but "
-        "derivatives, or t,q,u where that is more than 250 MB]",
+        help="Arrays among t,q,p,u,multipliers,energy and their derivatives d_q, d_u, ...; or none. [default: all but "
+        "derivatives, or t,q,u if that is more than 250 MB]",
         show_default=False,
     ),
 ]
@@ -64,10 +66,10 @@ Workers = Annotated[
     int | None, typer.Option(parser=positive, metavar="N", help="Processes. [default: one for each processor]")
 ]
 Cluster = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to begin one.")
+    str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to start one.")
 ]
 WarmStarts = Annotated[
-    bool, typer.Option("--warm-starts", help="Begin from solved neighbours, not only where the own guess fails.")
+    bool, typer.Option("--warm-starts", help="Start from solved neighbours, not only after a failure.")
 ]
 Chunk = Annotated[
     int | None,
@@ -76,16 +78,22 @@ Chunk = Annotated[
 Formulation = Annotated[str | None, typer.Option(help="variational, hamiltonian or one-step.")]
 DriverName = Annotated[str, typer.Option(help="As for codegen solve.")]
 Tolerance = Annotated[float | None, typer.Option(metavar="E", help="Largest error of an equation.")]
-MaxIterations = Annotated[int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of a solve.")]
-TimeLimit = Annotated[float | None, typer.Option(metavar="S", help="Most seconds of a solve.")]
+MaxIterations = Annotated[int | None, typer.Option(parser=positive, metavar="N", help="Iteration limit of a solve.")]
+TimeLimit = Annotated[float | None, typer.Option(metavar="S", help="Time limit of a solve in seconds.")]
 Scaling = Annotated[str, typer.Option(help="auto or none, as for codegen solve (newton).")]
 Sensitivities = Annotated[
-    bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of others by --keep.")
+    bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of arrays by --keep.")
 ]
 Pareto = Annotated[
     str | None,
-    typer.Option(metavar="A,B", help="The picture is the Pareto front of two numbers of each case; -A: large."),
+    typer.Option(metavar="A,B", help="Draw the Pareto front of two numbers of each case; -A: larger is better."),
 ]
+
+
+EXAMPLES = (
+    "codegen sweep problems/orbital_transfer.py --vary r1=5.5:6.5:101 --out sweep.zarr --plot sweep.png",
+    'codegen sweep problems/cart_pole.py --sample "m1=normal(1, 0.02)" --cases 500 --out sweep.nc',
+)
 
 
 def sweep(
@@ -124,11 +132,9 @@ def sweep(
     from codegen.batch.cases import assigned, axis_of
     from codegen.batch.request import sweep_request
     from codegen.batch.sweep import outcome_of
-
-    # Refuse, before anything else, what cannot be written.
     from codegen.cli.solve import PLOTS
     from codegen.problem.sources import parse_arguments
-    from codegen.show.figures.pareto import objectives_of
+    from codegen.show.figures.pareto import objectives_of, require_objectives
     from codegen.solving.results.output import require_writable
 
     if out is None:
@@ -137,76 +143,51 @@ def sweep(
         require_writable(plot, PLOTS, "--plot")
     elif pareto is not None:
         raise ArgumentError("--pareto without --plot", "name the file of the picture, as --plot front.png")
-    if pareto is not None:
-        objectives_of(pareto)
+    objectives = None if pareto is None else objectives_of(pareto)
+    names = () if keep.strip() == "none" else tuple(name.strip() for name in keep.split(","))
     request = sweep_request(
         problem,
         _once("--vary", [axis_of(item) for item in vary]),
         zipped=[[name.strip() for name in group.split(",")] for group in zip_],
         samples=_once("--sample", [assigned("--sample", item, '"m=normal(100, 5)"') for item in sample]),
         cases=int(cases) if cases is not None and cases.isascii() and cases.isdigit() and len(cases) < 13 else cases,
-        method=method, seed=seed, out=out, resume=resume, keep=_kept(keep) if keep else None, workers=workers,
+        method=method, seed=seed, out=out, resume=resume, keep=names if keep else None, workers=workers,
         warm_starts=warm_starts, chunk=chunk, cluster=cluster, driver=driver, arguments=parse_arguments(set_, problem),
         scheme=scheme, formulation=formulation, controls=controls.value, steps=steps, every=every,
         tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
         sensitivities=sensitivities,
     )  # fmt: skip
-    outcome = outcome_of(request, working, progress, partial(_require_front, pareto))
+    outcome = outcome_of(
+        request, working, progress, lambda outlined: require_objectives(objectives, outlined) if objectives else None
+    )
     if plot is not None:
-        with working("Drawing"):
-            _draw(outcome, plot, pareto, style.value)
-    _tell(outcome, json)
+        from codegen.files import replacing
+        from codegen.show import figures
+
+        with working("Drawing"), replacing(plot) as temporary:
+            figures.save_sweep(outcome.dataset(), temporary, pareto, style.value)
+    _print(outcome, json)
     if outcome.tally.failed:
         raise typer.Exit(1)
 
 
-def _require_front(pareto: str | None, outlined: Any) -> None:
-    """Refuse objectives that the sweep will not have."""
-    if pareto is not None:
-        from codegen.show.figures.pareto import objectives_of, require_objectives
-
-        require_objectives(objectives_of(pareto), outlined)
-
-
-def _draw(outcome: Any, path: Path, pareto: str | None, style: str) -> None:
-    from codegen.files import replacing
-    from codegen.show import figures
-
-    with replacing(path) as temporary:
-        figures.save_sweep(outcome.dataset(), temporary, pareto, style)
-
-
 def _once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    """The pairs as a dict; ArgumentError where a name is given twice."""
-    found: dict[str, Any] = {}
+    """Return the pairs as a dict; raises ArgumentError for a repeated name."""
+    values: dict[str, Any] = {}
     for name, value in pairs:
-        if name in found:
+        if name in values:
             raise ArgumentError(f"{option} gives {name} twice", "give it once")
-        found[name] = value
-    return found
+        values[name] = value
+    return values
 
 
-def _kept(names: str) -> tuple[str, ...]:
-    return () if names.strip() == "none" else tuple(name.strip() for name in names.split(","))
-
-
-def _kept_of_each(layout: Any) -> str:
-    """Which arrays there are of each case, and which are left out because all would be too much."""
+def _print(outcome: SweepOutcome, json: bool) -> None:
+    """Print the outcome of a sweep."""
+    from codegen.batch.executors.chunks import counted, table_of
     from codegen.batch.layout import FITS
-
-    if not layout.dims:
-        return ""
-    rest = ", ".join(layout.left_out)
-    without = f"; with {rest} all would be more than {FITS / 1e6:.0f} MB" if rest else ""
-    return f"{', '.join(layout.dims)} of each, {layout.bytes / 1e3:.3g} kB before compression{without} (--keep)"
-
-
-def _tell(outcome: Any, json: bool) -> None:
-    """Print how the cases ended."""
-    from codegen.batch.executors.work import counted, table_of
     from codegen.solving.results.output import as_json
 
-    for line in outcome.said:
+    for line in outcome.messages:
         typer.echo(line, err=True)
     tally = outcome.tally
     if json:
@@ -214,10 +195,13 @@ def _tell(outcome: Any, json: bool) -> None:
     else:
         console().print(table_of(tally))
         new = counted(tally.cases - outcome.before, "case")
-        there = f", {outcome.before} of {tally.cases} were there already" if outcome.before else ""
-        console().print(f"{new} in {outcome.seconds:.3g} s{there}: {outcome.out}", markup=False)
-        if of_each := _kept_of_each(outcome.layout):
-            console().print(of_each, markup=False)
+        before = f", {outcome.before} of {tally.cases} were there already" if outcome.before else ""
+        console().print(f"{new} in {outcome.seconds:.3g} s{before}: {outcome.out}", markup=False)
+        layout, rest = outcome.layout, ", ".join(outcome.layout.left_out)
+        if layout.dims:
+            without = f"; with {rest} all would be more than {FITS / 1e6:.0f} MB" if rest else ""
+            arrays = f"{', '.join(layout.dims)} of each, {layout.bytes / 1e3:.3g} kB before compression"
+            console().print(f"{arrays}{without} (--keep)", markup=False)
     if tally.improved:
         were = "was" if tally.improved == 1 else "were"
         cases = counted(tally.improved, "case")

@@ -1,8 +1,7 @@
-"""The command `codegen warp`: what is asked for on the command line, and what it says at the end."""
+"""The command `codegen warp`: register images or volumes by landmarks."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,14 +13,17 @@ from codegen.errors import ArgumentError, one_line
 from codegen.terminal import console, progress, working
 
 if TYPE_CHECKING:
-    from codegen.registration.batch import Batch
     from codegen.registration.job import Options
 
-# Nothing of codegen.registration may be imported before the command runs: it brings numba.
+# Functions import codegen.registration, which imports numba.
+EXAMPLES = (
+    "codegen warp moving.png --landmarks pairs.csv --out warped.png --report report.html",
+    "codegen warp folder --fixed atlas.png --landmarks pairs.csv --out warped --workers 4",
+)
 
 
 class Align(StrEnum):
-    """What is taken out before the flow."""
+    """Transformation that is removed before the flow."""
 
     AUTO = "auto"
     NONE = "none"
@@ -30,7 +32,7 @@ class Align(StrEnum):
 
 
 class Loss(StrEnum):
-    """How much a landmark that misses by many sigmas may pull."""
+    """Loss of landmark residuals; robust losses reduce the influence of outliers."""
 
     LINEAR = "linear"
     HUBER = "huber"
@@ -39,7 +41,7 @@ class Loss(StrEnum):
 
 
 class Interpolation(StrEnum):
-    """How the image is read between its pixels."""
+    """Interpolation between pixels."""
 
     NEAREST = "nearest"
     LINEAR = "linear"
@@ -103,15 +105,6 @@ Resume = Annotated[
 ]
 
 
-@dataclass(frozen=True)
-class Who:
-    """Who does many pairs: so many processes, or a cluster; and whether it is to be gone on with what was begun."""
-
-    workers: int | None
-    cluster: str | None
-    resume: bool
-
-
 def warp(
     moving: Moving,
     landmarks: Landmarks = [],  # noqa: B006  typer copies it
@@ -135,7 +128,7 @@ def warp(
     cluster: Cluster = None,
     resume: Resume = False,
 ) -> None:
-    """Warp an image or a volume, or many, by landmarks, moving to fixed, with a certificate that nothing folds."""
+    """Warp images or volumes by landmarks. The map from moving to fixed is certified to be free of folds."""
     if len(landmarks) > 2:
         raise ArgumentError(
             f"--landmarks was given {len(landmarks)} times", "give one file, or a moving and a fixed one"
@@ -144,29 +137,22 @@ def warp(
 
     if loss is not Loss.LINEAR and sigma == "0":
         raise ArgumentError(f"--loss {loss.value} is for landmarks that may miss", "give a --sigma as well, or auto")
+    try:
+        deviation: Any = sigma if sigma == "auto" else float(sigma)
+    except ValueError:
+        deviation = -1.0
+    if deviation != "auto" and not 0.0 <= deviation < 1e6:
+        raise ArgumentError(f"--sigma {sigma[:30]}", "give a distance in pixels, or auto")
     options = Options(
-        inverse, _sigma(sigma), align.value, scheme, steps, interpolation.value, coarse, loss.value, flip,
+        inverse, deviation, align.value, scheme, steps, interpolation.value, coarse, loss.value, flip,
     )  # fmt: skip
     if moving.is_dir() or moving.suffix.lower() == ".csv":
-        who = Who(workers, cluster, resume)
-        _many(moving, tuple(landmarks), out, fixed, field, report, options, json, who)
+        _many(moving, tuple(landmarks), out, fixed, field, report, options, json, workers, cluster, resume)
     elif workers is not None or cluster is not None or resume:
-        given = "--workers" if workers is not None else "--cluster" if cluster is not None else "--resume"
-        raise ArgumentError(f"{given} is for many pairs, and {moving} is none", "give a folder, or a table (.csv)")
+        option = "--workers" if workers is not None else "--cluster" if cluster is not None else "--resume"
+        raise ArgumentError(f"{option} is for many pairs, and {moving} is none", "give a folder, or a table (.csv)")
     else:
         _one(moving, tuple(landmarks), out, fixed, field, report, options, json)
-
-
-def _sigma(text: str) -> Any:
-    if text == "auto":
-        return text
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < 1e6:
-        raise ArgumentError(f"--sigma {text[:30]}", "give a distance in pixels, or auto")
-    return value
 
 
 def _one(
@@ -196,14 +182,14 @@ def _one(
 
 def _many(
     moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
-    report: Path | None, options: Options, json: bool, who: Who,
+    report: Path | None, options: Options, json: bool, workers: int | None, cluster: str | None, resume: bool,
 ) -> None:  # fmt: skip
-    from codegen.batch.executors.team import team_size
+    from codegen.batch.executors import team_size
     from codegen.registration import batch, batch_pairs
     from codegen.registration.batch import BatchRequest, outcome_of
     from codegen.solving.results import output
 
-    workers = team_size(who.workers, who.cluster)
+    processes = team_size(workers, cluster)
     places = batch_pairs.Places(out, field, report)
     if moving.is_dir():
         if out is None or out.resolve() == moving.resolve():
@@ -222,7 +208,7 @@ def _many(
     summary = (out / batch_pairs.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
     if report is not None:
         batch_pairs.require_free(jobs, report / batch.NAME)
-    request = BatchRequest(jobs, options, places, summary, workers, who.cluster, who.resume)
+    request = BatchRequest(jobs, options, places, summary, processes, cluster, resume)
     done = outcome_of(request, working, progress)
     if report is not None:
         batch.write_batch_report(report, done, [job.report for job in jobs])
@@ -232,13 +218,8 @@ def _many(
         typer.echo(output.as_json(batch.record(done, summary)))
     else:
         console().print(batch.overview(done, summary))
-    _finish(done)
-
-
-def _finish(done: Batch) -> None:
-    """Name the pairs that failed."""
-    for line in done.failed:
-        typer.echo(one_line(f"{line['moving']}: {line['status']}: {line['message']}", 400), err=True)
+    for pair in done.failed:
+        typer.echo(one_line(f"{pair['moving']}: {pair['status']}: {pair['message']}", 400), err=True)
     if done.failed:
         typer.echo(f"codegen: {len(done.failed)} of {len(done.lines)} pairs failed", err=True)
         raise typer.Exit(1)

@@ -1,8 +1,8 @@
-"""What a solve is worth within a sampling time: its equations evaluated again, and which of two plans is applied.
+"""The acceptance of plans within a sampling time, and the time limits of searches.
 
-What the parts of a sampling time take, learned from those that were measured, so that deadlines are kept. A search that
-a deadline ends asks at every iterate whether there is time for what comes next: an iteration, and the verdict on what
-it leads to. What that takes differs from problem to problem, and from hour to hour on a busy machine.
+A plan is evaluated outside the solver, and the better one of two plans is applied. A search with a deadline asks at
+every iterate if there is time for another iteration and for the evaluation of its result. The expected times are
+learned from measurements, because they depend on the problem and on the load of the machine.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from codegen.solving.results.control import control_verdict
 from codegen.solving.results.result import ControlAttempt, Run
 
 ALLOWED = 10.0
-"""Times the tolerance that residual and slopes of a solution may be, as in `control_verdict`."""
+"""Largest residual and slope of a solution, relative to the tolerance, as in `control_verdict`."""
 PART, SHORTEST = 0.5, 1e-9
-"""Part of the time left after which a search with a deadline returns; seconds that an iteration takes at least."""
+"""Part of the remaining time after which a search with a deadline returns; least seconds of an iteration."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Candidate:
-    """A plan, `unknowns` (n,), with what is evaluated there outside the solver.
+    """A plan, `unknowns` (n,), evaluated outside the solver.
 
-    That are the gradient (n,) of the Lagrangian, cost, residual, and stationarity, the largest slope.
+    `gradient` (n,) is that of the Lagrangian, `stationarity` its largest slope.
     """
 
     unknowns: Vector
@@ -45,12 +45,12 @@ class Candidate:
 
 
 class BestIterate:
-    """The log of a search for a plan: the `best` iterate, and what of the time has passed.
+    """The log of a search for a plan: the `best` iterate and the elapsed time.
 
-    It takes the place of the log that `solve` keeps. With a `limit`, the seconds by the clock after which no iteration
-    begins, the compiled search returns after a part of the time that is left, by what an iteration has taken, at first
-    `expected` seconds; the best is the cheapest of the iterates there whose equations hold to `feasible`, in the
-    problem's own units. Nor does an iteration begin after `most` of them and of steps of restorations.
+    It replaces the log of `solve`. `limit` is the number of seconds by `clock` after which no iteration begins. The
+    compiled search then returns after a part of the remaining time, which follows from the time of an iteration, at
+    first `expected` seconds. The best iterate is the cheapest one with a residual up to `feasible`, in the problem's
+    own units. No iteration begins after `most` iterations and restoration steps.
     """
 
     def __init__(
@@ -72,9 +72,9 @@ class BestIterate:
         self.best: Any = None
 
     def iterations_per_call(self, done: int, most: int, affordable: int) -> int:
-        """Return after how many iterations the compiled search, which is about to be called, is to return.
+        """Return the number of iterations after which the compiled search is to return.
 
-        Where time or iterations are used up, it only looks whether it has come to an end.
+        With no time or iterations left the search only tests for convergence.
         """
         self._called = now = self._clock()
         self._count_up_to(done)
@@ -82,14 +82,14 @@ class BestIterate:
             self.beginning = now - self._begin
         count = min(most, affordable, max(0.0, self._most - self.count))
         if self.limit < math.inf:
-            left = self._end - now
-            count = min(count, 1.0 + PART * left // max(self._iteration, SHORTEST)) if left >= 0.0 else 0
+            remaining = self._end - now
+            count = min(count, 1.0 + PART * remaining // max(self._iteration, SHORTEST)) if remaining >= 0.0 else 0
         return int(count)
 
     def extend(self, search: Any, rows: Matrix) -> None:
-        """Look at the iterate with which the compiled search returns; `rows` (k, 6) are those that it left behind.
+        """Record the iterate at which the compiled search returns; `rows` (k, 6) are the iterates that it logged.
 
-        The last one is among them where the search is over.
+        They include the last one if the search is over.
         """
         self._returned = self._clock()
         work = search.work
@@ -103,7 +103,7 @@ class BestIterate:
                 self.best = stored(search).point
 
     def add(self, point: Any, _length: float) -> None:
-        """Look at an iterate of a linear search, which never asks whether it is late."""
+        """Record an iterate of a linear search, which has no time limit."""
         now = self._clock()
         if self.beginning is None:
             self.beginning = now - self._begin
@@ -115,7 +115,7 @@ class BestIterate:
             self.best = point
 
     def is_late(self) -> bool:
-        """Return True if the time is up, or the number of iterations; restorations ask at each of their steps."""
+        """Return True if time or iterations are used up; restorations ask at each step."""
         self._restorations += self._is_asked_by_restoration and not self.is_exhausted
         self._is_asked_by_restoration = True
         if self.count >= self._most and not self._is_over:
@@ -129,58 +129,60 @@ class BestIterate:
         return False
 
     def _count_up_to(self, done: int) -> int:
-        """Count the iterations of a search that has made so many; return how many there were since it was looked at."""
-        new = done - self._before if done >= self._before else done  # fewer are those of another search
+        """Count the iterations of a search that has made `done` of them; return the number of new ones."""
+        new = done - self._before if done >= self._before else done  # a smaller number belongs to a new search
         self._iterations, self._before = self._iterations + new, done
         return new
 
     @property
     def count(self) -> int:
-        """Iterations and steps of restorations up to now."""
+        """Number of iterations and restoration steps."""
         return self._iterations + self._restorations
 
     def rest(self, now: float) -> float | None:
-        """Return the seconds of the last iteration and of all after it; None where there was none."""
+        """Return the seconds of the last iteration and all work after it, or None without an iteration."""
         return self._iteration + now - self._returned if self._iterations else None
 
 
 def candidate(grid: Grid, unknowns: Vector) -> Candidate:
-    """A plan with its equations evaluated."""
+    """Return a plan with its equations evaluated."""
     point = evaluate(grid, unknowns)
     return Candidate(unknowns, point.gradient, point.cost, point.residual, point.stationarity)
 
 
-def holds(module: Any, grid: Grid, found: Candidate, tolerance: float) -> bool:
-    """Whether residual and slopes are within the tolerance as they stand, as they most often are."""
-    most = ALLOWED * tolerance
-    return found.residual <= most and (found.stationarity <= most or _is_flat(module, grid, found, most))
+def holds(module: Any, grid: Grid, plan: Candidate, tolerance: float) -> bool:
+    """Return True if residual and slopes are within the tolerance, without scaling.
 
-
-def is_solution(module: Any, grid: Grid, found: Candidate, run: Run, iterations: int, tolerance: float) -> bool:
-    """Whether all equations hold at what a solver calls solved, as for every driver.
-
-    Sizes, rounding and large multipliers decide, which takes ten times as long as `holds`.
+    The slope of a variable near its bound counts times the distance from the bound, at most one.
     """
-    claim = ControlAttempt("solved", "", iterations, found.unknowns, tolerance)
-    return control_verdict(module, "newton", run, claim, grid).status == "solved"
-
-
-def _is_flat(module: Any, grid: Grid, found: Candidate, most: float) -> bool:
-    """Whether slopes of the Lagrangian are small, each times the distance to the bound that it leads to, one if far."""
-    (steep,) = ((np.abs(found.gradient) > most) & ~grid.is_multiplier).nonzero()
+    most = ALLOWED * tolerance
+    if not plan.residual <= most:  # also for NaN
+        return False
+    if plan.stationarity <= most:
+        return True
+    (steep,) = ((np.abs(plan.gradient) > most) & ~grid.is_multiplier).nonzero()
     if not steep.size or not module.metadata.inequalities:
         return not steep.size
-    slopes, unknowns = found.gradient[steep], found.unknowns[steep]
+    slopes, unknowns = plan.gradient[steep], plan.unknowns[steep]
     lower, upper = bounds_of(grid)
     distances = np.where(slopes > 0.0, unknowns - lower[steep], upper[steep] - unknowns)
     return bool((np.abs(slopes) * np.clip(distances, 0.0, 1.0) <= most).all())
 
 
-def better(one: Any, other: Any, feasible: float) -> Any:
-    """The first of two plans unless the other is better, candidates or points of a search.
+def is_solution(module: Any, grid: Grid, plan: Candidate, run: Run, iterations: int, tolerance: float) -> bool:
+    """Return True if a plan passes the convergence test that all drivers share.
 
-    That is one whose equations hold to `feasible` where those of the first do not; of two that do, the cheaper one; of
-    two that do not, the one with the smaller residual.
+    The test takes account of scaling factors, rounding and large multipliers. It takes ten times as long as `holds`.
+    """
+    claim = ControlAttempt("solved", "", iterations, plan.unknowns, tolerance)
+    return control_verdict(module, "newton", run, claim, grid).status == "solved"
+
+
+def better(one: Any, other: Any, feasible: float) -> Any:
+    """Return the better one of two candidates or points of a search.
+
+    A plan with a residual up to `feasible` is better than one without. Of two such plans the cheaper one is better, of
+    two others the one with the smaller residual. The first one is returned if they are equal.
     """
     violations = max(one.residual, feasible), max(other.residual, feasible)
     if not violations[0] < np.inf or violations[1] < violations[0]:
@@ -189,24 +191,26 @@ def better(one: Any, other: Any, feasible: float) -> Any:
 
 
 MOST = 0.75
-"""Part of what is measured that stays below what is expected: a larger one follows what others do on a busy machine."""
+"""Quantile of measured times that an expectation follows; longer times are outliers of a busy machine."""
 MARGIN = 1.05
-"""Times what is expected is the time without which no iteration begins: as much as most of the others take."""
+"""Factor on the expected time without which no iteration begins."""
 RATE = 0.02
-"""By which an expectation changes with a measurement: a fall is 1 - MOST of it, a rise MOST of it."""
+"""Step of an expectation for a measurement: a fall is 1 - MOST of the rate, a rise MOST of it."""
 IN_TURN = 4
-"""Measurements above what is expected that may follow each other by chance, or after a push; each that follows counts
-once more than the one before it, as on a machine that has become slower."""
+"""Number of successive measurements above the expectation that count once each.
+
+Every further one counts once more than the one before, because the machine has become slower.
+"""
 FORGOTTEN = 0.02
-"""Part of its distance from the quickest by which an expectation falls where nothing was measured for lack of time."""
+"""Relative step towards the quickest time after a step without a measurement for lack of time."""
 
 
 class Expectation:
-    """What a part of a step takes: `seconds` that most of those measured lately stay below.
+    """The expected `seconds` of a part of a step, a quantile of recent measurements.
 
-    It is a quantile followed by steps in the logarithm whose size does not depend on how far measurements are away, so
-    that one without limit, as of a process that had to wait, counts no more than another. Source: Robbins and Monro
-    (1951), A stochastic approximation method. `least` is the quickest ever.
+    The quantile changes by steps in the logarithm that do not depend on the distance of measurements. So an outlier,
+    such as a process that had to wait, counts like any other measurement. `least` is the quickest time. Source: Robbins
+    and Monro (1951), A stochastic approximation method.
     """
 
     def __init__(self, measured: Iterable[float]) -> None:
@@ -215,25 +219,26 @@ class Expectation:
         self._above = 0
 
     def learn(self, seconds: float) -> None:
-        """Take account of a measurement."""
+        """Update the expectation by a measurement."""
         self.least = min(self.least, seconds)
         self._above = self._above + 1 if seconds > self.seconds else 0
         rise = MOST * max(1, self._above - IN_TURN)
         self.seconds *= math.exp(RATE * (rise if self._above else MOST - 1.0))
 
     def forget(self) -> None:
-        """There was no time, and so no measurement: come closer to the quickest, or there never would be one again.
+        """Move the expectation towards the quickest time, after a step without time for a measurement.
 
-        Measurements that follow each other above what is expected still do so: each time more time passes until the
-        next.
+        Without this there would never be a measurement again. The count of successive slow measurements is kept, so the
+        next one is later each time.
         """
         self.seconds += FORGOTTEN * (self.least - self.seconds)
 
 
 class Pace:
-    """What is expected of steps: of their `beginning`, up to the first iterate, and of an iteration with the `rest`.
+    """The expected times of steps: the `beginning` up to the first iterate, and an iteration with the `rest` of the
+    step.
 
-    That is all up to the inputs. Both are made of what was `measured`: pairs of their seconds.
+    Both start from `measured` pairs of seconds.
     """
 
     def __init__(self, measured: Iterable[tuple[float, float]]) -> None:
@@ -241,12 +246,12 @@ class Pace:
         self.beginning, self.rest = Expectation(beginnings), Expectation(rests)
 
     def limit(self, seconds: float) -> float:
-        """How long a search may begin iterations if there are so many `seconds`; negative where it is not to begin."""
+        """Return the seconds in which a search may begin iterations, negative if it is not to begin."""
         limit = seconds - MARGIN * self.rest.seconds
         return limit if limit >= self.beginning.seconds else -math.inf
 
     def learn(self, beginning: float | None, rest: float | None, was_late: bool) -> None:
-        """Take account of a step, of parts that it had: `was_late` where others lacked for want of time."""
+        """Update the expectations by a step; `was_late` if a missing part had no time."""
         for expectation, seconds in ((self.beginning, beginning), (self.rest, rest)):
             if seconds is not None:
                 expectation.learn(seconds)

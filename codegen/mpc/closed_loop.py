@@ -1,4 +1,4 @@
-"""The loop of a controller and a plant that differs from its model: disturbances, noise, a delay."""
+"""The loop of a controller and a plant that differs from its model by disturbances, noise or a delay."""
 
 from __future__ import annotations
 
@@ -23,13 +23,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """What came of M sampling times, in the units of the problem, times in seconds.
+    """The result of M sampling times, in the units of the problem and in seconds.
 
-    `times` (M + 1,) and the plant's `states` (M + 1, states) begin with the start; `measured` (M, states) is what the
-    controller was told, `inputs` (M, controls) what acted from each time on. Of each sampling time there are `statuses`
-    (M,), `iterations` (M,), `residuals` (M,) and `costs` (M,) of what was planned, `latencies` (M,), the seconds from
-    the call to the inputs, `in_time` (M,) and `fell_back` (M,), as in Feedback. `message` says why the loop ended
-    early, and is empty where it did not.
+    Attributes
+    ----------
+    title : str
+        Title of the problem.
+    state_names, input_names : tuple of str
+        Names of the columns.
+    sample, deadline : float
+        Sampling time and deadline of the controller in seconds; the deadline may be None.
+    message : str
+        Reason of an early end, else empty.
+    times : array (M + 1,)
+        Times of the states, beginning with the start.
+    states : array (M + 1, states)
+        States of the plant.
+    measured : array (M, states)
+        Measurements that the controller received.
+    inputs : array (M, controls)
+        Inputs that acted from each sampling time on.
+    statuses, iterations, residuals, costs : arrays (M,)
+        Results of the plans, as in Feedback.
+    latencies : array (M,)
+        Seconds from the call to the inputs.
+    in_time, fell_back : arrays (M,)
+        As in Feedback.
     """
 
     title: str
@@ -52,35 +71,60 @@ class ClosedLoop:
 
     @property
     def names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Those of states and of inputs, in the order of columns."""
+        """Names of states and of inputs, in the order of columns."""
         return self.state_names, self.input_names
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many sampling times ended with each status."""
+        """Number of sampling times by status."""
         return dict(Counter(self.statuses.tolist()))
 
     @property
     def missed(self) -> int:
-        """How many deadlines were missed."""
+        """Number of missed deadlines."""
         return int((~self.in_time).sum())
 
     def latency(self, percent: float) -> float:
-        """The seconds within which so many per cent of the sampling times had their inputs."""
+        """Return the seconds within which a percentage of the sampling times had their inputs.
+
+        Parameters
+        ----------
+        percent : float
+            Percentage between 0 and 100.
+
+        Returns
+        -------
+        float
+            The percentile of the latencies in seconds, NaN without sampling times.
+        """
         return float(np.percentile(self.latencies, percent)) if self.latencies.size else float("nan")
 
     def plot(
         self, path: Path | str | None = None, references: Mapping[str, Callable[[float], float]] | None = None
     ) -> Picture:
-        """Draw states, inputs and latencies, for a notebook, and into a file, .png, .pdf or .svg, if there is a path.
+        """Draw states, inputs and latencies.
 
-        `references` are functions of time that states or inputs were to follow, by name. Raises ArgumentError for
-        another name.
+        Parameters
+        ----------
+        path : path, optional
+            A file .png, .pdf or .svg to write.
+        references : dict of str to function, optional
+            Functions of time that states or inputs should follow.
+
+        Returns
+        -------
+        Picture
+            The figure, which a notebook shows.
+
+        Raises
+        ------
+        ArgumentError
+            For a reference with an unknown name.
         """
         wanted, known = references or {}, (*self.state_names, *self.input_names)
         if unknown := [name for name in wanted if name not in known]:
             raise ArgumentError(clause(f"a reference of {unknown[0]!r}"), clause(f"use {', '.join(known)}"))
-        from codegen.show.notebook_solution import loop_picture
+        from codegen.show.notebook import loop_picture
 
         picture = loop_picture(self, wanted)
         if path is not None:
@@ -88,13 +132,13 @@ class ClosedLoop:
         return picture
 
     def _repr_html_(self) -> str:
-        from codegen.show.notebook_solution import loop_html
+        from codegen.show.notebook import loop_html
 
         return loop_html(self)
 
 
 class Recording:
-    """Room for so many sampling times, which are filled one by one."""
+    """Arrays for a number of sampling times, which are filled in order."""
 
     def __init__(self, controller: Controller, samples: int, state: Vector) -> None:
         states, inputs = len(controller.states), len(controller.inputs)
@@ -105,7 +149,7 @@ class Recording:
         self.states[0] = state
 
     def add(self, measured: Vector, applied: Vector, feedback: Feedback, state: Vector) -> None:
-        """Note a sampling time and the state at its end."""
+        """Append a sampling time and the state at its end."""
         k = self.count
         self.measured[k], self.inputs[k], self.states[k + 1] = measured, applied, state
         self.numbers[k] = feedback.iterations, feedback.residual, feedback.cost, feedback.seconds
@@ -113,7 +157,7 @@ class Recording:
         self.count += 1
 
     def ended(self, message: str = "") -> ClosedLoop:
-        """The result; `message` says why it ended early."""
+        """Return the result; `message` gives the reason of an early end."""
         controller, n = self.controller, self.count
         iterations, residuals, costs, latencies = self.numbers[:n].T
         times = np.asarray(controller.sample * np.arange(n + 1.0))
@@ -139,37 +183,66 @@ def close_loop(
     inputs: Any = None,
     seed: int = 0,
 ) -> ClosedLoop:
-    """Let a controller act upon a plant for so many sampling times, and return the ClosedLoop that came of it.
+    """Let a controller act on a plant for some sampling times.
 
-    The controller begins without a plan, whatever it did before.
+    The controller is reset first. A plant that fails ends the loop early, with a message in the result.
 
-    `plant` is a problem file (with `arguments` of its problem()), a generated module or its file, with the controller's
-    states in its start and a parameter for each input: a `Simulate`, or for `dynamics` a `Control` without controls and
-    cost. Or it is a function (state, inputs, t, seconds) of arrays (states,) and (controls,) that returns the state
-    after so many seconds. `start` is the first state, (states,) or by name, by default the problem's own.
+    Parameters
+    ----------
+    controller : Controller
+        The controller.
+    plant : path, module or function
+        A problem file, a generated module or its file, whose start has the controller's states and which has a
+        parameter for each input. This is a `Simulate`, or for `dynamics` a `Control` without controls and cost. Or a
+        function (state (states,), inputs (controls,), t, seconds) -> state after these seconds.
+    samples : int
+        Number of sampling times.
+    start : array (states,) or dict of str to float, optional
+        First state, by default the problem's own.
+    arguments : dict, optional
+        Arguments of problem() of a plant that is a problem file.
+    disturbances : dict of str to float or function of time, optional
+        Parameters of the plant that the controller does not know. Known ones are `parameters` of the controller.
+    noise : float, array (states,) or dict of str to float
+        Standard deviations of normally distributed measurement errors.
+    delay : int, optional
+        Sampling times between a measurement and the action of its inputs, by default the controller's delay. A longer
+        one disturbs the loop.
+    inputs : array (controls,) or dict of str to float, optional
+        Inputs that act during the first delay, zero by default. A controller with a delay knows them.
+    seed : int
+        Seed of the noise.
 
-    `disturbances` are parameters of the plant by name, numbers or functions of time, of which the controller does not
-    know; what it is to know are its own `parameters`. To what it measures, `noise` adds normally distributed errors of
-    that standard deviation, a number, an array (states,) or a mapping by name, from the random `seed`. With a `delay`
-    of n sampling times inputs act so much later than what they follow from was measured; before, `inputs` (controls,)
-    act, an array or by name, zero unless given, which a controller with a delay knows. The delay is the controller's
-    own unless it is given; one that is longer disturbs the loop.
+    Returns
+    -------
+    ClosedLoop
+        States, inputs and the results of all sampling times.
 
-    A plant that runs away ends the loop; `message` of the result says so. Raises ArgumentError for a plant or a delay
-    that does not fit the controller, NumericsError for unusable numbers, and what `codegen.build` does for a problem
-    file.
+    Raises
+    ------
+    ArgumentError
+        For a plant or a delay that does not fit the controller.
+    NumericsError
+        For unusable numbers.
+    CodegenError
+        As `codegen.build`, for the problem file of a plant.
     """
     if not isinstance(controller, Controller):
         raise ArgumentError(f"close_loop of a {type(controller).__name__}", "give a codegen.Controller and a plant")
     require_count("samples", samples, 1)
-    delay = _delay_of(controller, delay)
+    if delay is None:
+        delay = controller.delay
+    require_count("delay", delay, 0)
+    if delay < controller.delay:
+        finding = f"the controller plans for a delay of {controller.delay}, and the loop has one of {delay}"
+        raise ArgumentError(finding, "leave delay out here, or give the controller no longer one")
     names = controller.states, controller.inputs
-    acts_on = plant_of(plant, arguments or {}, names, disturbances or {})
+    next_state = plant_of(plant, arguments or {}, names, disturbances or {})
     state = controller.first_state() if start is None else vector(start, controller.states, "the start")
     deviations = _deviations(controller, noise)
     inputs = np.zeros(len(controller.inputs)) if inputs is None else inputs
     inputs = vector(inputs, controller.inputs, "the array of inputs")
-    waiting = [inputs] * delay
+    waiting = [inputs] * int(delay)
     random, recording = np.random.default_rng(seed), Recording(controller, samples, state)
     controller.reset(inputs if controller.delay else None)
     for k in range(samples):
@@ -178,27 +251,16 @@ def close_loop(
         waiting.append(controller.step(measured, t))
         applied = waiting.pop(0)
         try:
-            state = acts_on(state, applied, t, controller.sample)
+            state = next_state(state, applied, t, controller.sample)
         except PlantFailed as failure:
             return recording.ended(f"the plant failed after t = {t:g}: {failure}")
-        assert controller.last is not None, "a step leaves its feedback"
+        assert controller.last is not None, "a step stores its feedback"
         recording.add(measured, applied, controller.last, state)
     return recording.ended()
 
 
-def _delay_of(controller: Controller, delay: Any) -> int:
-    """The delay of a loop in sampling times; ArgumentError where inputs would act before their plan begins."""
-    if delay is None:
-        return controller.delay
-    require_count("delay", delay, 0)
-    if delay < controller.delay:
-        finding = f"the controller plans for a delay of {controller.delay}, and the loop has one of {delay}"
-        raise ArgumentError(finding, "leave delay out here, or give the controller no longer one")
-    return int(delay)
-
-
 def _deviations(controller: Controller, noise: Any) -> Vector:
-    """The standard deviations (states,) of errors of measurement; those that a mapping leaves out are zero."""
+    """Return the standard deviations (states,) of measurement errors, zero for names that a mapping lacks."""
     if isinstance(noise, Mapping):
         if unknown := [name for name in noise if name not in controller.states]:
             finding = clause(f"noise of {unknown[0]!r}, which is no state")
@@ -206,7 +268,7 @@ def _deviations(controller: Controller, noise: Any) -> Vector:
         noise = [noise.get(name, 0.0) for name in controller.states]
     elif np.ndim(noise) == 0:
         noise = [number(noise, "noise")] * len(controller.states)
-    found = vector(noise, controller.states, "noise")
-    if (found < 0.0).any():
+    deviations = vector(noise, controller.states, "noise")
+    if (deviations < 0.0).any():
         raise NumericsError("noise has a negative standard deviation", "give numbers that are not negative")
-    return found
+    return deviations

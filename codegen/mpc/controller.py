@@ -1,4 +1,4 @@
-"""A controller with a moving horizon: at every sampling time it solves a problem from the measured state on.
+"""A controller with a moving horizon, which solves a problem from the measured state at every sampling time.
 
 Source: Rawlings, Mayne and Diehl (2017), Model Predictive Control, chapter 8; for single Newton steps Diehl, Bock and
 Schloeder (2005), A real-time iteration scheme for nonlinear optimization in optimal feedback control.
@@ -17,14 +17,12 @@ import numpy as np
 
 from codegen.errors import ArgumentError
 from codegen.mpc.acceptance import BestIterate, Candidate, Pace, better, candidate, holds, is_solution
-from codegen.mpc.grids import Grids, shift_by
-from codegen.mpc.interface import Interface, Moving, Options, Values, interface_of, module_of, number
-from codegen.mpc.motion import delay_of
-from codegen.runtime.search import solve
+from codegen.mpc.interface import Grids, Interface, Moving, Options, Values, interface_of, module_of, number, shift_by
+from codegen.mpc.motion import Delay, Motion
 from codegen.runtime.search.cascade import factor_nearby, minimise
 from codegen.runtime.search.messages import describe, reached
 from codegen.runtime.search.scaling import scaled_grid
-from codegen.runtime.search.solve import optimise
+from codegen.runtime.search.solve import optimise, solve_linear_quadratic
 from codegen.runtime.search.termination import final_status
 from codegen.solving.loading import Grid, Matrix, Vector
 from codegen.solving.results.result import Run
@@ -32,15 +30,29 @@ from codegen.solving.results.result import Run
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Feedback:
-    """What became of one sampling time.
+    """The result of one sampling time.
 
-    `inputs` (controls,) are to be applied until those of the next one, in the problem's units, from the time `t` of the
-    measurement on or, with a delay, so much later. `status` is "solved" where all equations hold to the tolerance,
-    evaluated again outside the solver; "iteration limit" or "time limit" where iterations or time ran out first; else
-    it says how the solve failed. `message` says so in a sentence. `fell_back` tells that the inputs are those where the
-    search began, as a rule the plan before, shifted.
-    `residual` is the max-norm of the plan's equations, `cost` what the plan costs. `seconds` is the time from the
-    call to the inputs; `in_time`: it is within the deadline.
+    Attributes
+    ----------
+    t : float
+        Time of the measurement in seconds.
+    inputs : array (controls,)
+        Inputs in the units of the problem, to be applied from the time t, or later by the delay, until the next inputs.
+    status : str
+        "solved" if all equations hold to the tolerance, evaluated outside the solver. "iteration limit" or "time limit"
+        if iterations or time were used up. Otherwise the kind of failure.
+    message : str
+        The status in a sentence.
+    cost, residual : float
+        Cost of the plan, and max-norm of the residual of its equations.
+    iterations : int
+        Number of iterations.
+    seconds : float
+        Time from the call to the inputs.
+    in_time : bool
+        True if the deadline was kept.
+    fell_back : bool
+        True if the inputs are those of the start of the search, usually the shifted last plan.
     """
 
     t: float
@@ -56,21 +68,21 @@ class Feedback:
 
 
 BEFORE, OF_START, OWN_GUESS = "plan before, shifted", "plan from the problem's own start", "problem's own guess"
-"""Where searches begin."""
+"""Starts of searches, for messages."""
 UNFINISHED = ("iteration limit", "time limit")
 MOST, MOST_WARM = 3000, 200
-"""Iterations at most, as for every solve; and with those of restorations, which are not counted otherwise, from a plan.
+"""Largest number of iterations of a solve; largest number of iterations and restoration steps from a plan.
 
-Most states from which a controller brings a system back take ten to fifty, seldom 180. Where there is no way back all
-that a solve can try would take thousands: half a second of a cart-pole, whose pole falls in a tenth of it.
+Most states that a controller can bring back take ten to fifty iterations, rarely 180. Without this limit a hopeless
+state would take thousands: half a second for a cart-pole, whose pole falls in a tenth of that time.
 """
 WARM_UPS, NUDGE = 20, 1e-4
-"""Solves before the first sampling time, which are timed, and how far from its state, in parts of that or of one."""
+"""Timed solves before the first sampling time, and the relative change of their initial state."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ahead:
-    """What was prepared for a sampling time: its run-time values, the shifted plan (n,), whether factors are there."""
+    """The preparation of a sampling time: run-time values, the shifted plan (n,), and True if it is factored."""
 
     given: dict[str, Any]
     guess: Vector
@@ -78,37 +90,67 @@ class Ahead:
 
 
 class Controller:
-    """Solves a problem again and again, from the measured state on, and gives the inputs for the next sampling time.
+    """Solves a problem at every sampling time, from the measured state, and returns the inputs for the next interval.
 
-    `problem` is as for `codegen.solve`: an optimisation with all that is measured in `start`.
-    `arguments`, `scheme` and `method` are those of a build. The horizon lasts `horizon`, by default the problem's
-    duration (whose parameter, if it stands in other formulas as well, is given instead), and has `steps` intervals;
-    `sample` is the sampling time in seconds, by default one interval. `parameters` are run-time values by name:
-    numbers, or functions of the time at which a plan starts, for references that move and disturbances that are known;
-    `end.x` is a prescribed value at the end.
+    A solve starts from the last plan, shifted by a sampling time, with the measured state. Its first Newton step is the
+    tangential predictor. If a search ends early, the best feasible iterate is applied: the cheapest one with a residual
+    up to the root of the tolerance. Without a feasible iterate the last iterate is applied, or the shifted plan if its
+    residual is smaller. A solve that fails falls back on the shifted plan. Before the first plan a search starts from
+    the problem's guess. With a deadline it starts from the solution for the problem's own start, computed in the
+    constructor.
 
-    Where inputs begin to act `delay` sampling times after the measurement, as where they are computed meanwhile, the
-    state is predicted by the model over that time, under the inputs that act until then, which are the last `delay`
-    ones that `step` returned (delay compensation). The plan starts from there and then, and so do its inputs.
+    Parameters
+    ----------
+    problem : Path, str or module
+        An optimisation whose `start` has all measured quantities, as for `codegen.solve`.
+    steps : int, optional
+        Number of intervals of the horizon.
+    horizon : float, optional
+        Length of the horizon in seconds, by default the problem's duration. If the duration is a parameter that other
+        formulas use, that parameter determines the horizon.
+    sample : float, optional
+        Sampling time in seconds, by default one interval.
+    arguments, scheme, method
+        Choices of the build, as for `codegen.build`.
+    parameters : dict of str to float or function, optional
+        Run-time values by name: numbers, or functions of the time at which a plan starts, for moving references and
+        known disturbances. `end.x` is a prescribed value at the end.
+    tolerance : float
+        Tolerance of a solve.
+    newton_steps : int, optional
+        Number of Newton steps of a solve (real-time iteration). A single step ends at the first bound that it meets, so
+        three steps are better with bounds. By default a solve has at most 200 iterations and restoration steps.
+    deadline : float, optional
+        Seconds from the call of `step` to the inputs. No iteration begins that would end too late by the times of
+        earlier steps.
+    scaling : {"auto", "none"}
+        "auto" decides once, at the solution for the problem's own start, whether the solver scales variables. With
+        scaling the best feasible iterate is the last one.
+    delay : int
+        Sampling times between a measurement and the action of its inputs, for example for their computation. The state
+        is predicted by the model over this time under the last `delay` inputs (delay compensation). The plan starts
+        from the predicted state at that time.
 
-    A solve begins from the last plan, shifted by a sampling time, in which the state is the measured one: its first
-    Newton step is the tangential predictor. It ends at the `tolerance`, or after `newton_steps` of them (real-time
-    iteration; a single one ends at the first bound that it meets, so that with bounds three come closer), by default
-    after 200 with those of restorations, or before the `deadline`, in seconds from the call: no iteration begins that
-    steps before tell would end too late. Then the best feasible iterate is applied, the cheapest whose equations hold
-    to the root of the tolerance; where there is none the last iterate, or the plan before where its residual is
-    smaller. A solve that fails falls back on the plan before. Before the first plan a search begins from the problem's
-    guess, and where there is a deadline from the solution for the problem's own start, which is found when a controller
-    is made. `scaling` is "auto", which decides once, at that solution, whether the solver works in parts of sizes (then
-    the best feasible iterate is the last one), or "none".
+    Attributes
+    ----------
+    states, inputs : tuple of str
+        Names in the order of arrays.
+    last : Feedback or None
+        Result of the last step; earlier results are not stored.
 
-    `states` and `inputs` are names in the order of arrays. `last` is the Feedback of the last step. Nothing is kept of
-    earlier ones. A controller may be called from any thread; calls take turns.
+    Raises
+    ------
+    ArgumentError
+        For a problem without controls or a measured start, or with phases, delays, inner times or a free duration; for
+        a `delay` of a problem whose motion does not follow from its start and inputs; for invalid options.
+    NumericsError
+        For unusable numbers.
+    CodegenError
+        As `codegen.build`, for a problem that cannot be read or derived.
 
-    Raises ArgumentError for a problem without controls or a measured start, with phases, delays, inner times or a free
-    duration, for one with a `delay` whose motion does not follow from its start and inputs, and for options that mean
-    nothing; NumericsError for numbers that are unusable; what `codegen.build` does for a problem that cannot be read or
-    derived.
+    Notes
+    -----
+    A controller may be called from any thread; calls take turns.
     """
 
     def __init__(
@@ -142,7 +184,10 @@ class Controller:
         intervals = self.options.intervals_of(self.sample, self.horizon, self.steps)
         self._shift = shift_by(self.module, grid, intervals)
         self.delay = delay
-        self._delay = delay_of(self.module, self._interface, self._values, delay, self.sample, intervals)
+        self._delay: Delay | None = None
+        if delay:
+            motion = Motion(self.module, self._interface, self.sample, intervals)
+            self._delay = Delay(self._interface, self._values, motion, delay, self.sample)
         numbers = np.arange(grid.is_multiplier.size, dtype=float)
         self._of_inputs = self.module.unpack(grid, numbers)[3][0].astype(np.intp)
         self.last: Feedback | None = None
@@ -158,13 +203,32 @@ class Controller:
     _clock = staticmethod(perf_counter)
 
     def step(self, state: Any, t: float = 0.0, parameters: Mapping[str, float] | None = None) -> Vector:
-        """The inputs (controls,) to apply from the time t on, for the measured state, (states,) or a mapping by names.
+        """Return the inputs to apply from the time t on, for a measured state.
 
-        With a delay they are to be applied so much later, and every sampling time needs its step. `parameters` are
-        run-time values by name that hold in this step alone, beside those that the controller was given. Numerical
-        failure is no exception: then the inputs are those of the plan before, shifted, and `last.status` says so.
-        Raises NumericsError for a state that is not finite or of another shape and for run-time values that are
-        unusable, ArgumentError for a name that there is not.
+        A numerical failure raises no exception: the inputs are those of the shifted plan, and `last.status` has the
+        failure.
+
+        Parameters
+        ----------
+        state : array (states,) or dict of str to float
+            The measured state in the units of the problem.
+        t : float
+            Time of the measurement in seconds. With a delay the inputs act later by the delay, and every sampling time
+            needs its step.
+        parameters : dict of str to float, optional
+            Run-time values that replace those of the controller in this step.
+
+        Returns
+        -------
+        array (controls,)
+            The inputs in the units of the problem.
+
+        Raises
+        ------
+        NumericsError
+            For a state that is not finite or of another shape, and for unusable run-time values.
+        ArgumentError
+            For an unknown name.
         """
         begin = self._clock()
         measured = self._interface.state_vector(state)
@@ -183,12 +247,24 @@ class Controller:
         return last.inputs.copy()
 
     def prepare(self, t: float, parameters: Mapping[str, float] | None = None) -> None:
-        """Do beforehand what the step at the time t can do without a measurement, while the inputs before it act.
+        """Do the part of the step at the time t that needs no measurement, while the inputs before it act.
 
-        That is the shifted plan, run-time values and grid, and the factorisation of the first Newton step, which is
-        then one with the matrix of the predicted state and the residuals of the measured one: the preparation phase of
-        a real-time iteration. The step at another time, or with other `parameters`, begins as if nothing was prepared,
-        and so does the first one. Raises what `step` does for unusable run-time values.
+        This is the preparation phase of a real-time iteration: the shifted plan, run-time values, the grid, and the
+        factorisation for the first Newton step. That step then has the matrix of the predicted state and the residuals
+        of the measured state. A step at another time or with other `parameters` ignores the preparation; so does the
+        first step.
+
+        Parameters
+        ----------
+        t : float
+            Time of the next measurement in seconds.
+        parameters : dict of str to float, optional
+            Run-time values as in `step`.
+
+        Raises
+        ------
+        NumericsError, ArgumentError
+            As `step`, for unusable run-time values.
         """
         t = number(t, "the time")
         with self._lock:
@@ -203,15 +279,29 @@ class Controller:
             self._ahead = Ahead(given, guess, is_factored)
 
     def first_state(self) -> Vector:
-        """The state (states,) that the problem itself starts from."""
+        """Return the problem's own initial state.
+
+        Returns
+        -------
+        array (states,)
+            The state in the units of the problem.
+        """
         return self._interface.start_of(self._grids.separate(self._values.given(0.0)))
 
     def reset(self, inputs: Any = None) -> None:
-        """Forget the plan, where the next state has nothing to do with the last one: begin as at first.
+        """Drop the plan, for a next state that does not follow from the last one.
 
-        With a delay, `inputs` (controls,), an array or a mapping by names, act until the first ones of the controller
-        do; they are zero unless given. Raises ArgumentError for inputs without a delay, NumericsError for unusable
-        ones.
+        Parameters
+        ----------
+        inputs : array (controls,) or dict of str to float, optional
+            With a delay, the inputs that act before the first ones of the controller, zero by default.
+
+        Raises
+        ------
+        ArgumentError
+            For inputs without a delay.
+        NumericsError
+            For unusable inputs.
         """
         if inputs is not None and self._delay is None:
             finding = "inputs on their way to a controller without a delay"
@@ -222,9 +312,21 @@ class Controller:
             self._plan, self.last, self._ahead = None, None, None
 
     def plan(self) -> tuple[Vector, Matrix, Matrix]:
-        """What the last step plans: times (N + 1,), coordinates or states at them, and the inputs of N intervals.
+        """Return the plan of the last step.
 
-        Raises ArgumentError before the first step.
+        Returns
+        -------
+        times : array (N + 1,)
+            Times of the nodes in seconds.
+        q : array (N + 1, coordinates)
+            Coordinates or states at the nodes.
+        u : array (N, controls)
+            Inputs of the intervals.
+
+        Raises
+        ------
+        ArgumentError
+            Before the first step.
         """
         with self._lock:
             last, plan = self.last, self._plan
@@ -235,18 +337,25 @@ class Controller:
         return begin + times, q, u
 
     def _start_of_plan(self, t: float) -> float:
-        """When a plan starts that is made at the time t, and its inputs begin to act."""
+        """Return the time at which a plan made at the time t starts."""
         return t + self.delay * self.sample
 
-    def _feedback(self, begin: float, t: float, grid: Grid, is_known: bool) -> Feedback:
-        """Solve, judge what was found, and keep as the plan what is applied; `is_known`: the state is, in the grid."""
+    def _feedback(self, begin: float, t: float, grid: Grid, is_predicted: bool) -> Feedback:
+        """Solve and store the plan to apply; `is_predicted` is False if the prediction over the delay failed."""
         deadline, clock = self.options.deadline, self._clock
-        guess, what = self._guess(grid)
+        if self._plan is not None:
+            what, guess = BEFORE, self._shift(self._plan) if self._ahead is None else self._ahead.guess
+            guess = self._pinned(grid, guess)
+        elif self._of_start is not None and deadline is not None:
+            # Without a plan there is no time before a deadline for a search from the problem's guess.
+            what, guess = OF_START, self._pinned(grid, self._of_start.copy())
+        else:
+            what, guess = OWN_GUESS, self.module.initial_guess(grid)
         limit = math.inf if deadline is None else self._pace.limit(deadline - (clock() - begin))
         most = None if self._plan is None else self.options.newton_steps
         allowed = math.inf if self._plan is None else max(MOST_WARM, most or 0)
         log = BestIterate(limit, self._feasible, clock, allowed, self._pace.rest.seconds)
-        best, fell_back, status, message, iterations = self._judged(grid, guess, what, log, most, is_known)
+        best, fell_back, status, message, iterations = self._accepted(grid, guess, what, log, most, is_predicted)
         self._plan = best.unknowns
         end = clock()
         seconds = end - begin
@@ -257,29 +366,17 @@ class Controller:
             deadline is None or seconds <= deadline, fell_back,
         )  # fmt: skip
 
-    def _guess(self, grid: Grid) -> tuple[Vector, str]:
-        """Where a search begins, and what that is.
-
-        Without a plan there is no time before a deadline for a search from the problem's guess.
-        """
-        if self._plan is not None:
-            guess = self._shift(self._plan) if self._ahead is None else self._ahead.guess
-            return self._pinned(grid, guess), BEFORE
-        if self._of_start is not None and self.options.deadline is not None:
-            return self._pinned(grid, self._of_start.copy()), OF_START
-        return self.module.initial_guess(grid), OWN_GUESS
-
-    def _judged(
-        self, grid: Grid, guess: Vector, what: str, log: BestIterate, most: int | None, is_known: bool = True
+    def _accepted(
+        self, grid: Grid, guess: Vector, what: str, log: BestIterate, most: int | None, is_predicted: bool = True
     ) -> tuple[Candidate, bool, str, str, int]:
-        """(what is applied, whether that is the guess, status, message, iterations) of a search from a guess.
+        """Return (plan to apply, True for the guess, status, message, iterations) of a search from a guess.
 
-        What is applied is evaluated anew, also where the search is believed which of its iterates is the best.
+        The plan is evaluated outside the solver.
         """
         status, iterations = "time limit", 0
         point: Any = None
         message = f"{status}: there was no time for an iteration"
-        if not is_known:
+        if not is_predicted:
             status = "newton failed"
             message = f"{status}: the motion under the inputs on their way cannot be followed"
         elif log.limit > 0.0:
@@ -288,70 +385,57 @@ class Controller:
                 status = "iteration limit"
                 message = f"{status} after {iterations} iterations and {log.count - iterations} of restorations"
         if status == "solved":
-            best = candidate(grid, point.unknowns)
-            if self._is_solved(grid, guess, best, iterations):
+            best, module, tolerance = candidate(grid, point.unknowns), self.module, self.options.tolerance
+            if holds(module, grid, best, tolerance):
+                return best, False, status, message, iterations
+            run = Run(self.steps, guess=guess, scaling=self._scaling)
+            if is_solution(module, grid, best, run, iterations, tolerance):
                 return best, False, status, message, iterations
             status = "inaccurate"
             message = f"{status}: the solver reported success, but the equations have residual {best.residual:.1e}"
-        chosen = self._chosen(grid, guess, point, log) if status in UNFINISHED and iterations else None
-        best = candidate(grid, guess if chosen is None else chosen.unknowns)
-        iterate = "best feasible iterate" if best.residual <= self._feasible else "last iterate"
-        origin = what if chosen is None else iterate
-        message = f"{message}; applied is the {origin}, whose equations hold to {best.residual:.1e}"
-        return best, chosen is None, status, message, iterations
-
-    def _chosen(self, grid: Grid, guess: Vector, point: Any, log: BestIterate) -> Any:
-        """The point to apply of a search that came to no end, or None where the guess is better."""
-        if point is None:
-            return None
-        best = point if log.best is None else better(point, log.best, self._feasible)
-        if best.residual <= self._feasible:
-            return best
-        before = candidate(grid, guess)
-        return best if better(best, before, self._feasible) is best else None
-
-    def _is_solved(self, grid: Grid, guess: Vector, found: Candidate, iterations: int) -> bool:
-        """Whether all equations hold at what the solver has found and calls solved."""
-        module, tolerance = self.module, self.options.tolerance
-        if holds(module, grid, found, tolerance):
-            return True
-        run = Run(self.steps, guess=guess, scaling=self._scaling)
-        return is_solution(module, grid, found, run, iterations, tolerance)
+        iterate: Any = None  # None if the guess is better
+        if status in UNFINISHED and iterations and point is not None:
+            iterate = point if log.best is None else better(point, log.best, self._feasible)
+            if not iterate.residual <= self._feasible:
+                iterate = iterate if better(iterate, candidate(grid, guess), self._feasible) is iterate else None
+        best = candidate(grid, guess if iterate is None else iterate.unknowns)
+        if iterate is not None:
+            what = "best feasible iterate" if best.residual <= self._feasible else "last iterate"
+        message = f"{message}; applied is the {what}, whose equations hold to {best.residual:.1e}"
+        return best, iterate is None, status, message, iterations
 
     def _pinned(self, grid: Grid, unknowns: Vector) -> Vector:
-        """A plan in which the state is the one that was measured."""
+        """Set the measured state in a plan."""
         self.module.pin_values(grid, unknowns, self.module.views(grid, unknowns)[0])
         return unknowns
 
     def _solve(
         self, grid: Grid, guess: Vector, is_warm: bool, log: BestIterate, most: int | None
     ) -> tuple[str, str, Any, int]:
-        """(status, message, point, iterations), as the module's `solve`, which makes more of its solution.
+        """Return (status, message, point, iterations) of a search, without the results of the module's `solve`.
 
-        Where sizes are ordinary, and no table has a range, that is the search alone. Then a measured state may be
-        beyond a bound, too, which `solve` would refuse: bounds hold from the first node on that can still be chosen.
+        Without scaling and ranges of tables the bare search suffices. It also accepts a measured state beyond a bound,
+        which `solve` would refuse: bounds hold from the first node that the inputs can influence.
         """
-        how = self.options.tolerance, MOST if most is None else most, is_warm
+        options = self.options.tolerance, MOST if most is None else most, is_warm
         if not self._is_plain:
-            status, message, point, iterations, _ = optimise(grid, guess, *how, self._scaling, log)
+            status, message, point, iterations, _ = optimise(grid, guess, *options, self._scaling, log)
             return status, message, point, iterations
         search = self._grids.search
         if self._is_linear:
-            status, point, iterations = solve.solve_linear_quadratic(
-                grid, guess, self.options.tolerance, log, search.system
-            )
+            status, point, iterations = solve_linear_quadratic(grid, guess, self.options.tolerance, log, search.system)
         else:
             is_factored = self._ahead is not None and self._ahead.is_factored
-            status, point, iterations = minimise(grid, guess, *how, log, search=search, is_factored=is_factored)
+            status, point, iterations = minimise(grid, guess, *options, log, search=search, is_factored=is_factored)
         if status == "solved":
             return status, f"all {reached(point)}", point, iterations
-        if status in UNFINISHED or log.is_exhausted:  # what is worst is not looked for: there is no time
+        if status in UNFINISHED or log.is_exhausted:  # no time for a detailed message
             return status, f"{status} after {iterations} iterations", point, iterations
         status = final_status(grid, guess, point, status)
         return status, describe(grid, guess, point, status)[1], point, iterations
 
     def _warm_up(self, grid: Grid) -> Pace:
-        """Solve the problem as it stands: that compiles, decides on sizes, and tells how long parts of a step take."""
+        """Solve the problem for its own start: this compiles, decides on scaling, and times the parts of a step."""
         module, given = self.module, self._values.given(0.0)
         if self._delay is not None:
             self._delay.state_after(self._interface.start_of(grid), 0.0, None)
@@ -367,8 +451,8 @@ class Controller:
             nudge = NUDGE * (-1.0) ** k * np.maximum(1.0, np.abs(start))
             grid, begin = self._grids.at(given, start + nudge), self._clock()
             log = BestIterate(math.inf, self._feasible, self._clock)
-            self._judged(grid, self._pinned(grid, point.unknowns.copy()), OF_START, log, 2)
-            whole = self._clock() - begin
-            before, rest = log.beginning, log.rest(begin + whole)
-            measured.append((whole if before is None else before, rest or whole))
+            self._accepted(grid, self._pinned(grid, point.unknowns.copy()), OF_START, log, 2)
+            total = self._clock() - begin
+            before, rest = log.beginning, log.rest(begin + total)
+            measured.append((total if before is None else before, rest or total))
         return Pace(measured)

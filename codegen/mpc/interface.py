@@ -1,4 +1,12 @@
-"""What a controller needs of a module: the names of states, inputs and run-time values, and what it cannot control."""
+"""The interface of a controller to a generated module: names, run-time values, grids, and the shift of a plan.
+
+The grids of successive sampling times share bounds and the storage of the solver.
+
+A plan is shifted in time to start the next solve. A shift by a whole number of intervals moves values to earlier nodes
+and intervals. Other shifts interpolate linearly between nodes and take means of constant controls. Beyond the end nodes
+follow the straight line of the last interval, and controls stay constant. Source: Diehl, Bock and Schloeder (2005), A
+real-time iteration scheme for nonlinear optimization in optimal feedback control, SIAM J. Control Optim. 43.
+"""
 
 from __future__ import annotations
 
@@ -16,22 +24,24 @@ import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.runtime.record import Sites, Task
+from codegen.runtime.search.bounds import contradictory_bounds
+from codegen.runtime.search.iterates import on_grid, search_on
 from codegen.solving import compiler, loading
-from codegen.solving.loading import ControlModule, Grid, Vector
+from codegen.solving.loading import ControlModule, Grid, Indices, Vector
 from codegen.solving.machine_code import processes
 from codegen.solving.request import SCALINGS, Request, as_number, parameter_arguments
 from codegen.solving.results.result import component_names
 
-_SITES = {"nodal": "nodes", "stages": "stages"}
-WHOLE_STATE = "write the state that is measured into start={...}"
+WHOLE = 1e-9
+"""Tolerance, in intervals, of a sampling time that is a whole number of intervals."""
 
 
 @dataclass(frozen=True)
 class Interface:
-    """The names by which a module is given values: states at the start, inputs (controls), and parameters.
+    """The names of the values of a module: states at the start, inputs (controls), and parameters.
 
-    `keys` maps parameters to arguments of the module's functions, which are called otherwise where Python has a word of
-    that name; `ends` are prescribed values at the end, given as `end.x`.
+    `keys` maps parameters to arguments of the module's functions, whose names differ for reserved words of Python.
+    `ends` are prescribed values at the end, named `end.x`.
     """
 
     states: tuple[str, ...]
@@ -39,15 +49,15 @@ class Interface:
     keys: Mapping[str, str]
     ends: tuple[str, ...]
 
-    def place(self, given: dict[str, Any], name: str, value: float) -> None:
-        """Put a run-time value among the arguments of the module's functions."""
+    def set_value(self, given: dict[str, Any], name: str, value: float) -> None:
+        """Set a run-time value among the arguments of the module's functions."""
         if name in self.keys:
             given[self.keys[name]] = value
         else:
             given.setdefault("end", {})[name.removeprefix("end.")] = value
 
     def require_known(self, names: Iterable[str], what: str) -> None:
-        """Refuse names that are no run-time values; ArgumentError tells which are close."""
+        """Raise ArgumentError, with close names, for unknown run-time values."""
         known = (*self.keys, *(f"end.{name}" for name in self.ends))
         for name in names:
             if name not in known:
@@ -57,20 +67,20 @@ class Interface:
 
     @property
     def start(self) -> slice:
-        """Where the values at the start of a grid stand: behind its parameters, before those at the end."""
+        """The slice of the values at the start in the parameters of a grid."""
         return slice(len(self.keys), len(self.keys) + len(self.states))
 
     def start_of(self, grid: Grid) -> Vector:
-        """The values (states,) at the start of a grid."""
+        """Return the values (states,) at the start of a grid."""
         return np.array(grid.parameters[0, self.start])
 
     def state_vector(self, state: Any, what: str = "the state") -> Vector:
-        """A state as an array (states,), from one or from a mapping by names; NumericsError for another one."""
+        """Return a state as an array (states,), from an array or a mapping; raises NumericsError for other values."""
         return vector(state, self.states, what)
 
 
 def vector(values: Any, names: tuple[str, ...], what: str) -> Vector:
-    """Numbers in the order of names as an array, from one or from a mapping; NumericsError where they are none."""
+    """Return numbers in the order of names, from an array or a mapping; raises NumericsError for other values."""
     remedy = f"give {', '.join(names)}, in this order or by name"
     if isinstance(values, Mapping):
         if values.keys() != set(names):
@@ -78,71 +88,65 @@ def vector(values: Any, names: tuple[str, ...], what: str) -> Vector:
             raise NumericsError(clause(f"{what} {'lacks' if wrong in names else 'has no'} {wrong}"), clause(remedy))
         values = [values[name] for name in names]
     try:
-        found = np.array(values, dtype=float)
+        array = np.array(values, dtype=float)
     except (TypeError, ValueError):
         raise NumericsError(clause(f"{what} is {values!r}"), clause(remedy)) from None
-    if found.shape != (len(names),):
-        raise NumericsError(f"{what} has shape {found.shape}, expected ({len(names)},)", clause(remedy))
-    if not all(map(math.isfinite, found.tolist())):  # of few numbers, in a third of the time of numpy
-        wrong = names[int(np.flatnonzero(~np.isfinite(found))[0])]
-        raise NumericsError(f"{what} is not finite: {wrong} is {found[names.index(wrong)]}", "give finite numbers")
-    return found
+    if array.shape != (len(names),):
+        raise NumericsError(f"{what} has shape {array.shape}, expected ({len(names)},)", clause(remedy))
+    if not all(map(math.isfinite, array.tolist())):  # three times as fast as numpy for short arrays
+        wrong = names[int(np.flatnonzero(~np.isfinite(array))[0])]
+        raise NumericsError(f"{what} is not finite: {wrong} is {array[names.index(wrong)]}", "give finite numbers")
+    return array
 
 
 def number(value: Any, what: str) -> float:
-    """A finite number; NumericsError for what is none."""
-    found = as_number(value)
-    if not math.isfinite(found):
+    """Return a finite number; raises NumericsError for other values."""
+    result = as_number(value)
+    if not math.isfinite(result):
         raise NumericsError(clause(f"{what} is {value!r}"), "give a finite number")
-    return found
+    return result
 
 
 def require_count(name: str, value: Any, least: int) -> None:
-    """Refuse what is no whole number from `least` on, zero or one, with a NumericsError."""
+    """Raise NumericsError for a value that is no whole number from `least` on."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
         remedy = "a positive integer" if least else "a whole number that is not negative"
         raise NumericsError(f"{name} is {value!r}", f"give {remedy}")
 
 
 def interface_of(module: Any) -> Interface:
-    """The interface of a module of an optimisation over a horizon of given length; ArgumentError for another one."""
+    """Return the interface of a module for an optimisation over a fixed horizon; raises ArgumentError for others."""
     metadata: Any = getattr(module, "metadata", None)
     problem = metadata.problem if metadata else "it"
     if metadata is None or metadata.task != Task.CONTROL:
         what = f"{problem} is a {metadata.task} problem" if metadata else f"{type(module).__name__} is no module"
         raise ArgumentError(f"{what}, and a controller needs an optimisation", "give a problem that returns Control")
-    for is_there, what, remedy in _unfit(module):
-        if is_there:
-            raise ArgumentError(f"{problem} {what}, which a controller cannot shift in time", remedy)
+    keywords = inspect.signature(module.make_grid).parameters
+    sites = {"nodal": "nodes", "stages": "stages"}.get(metadata.controls, "other places")
+    unsupported = (
+        (metadata.bodies > 1, "has several bodies", "write each as states and controls of its own"),
+        (metadata.phases > 1, "has several phases", "give a problem of one phase"),
+        (metadata.segments is not None, "has values of the past", "write them as states of their own"),
+        (bool(metadata.inner_times), "has conditions at inner times", "write them as path=, or as a cost"),
+        ("duration" not in keywords, "has a free duration", "give duration= a number, or solve it once"),
+        (metadata.controls != Sites.INTERVAL, f"has controls at {sites}", "build it with controls='interval'"),
+    )
+    for is_present, feature, remedy in unsupported:
+        if is_present:
+            raise ArgumentError(f"{problem} {feature}, which a controller cannot shift in time", remedy)
     if not metadata.start:
-        raise ArgumentError(f"{problem} prescribes nothing at the start", WHOLE_STATE)
+        remedy = "write the state that is measured into start={...}"
+        raise ArgumentError(f"{problem} prescribes nothing at the start", remedy)
     inputs = component_names(metadata)["u"]
     if not inputs:
         raise ArgumentError(f"{problem} has no controls", "give a problem with codegen.control(...)")
     return Interface(metadata.start, inputs, parameter_arguments(module), metadata.end)
 
 
-def _unfit(module: Any) -> tuple[tuple[bool, str, str], ...]:
-    """What a controller has no notion of, and what to do about it."""
-    metadata = module.metadata
-    keywords = inspect.signature(module.make_grid).parameters
-    return (
-        (metadata.bodies > 1, "has several bodies", "write each as states and controls of its own"),
-        (metadata.phases > 1, "has several phases", "give a problem of one phase"),
-        (metadata.segments is not None, "has values of the past", "write them as states of their own"),
-        (bool(metadata.inner_times), "has conditions at inner times", "write them as path=, or as a cost"),
-        ("duration" not in keywords, "has a free duration", "give duration= a number, or solve it once"),
-        (
-            metadata.controls != Sites.INTERVAL, f"has controls at {_SITES.get(metadata.controls, 'other places')}",
-            "build it with controls='interval'",
-        ),
-    )  # fmt: skip
-
-
 def module_of(problem: Any, arguments: Mapping[str, Any], scheme: str | None, method: str | None) -> ControlModule:
-    """A module, loaded, with machine code: from a problem, from the file of a module, or as it is given.
+    """Return a loaded module with machine code, from a problem, the file of a module, or a module.
 
-    Raises what `codegen.solve` does for a problem that cannot be read, derived or stored.
+    Raises the errors of `codegen.solve` for a problem that cannot be read, derived or stored.
     """
     request = Request(problem, arguments=arguments, scheme=scheme, method=method)
     if request.is_built and not isinstance(problem, Path | str):
@@ -150,22 +154,18 @@ def module_of(problem: Any, arguments: Mapping[str, Any], scheme: str | None, me
     if request.is_built:
         path, is_new = Path(problem), False
     else:
-        made = compiler.build(
+        build = compiler.build(
             request.source, request.arguments, scheme=request.scheme, method=request.method, controls=request.controls
         )
-        path, is_new = made.path, made.written
+        path, is_new = build.path, build.written
     module: Any = loading.load(path)
     processes.require(path, module, is_new, nullcontext)
     return module  # type: ignore[no-any-return]
 
 
-WHOLE = 1e-9
-"""Parts of an interval by which a sampling time may miss a whole number of them."""
-
-
 @dataclass(frozen=True)
 class Options:
-    """What is asked of a controller; see Controller, whose default a None stands for. Times are in seconds."""
+    """The options of a controller; see Controller, whose default replaces None. Times are in seconds."""
 
     steps: int | None
     horizon: float | None
@@ -177,7 +177,7 @@ class Options:
     delay: int
 
     def __post_init__(self) -> None:
-        """Refuse what is unusable whatever the problem is."""
+        """Raise an error for options that no problem can use."""
         for name in ("steps", "newton_steps"):
             if getattr(self, name) is not None:
                 require_count(name, getattr(self, name), 1)
@@ -193,9 +193,9 @@ class Options:
 
     @staticmethod
     def intervals_of(sample: float, horizon: float, steps: int) -> float:
-        """How many intervals a sampling time lasts, a whole number where it nearly is one.
+        """Return the length of a sampling time in intervals, rounded if it is nearly a whole number.
 
-        Raises NumericsError where it is longer than the horizon.
+        Raises NumericsError if it is longer than the horizon.
         """
         intervals = sample * steps / horizon
         if intervals > steps * (1.0 + WHOLE):
@@ -210,10 +210,10 @@ Moving: TypeAlias = float | Callable[[float], float]
 
 
 class Values:
-    """The values that a controller, or `what` is called so, was given: parameters and prescribed ends, as `end.x`.
+    """The run-time values of a controller or plant, which `what` names: parameters and prescribed ends, as `end.x`.
 
-    Raises ArgumentError for a name that there is not or a value that is neither a number nor a function, NumericsError
-    for a number that is not finite.
+    Raises ArgumentError for an unknown name and for a value that is neither number nor function, NumericsError for a
+    number that is not finite.
     """
 
     def __init__(
@@ -232,14 +232,116 @@ class Values:
         self._moving = {n: v for n, v in values.items() if callable(v)}
 
     def given(self, t: float, own: Mapping[str, float] | None = None) -> dict[str, Any]:
-        """The arguments of the module's functions at a time, with values that hold at this time alone."""
-        given = dict(self._of_solves)
+        """Return the arguments of the module's functions at a time; the values of `own` hold at this time alone."""
+        arguments = dict(self._of_solves)
         for name, value in self._constants.items():
-            self._interface.place(given, name, value)
+            self._interface.set_value(arguments, name, value)
         for name, function in self._moving.items():
-            self._interface.place(given, name, number(function(t), f"parameter {name} at t = {t:g}"))
+            self._interface.set_value(arguments, name, number(function(t), f"parameter {name} at t = {t:g}"))
         if own:
             self._interface.require_known(own, self._what)
             for name, value in own.items():
-                self._interface.place(given, name, number(value, f"parameter {name}"))
-        return given
+                self._interface.set_value(arguments, name, number(value, f"parameter {name}"))
+        return arguments
+
+
+class Grids:
+    """Makes grids of a module with some number of steps and reuses the last one if only the state changes.
+
+    `search` is the storage of a search on the last grid, or None. Grids without a search have no bounds.
+    """
+
+    def __init__(self, module: Any, interface: Interface, steps: int, is_searched: bool = True) -> None:
+        self._module, self._steps, self._interface, self._is_searched = module, steps, interface, is_searched
+        self._is_bounded = is_searched and bool(module.metadata.inequalities)
+        self._given: dict[str, Any] | None = None
+        self._last: Any = None
+        self.search: Any = None
+
+    def at(self, given: dict[str, Any], start: Vector | None = None) -> Grid:
+        """Return the grid with run-time values and bounds; the next call may change it.
+
+        The state is `start` (states,), by default the problem's own. Raises NumericsError for unusable values.
+        """
+        if start is None or self._given != given:
+            self._keep(self.separate(given))
+            self._given = None if start is None else given
+        if start is not None:
+            self._last.parameters[0, self._interface.start] = start
+        return self._last  # type: ignore[no-any-return]
+
+    def separate(self, given: dict[str, Any]) -> Grid:
+        """Return a new grid with run-time values, which may include the state."""
+        try:
+            return self._module.make_grid(self._steps, **given)  # type: ignore[no-any-return]
+        except ValueError as error:  # generated modules raise built-in exceptions
+            raise NumericsError(str(error), "correct the run-time values") from error
+
+    def _keep(self, grid: Any) -> None:
+        """Store a grid; with unchanged bounds, also reuse the storage of the last search."""
+        module, same = self._module, self.search is not None
+        if self._is_bounded:
+            bounds = module.variable_bounds(grid)
+            same = same and all(map(_are_same, bounds, self._last.bounds))
+            grid = grid._replace(bounds=self._last.bounds if same else bounds)
+        self._last = grid
+        if self._is_searched:
+            is_contradictory = not same and self._is_bounded and contradictory_bounds(grid) >= 0
+            self.search = on_grid(self.search, grid) if same else None if is_contradictory else search_on(grid)
+
+
+def _are_same(one: Vector, other: Vector) -> bool:
+    """Return True if two arrays hold the same bits, ten times as fast as `array_equal`."""
+    return one.tobytes() == other.tobytes()
+
+
+@dataclass(frozen=True, eq=False)
+class Shift:
+    """A linear map of unknowns (n,): each is a sum of the unknowns `one` and `two` with weights.
+
+    With `is_single` the second term is zero.
+    """
+
+    one: Indices
+    two: Indices
+    weight_one: Vector
+    weight_two: Vector
+    is_single: bool
+
+    def __call__(self, unknowns: Vector) -> Vector:
+        """Return the unknowns (n,) of the shifted plan."""
+        if self.is_single:
+            return self.weight_one * unknowns.take(self.one)
+        return self.weight_one * unknowns[self.one] + self.weight_two * unknowns[self.two]
+
+
+def shift_by(module: Any, grid: Grid, intervals: float) -> Shift:
+    """Return the shift by a number of intervals of equal length, which need not be whole.
+
+    Unknowns that only the ends have, such as their velocities, do not move, because they are zero at inner nodes.
+    Global unknowns do not move either.
+    """
+    numbers = np.arange(grid.is_multiplier.size, dtype=float)
+    of_nodes, of_intervals = module.views(grid, numbers)
+    one, two, first, second = numbers.copy(), numbers.copy(), np.ones(numbers.size), np.zeros(numbers.size)
+    (one_node, one_interval), (two_node, two_interval) = (module.views(grid, indices) for indices in (one, two))
+    (node_first, interval_first), (node_second, interval_second) = (
+        module.views(grid, weights) for weights in (first, second)
+    )
+    # Interpolate nodes linearly; the line of the last interval continues beyond the end.
+    positions, last = np.arange(grid.steps + 1) + intervals, grid.steps - 1
+    floor = np.minimum(positions.astype(int), last)
+    one_node[:], two_node[:] = of_nodes[:, floor], of_nodes[:, floor + 1]
+    node_second[:] = (positions - floor)[:, None]
+    node_first[:] = 1.0 - node_second
+    # Take the mean of two intervals.
+    positions = positions[:-1]
+    floor = positions.astype(int)
+    one_interval[:], two_interval[:] = (of_intervals[:, np.minimum(index, last)] for index in (floor, floor + 1))
+    interval_second[:] = np.where(floor < last, positions - floor, 0.0)[:, None]
+    interval_first[:] = 1.0 - interval_second
+    for only in module.problem.structure.only_at_ends:
+        one_node[:, :, only] = of_nodes[:, :, only]
+        node_first[:, :, only] = node_second[:, :, only] = 0.0
+        node_first[:, [0, -1], only] = 1.0
+    return Shift(one.astype(np.intp), two.astype(np.intp), first, second, not second.any())

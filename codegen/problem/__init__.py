@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 from codegen.deferred import Deferred
 
-_LATEX = Deferred("show.notebook_mathematics", "displayed")
+_LATEX = Deferred("show.notebook", "displayed")
 
 SYNONYMS = {
     "cost": ("minimize", "minimise", "objective", "running_cost", "lagrange"),

@@ -17,11 +17,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from codegen.batch.executors import connected
-from codegen.batch.executors import journal as journals
-from codegen.batch.executors.journal import Journal, journal_of
-from codegen.batch.executors.team import Progress, Team, Working, silent
-from codegen.batch.executors.work import LOST, SOLVED, Done, Tally
+from codegen.batch.executors import Progress, Team, Working, connected, silent
+from codegen.batch.executors.chunks import LOST, SOLVED, Done, Journal, Tally, journal_of, new_journal, read_journal
 from codegen.errors import ArgumentError
 from codegen.files import remove_leftovers, rendered, write_text
 from codegen.registration.batch_pairs import (
@@ -113,7 +110,7 @@ def outcome_of(
         if any(line["options"] != digest for line in before):
             raise ArgumentError(f"--resume: {request.summary} is that of another batch", ANOTHER)
         if path.exists():
-            journals.read(path, BATCH, digest, ANOTHER)
+            read_journal(path, BATCH, digest, ANOTHER)
     with connected(request.cluster) as cluster:
         dimensions = tuple(sorted({3 if is_volume(job.moving) else 2 for job in request.jobs}))
         for dimension in dimensions:
@@ -121,9 +118,9 @@ def outcome_of(
         team = Team(request.workers, cluster, working, progress)
         request.places.make()
         try:
-            journal = journals.read(path, BATCH, digest, ANOTHER)
+            journal = read_journal(path, BATCH, digest, ANOTHER)
         except ArgumentError:  # no journal, or one with other options or of another version
-            journal = journals.begun(path, {BATCH: digest})
+            journal = new_journal(path, {BATCH: digest})
         noted = [
             {name: str(record[name]) for name in COLUMNS} for record in journal.records if set(record) == set(COLUMNS)
         ]

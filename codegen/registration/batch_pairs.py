@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from codegen import __version__
-from codegen.batch.executors.work import LOST, SOLVED, Abandoned, Done, Tally, Target, alone, compiled_note, target
+from codegen.batch.executors.chunks import LOST, SOLVED, Abandoned, Done, Tally, Target, alone, compiled_note, target
 from codegen.errors import ArgumentError, ClusterError, CodegenError, FileError, one_line
 from codegen.files import refused, replacing
 from codegen.registration.images import KINDS, VOLUMES

@@ -19,8 +19,8 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors.team import Progress, Team, Working, silent
-from codegen.batch.executors.work import LOST, SOLVED, Abandoned, Done, Tally
+from codegen.batch.executors import Progress, Team, Working, silent
+from codegen.batch.executors.chunks import LOST, SOLVED, Abandoned, Done, Tally
 from codegen.errors import ArgumentError, CodegenError, LandmarkError, PointsError
 from codegen.files import replacing
 from codegen.registration.alignment import align

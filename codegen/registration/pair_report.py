@@ -30,7 +30,7 @@ from codegen.registration.maps import Registration
 from codegen.registration.noise import Outliers
 from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.register import MOST_LEFT_OUT, LeaveOneOut, out_of_place
-from codegen.show.figures.style import AMBER, BLUE, CRIMSON, RED
+from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, RED
 
 LONGEST = 560
 """Pixels of the longer side of a picture on the page; larger images are thinned."""

@@ -1,6 +1,6 @@
 """The generated solver of registrations: its problem file, its build and compilation, and the flow of its solution.
 
-The problem file is in `problems/` of a checkout, and in a folder next to this file in an installation from a wheel. The
+The problem file is in `problems/` of a checkout, and in `codegen/gallery/` of an installation from a wheel. The
 derived module is stored in the build cache ($CODEGEN_CACHE_DIR, or a folder in the cache directory of the user)
 together with its machine code. So only the first registration on a machine derives and compiles it.
 
@@ -161,7 +161,7 @@ def arguments_of(dimension: int) -> dict[str, str]:
 def problem_file() -> Path:
     """Return the problem file of registrations; ModuleError if it is missing."""
     folder = Path(__file__).parent
-    for candidate in (folder / "problem" / PROBLEM, folder.parents[1] / "problems" / PROBLEM):
+    for candidate in (folder.parent / "gallery" / PROBLEM, folder.parents[1] / "problems" / PROBLEM):
         if candidate.is_file():
             return candidate
     raise ModuleError(f"{PROBLEM} is missing from the installation", "install the package again")

@@ -15,7 +15,7 @@ from codegen.registration.grid import Grid, mesh
 from codegen.registration.pair_report import Outcome, Picture, as_png, determinant_scale, style_bar
 from codegen.registration.pairs import PointArray
 from codegen.registration.volumes import Volume, Warped
-from codegen.show.figures.style import BLUE, RED
+from codegen.show.figures.picture import BLUE, RED
 
 LONGEST = 240
 """Voxels of the longer side of a slice that are shown."""

@@ -1,7 +1,4 @@
-"""The derived equations, continuous and discrete, laid out in blocks for people to read.
-
-Derived equations as text, as LaTeX, and as a notebook shows them.
-"""
+"""The derived equations, continuous and discrete, in blocks of text or LaTeX, for the terminal and for notebooks."""
 
 from __future__ import annotations
 
@@ -19,7 +16,6 @@ from codegen.discretise import schemes, transcribe
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.interval import (
     STEP,
-    OneStepInterval,
     VariationalInterval,
     at_nodes,
     one_step_interval,
@@ -30,7 +26,7 @@ from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Bounds, Model, prescribed
 from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.model.pairwise import PairwiseModel
-from codegen.discretise.particles import PairwiseProgram, pairwise
+from codegen.discretise.particles import pairwise
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.problem.sources import Source, settings_of, source_of
 from codegen.show.notation import WIDTH, Block, Notation, written
@@ -40,51 +36,42 @@ from codegen.symbolic.terms import Invariants
 
 
 def pairwise_equations(model: PairwiseModel, scheme: str | None, method: str | None, latex: bool) -> str:
-    """The Hamiltonian, its scalars, Hamilton's equations and the equations of a step."""
+    """Return the Hamiltonian of particles, its scalars, Hamilton's equations and the equations of a step."""
     program = pairwise(model, scheme, method)
     lines = [f"{model.title.rstrip('.')} ({program.method} method, scheme {program.scheme})", ""]
-    rows = list(_rows(model, program))
-    if latex:
-        return "\n".join(
-            [rf"\section*{{{lines[0]}}}", *(rf"\[ {sympy.latex(a)} = {sympy.latex(b)} \]" for a, b in rows)]
-        )
-    for left, right in rows:
-        lines += textwrap.wrap(f"{left} = {sympy.sstr(right)}", WIDTH, initial_indent="  ", subsequent_indent="      ")
-    return "\n".join(lines)
-
-
-def _rows(model: PairwiseModel, program: PairwiseProgram) -> Iterator[tuple[Symbol, Expr]]:
     parts = Invariants.of(model.pair_term, model.first.moving, model.second.moving)
-    yield Symbol("self"), model.self_term
-    yield from zip(parts.symbols, parts.polynomials, strict=True)
-    yield Symbol("pair"), parts.outer
+    rows: list[tuple[Symbol, Expr]] = [(Symbol("self"), model.self_term)]
+    rows += [*zip(parts.symbols, parts.polynomials, strict=True), (Symbol("pair"), parts.outer)]
     if model.limit is not None:
-        yield Symbol("limit of pair where particles meet"), model.limit
-    names = dict(zip(parts.symbols, (Symbol(f"pair_by_{s}") for s in parts.symbols), strict=True))
-    for k, symbol in enumerate(parts.symbols):
-        yield names[symbol], parts.slope(k)
+        rows.append((Symbol("limit of pair where particles meet"), model.limit))
+    slopes = [Symbol(f"pair_by_{s}") for s in parts.symbols]
+    rows += [(slope, parts.slope(k)) for k, slope in enumerate(slopes)]
     for z in model.first.moving:
-        total = sum(
-            (names[s] * sympy.diff(p, z) for s, p in zip(parts.symbols, parts.polynomials, strict=True)), sympy.S.Zero
-        )
-        yield Symbol(f"pair_by_{z}"), total
+        terms = (slope * sympy.diff(p, z) for slope, p in zip(slopes, parts.polynomials, strict=True))
+        rows.append((Symbol(f"pair_by_{z}"), sum(terms, sympy.S.Zero)))
     h = Symbol("h")
     for fraction, a, b in program.substeps:
         q = f"H_p((1 - {a}) q_0 + {a} q_1, (1 - {b}) p_0 + {b} p_1)"
-        yield Symbol("q_1"), Symbol("q_0") + fraction * h * Symbol(q)
-        yield Symbol("p_1"), Symbol("p_0") - fraction * h * Symbol(q.replace("H_p", "H_q"))
+        rows.append((Symbol("q_1"), Symbol("q_0") + fraction * h * Symbol(q)))
+        rows.append((Symbol("p_1"), Symbol("p_0") - fraction * h * Symbol(q.replace("H_p", "H_q"))))
+    if latex:
+        equations_of = (rf"\[ {sympy.latex(a)} = {sympy.latex(b)} \]" for a, b in rows)
+        return "\n".join([rf"\section*{{{lines[0]}}}", *equations_of])
+    for left, right in rows:
+        lines += textwrap.wrap(f"{left} = {sympy.sstr(right)}", WIDTH, initial_indent="  ", subsequent_indent="      ")
+    return "\n".join(lines)
 
 
 Rows = Sequence[tuple[Symbol, Expr]]
 
 
 def is_past(name: str) -> bool:
-    """Whether a name is that of a value of the past."""
+    """Return True for the name of a past value."""
     return "@t-" in name
 
 
 def with_past(model: Model) -> Model:
-    """The model with values of the past as quantities of their own, whose equations are none of the problem's."""
+    """Return the model with past values as further coordinates, without equations of motion for them."""
     coordinates: dict[Symbol, Symbol] = {}
     controls = []
     for delay in model.delays:
@@ -117,7 +104,7 @@ def with_past(model: Model) -> Model:
 
 
 def delay_blocks(model: Model) -> Iterator[Block]:
-    """The histories, and how the motion is cut."""
+    """Yield the histories, and the segments of the method of steps."""
     whole, segments = model.authored, model.segments
     if not whole.delays:
         return
@@ -135,23 +122,23 @@ def delay_blocks(model: Model) -> Iterator[Block]:
 
 
 def of_the_whole(model: Model, rows: Rows) -> tuple[tuple[Symbol, Expr], ...]:
-    """What holds at the ends of the whole motion, without what joins segments."""
+    """Return the boundary conditions of the whole motion, without the conditions that join segments."""
     if model.segments is None:
         return tuple(rows)
     names = {own: (whole, number) for own, whole, number in model.segments.names}
     ends = {"0": 1, "T": model.segments.number}
-    kept = []
+    outer = []
     for symbol, value in rows:
         name, mark, end = symbol.name.rpartition("@")
         stem = "p_" if name not in names and name.startswith("p_") else ""
         whole, number = names.get(name.removeprefix(stem), ("", 0))
         if number == ends.get(end):
-            kept.append((Symbol(f"{stem}{whole}{mark}{end}", real=True), value))
-    return tuple(kept)
+            outer.append((_named(f"{stem}{whole}{mark}{end}"), value))
+    return tuple(outer)
 
 
 _SHORTEN_LIMIT = 120
-"""Operation count up to which simplification is worth its time."""
+"""Operation count up to which expressions are simplified."""
 _FLAT_BONUS = 1.6
 
 _EULER_LAGRANGE = (
@@ -179,10 +166,9 @@ def equations(
     controls: str = "interval",
     latex: bool = False,
 ) -> str:
-    """The equations of a problem and of its discretisation, as text of about 100 columns or as LaTeX.
+    """Return the equations of a problem and of its discretisation, as text of about 100 columns or as LaTeX.
 
-    The LaTeX needs the package amsmath and no other. Raises a kind of CodegenError when the problem or a choice is
-    unusable.
+    LaTeX needs the package amsmath. Raises CodegenError for an unusable problem or choice.
     """
     source = source_of(problem)
     model = load_problem(source, settings_of(source, arguments))
@@ -197,16 +183,19 @@ def equations(
         if model.phases
         else (*_continuous(model.authored, program.method), *delay_blocks(model), *_discrete(shown, program))
     )
-    rest = [*_ends(program), *_given(model, notation), *_tables(model), _layout(program, notation)]
-    return written(title, [*own, *rest], notation)
+    rest = [*_ends(program), *_cost_and_bounds(model, notation)]
+    if tables := tables_of(model):
+        lines = [f"{table.summary}; {OUTSIDE[table.shape.outside]}" for table in tables]
+        rest.append(Block("Tables", (), tuple((line, line) for line in lines)))
+    return written(title, [*own, *rest, _layout(program, notation)], notation)
 
 
-def _given(model: Model, notation: Notation) -> Iterator[Block]:
-    """The terminal cost, where free parameters begin, and bounds, those of each phase."""
+def _cost_and_bounds(model: Model, notation: Notation) -> Iterator[Block]:
+    """Yield the terminal cost, free parameters with their initial guess, and the bounds of each phase."""
     whole = model.authored
     if whole.terminal_cost != 0:
-        there = {symbol: _named(f"{symbol}@T") for symbol in (*whole.coordinates, *whole.rates)}
-        yield Block("Terminal cost", ((_named("C_T"), whole.terminal_cost.xreplace(there)),))
+        at_end = {symbol: _named(f"{symbol}@T") for symbol in (*whole.coordinates, *whole.rates)}
+        yield Block("Terminal cost", ((_named("C_T"), whole.terminal_cost.xreplace(at_end)),))
     if whole.free_parameters:
         rows = tuple((free.symbol, free.guess) for free in whole.free_parameters)
         limits = [Bounds(free.symbol, free.lower, free.upper) for free in whole.free_parameters]
@@ -217,7 +206,7 @@ def _given(model: Model, notation: Notation) -> Iterator[Block]:
 
 
 def _within(bounds: Iterable[Bounds], notation: Notation) -> tuple[tuple[str, str], ...]:
-    """What lies between which limits, a remark for each that has one."""
+    """Return a remark for each quantity with bounds."""
     remarks = []
     for limits in (b for b in bounds if b.conditions):
         parts = [part for part in (limits.lower, limits.symbol, limits.upper) if part is not None]
@@ -227,34 +216,23 @@ def _within(bounds: Iterable[Bounds], notation: Notation) -> tuple[tuple[str, st
     return tuple(remarks)
 
 
-def _tables(model: Model) -> Iterator[Block]:
-    """What the functions are that files of numbers give, and what holds outside."""
-    if tables := tables_of(model):
-        lines = [f"{table.summary}; {OUTSIDE[table.shape.outside]}" for table in tables]
-        yield Block("Tables", (), tuple((line, line) for line in lines))
-
-
 def _of_phases(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
-    """What each phase is by itself, in its own time, and what happens at the switches between them."""
+    """Yield the equations of each phase in its own time, and of the switches between phases."""
     assert isinstance(program, ControlProgram), "a simulation has a single phase"
     for number, phase in enumerate(model.phases, start=1):
         if number > 1:
-            yield _switch(model, number - 1)
+            # Prescribed values before the switch, the cost and conditions there, and values after it.
+            before = model.phases[number - 2]
+            rows = [(_named(f"{symbol}@-"), value) for symbol, value in prescribed(before, "end").items()]
+            left = {symbol: _named(f"{symbol}@-") for symbol in (*before.coordinates, *before.rates)}
+            rows += [(_named(f"{symbol}@+"), value.xreplace(left)) for symbol, value in model.jumps[number - 2]]
+            rows += [(_named("cost"), before.terminal_cost.xreplace(left))] if before.terminal_cost != 0 else []
+            conditions = ", ".join(condition.name for condition in before.end_conditions)
+            remark = f"before it {conditions}" if conditions else "" if rows else "everything is continuous"
+            remarks = ((remark, remark),) if remark else ()
+            yield Block(f"Switch from phase {number - 1} to phase {number}", tuple(rows), remarks)
         for block in (*_continuous(phase, program.method), *_discrete(phase, program)):
             yield replace(block, heading=f"Phase {number}: {block.heading}")
-
-
-def _switch(model: Model, number: int) -> Block:
-    """Values before a switch that are prescribed, conditions there, and values after it."""
-    before = model.phases[number - 1]
-    rows = [(_named(f"{symbol}@-"), value) for symbol, value in prescribed(before, "end").items()]
-    here = {symbol: _named(f"{symbol}@-") for symbol in (*before.coordinates, *before.rates)}
-    rows += [(_named(f"{symbol}@+"), value.xreplace(here)) for symbol, value in model.jumps[number - 1]]
-    rows += [(_named("cost"), before.terminal_cost.xreplace(here))] if before.terminal_cost != 0 else []
-    conditions = ", ".join(condition.name for condition in before.end_conditions)
-    remark = f"before it {conditions}" if conditions else "" if rows else "everything is continuous"
-    remarks = ((remark, remark),) if remark else ()
-    return Block(f"Switch from phase {number} to phase {number + 1}", tuple(rows), remarks)
 
 
 def _side(model: Model, method: str) -> Model:
@@ -266,23 +244,31 @@ def _named(name: str) -> Symbol:
     return Symbol(name, real=True)
 
 
-def _continuous(given: Model, method: str) -> Iterator[Block]:
-    """What the author wrote, what follows on the other side, and the forced equations of motion."""
-    model = _side(given, method)
+def _continuous(authored: Model, method: str) -> Iterator[Block]:
+    """Yield the function of the author, its Legendre transform if needed, and the equations of motion."""
+    model = _side(authored, method)
     if model.form == "first-order":
         pairs = zip(model.coordinates, model.dynamics, strict=True)
         yield Block("Dynamics", tuple((_named(f"rate {x}"), f) for x, f in pairs))
         yield from _cost(model)
         return
-    if given.form != model.form:
-        yield Block(given.form.capitalize(), ((_named(given.form[0].upper()), given.function),))
+    if authored.form != model.form:
+        yield Block(authored.form.capitalize(), ((_named(authored.form[0].upper()), authored.function),))
     letter = model.form[0].upper()
     rows = [(_named(letter), model.function)]
     rows += [(_named(f"f_{q}"), f) for q, f in zip(model.coordinates, model.force, strict=True) if f != 0]
     yield Block(model.form.capitalize() + (" and forces" if len(rows) > 1 else ""), tuple(rows))
     forced = "Forced " if any(model.force) else ""
     if letter == "L":
-        yield Block(f"{forced}Euler-Lagrange equations", tuple(_euler_lagrange(model)), (_EULER_LAGRANGE,))
+        q, v = model.coordinates, model.rates
+        accelerations = [_named(f"acceleration {x}") for x in q]
+        balances = []
+        for x, w, f in zip(q, v, model.force, strict=True):
+            momentum = sympy.diff(model.function, w)
+            rate = sympy.diff(momentum, model.time)
+            rate += sum(sympy.diff(momentum, y) * z for y, z in zip((*q, *v), (*v, *accelerations), strict=True))
+            balances.append((_named("0"), _shortest(rate - sympy.diff(model.function, x) - f)))
+        yield Block(f"{forced}Euler-Lagrange equations", tuple(balances), (_EULER_LAGRANGE,))
     else:
         slopes = [f - sympy.diff(model.function, q) for q, f in zip(model.coordinates, model.force, strict=True)]
         field = [*(sympy.diff(model.function, p) for p in model.rates), *slopes]
@@ -293,7 +279,7 @@ def _continuous(given: Model, method: str) -> Iterator[Block]:
 
 
 def _cost(model: Model) -> Iterator[Block]:
-    """The integrands: of the cost, and of conditions."""
+    """Yield the integrands of the cost and of conditions."""
     if model.cost is not None:
         remarks = (_MAXIMISED,) if model.maximised else ()
         pair = (_named("C"), model.cost), (_named("T"), model.duration)
@@ -302,21 +288,16 @@ def _cost(model: Model) -> Iterator[Block]:
         yield Block(heading, tuple((_named(name), value) for name, value in rows))
 
 
-def _euler_lagrange(model: Model) -> Iterator[tuple[Expr, Expr]]:
-    q, v = model.coordinates, model.rates
-    accelerations = [_named(f"acceleration {x}") for x in q]
-    for x, w, f in zip(q, v, model.force, strict=True):
-        momentum = sympy.diff(model.function, w)
-        rate = sympy.diff(momentum, model.time)
-        rate += sum(sympy.diff(momentum, y) * z for y, z in zip((*q, *v), (*v, *accelerations), strict=True))
-        yield _named("0"), _shortest(rate - sympy.diff(model.function, x) - f)
-
-
 def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
     side, scheme = _side(model, program.method), schemes.find(program.scheme, program.method)
     controls = program.controlled
-    if scheme.parts:
-        yield _composition(scheme)
+    if scheme.parts:  # the steps of the base method as parts of h
+        rows = []
+        for i, row in enumerate(scheme.parts, start=1):
+            names = (f"h_{i}",) if len(row) == 1 else (f"h_1({i})", f"h_2({i})")
+            rows += [(_named(name), STEP * sympy.N(part, 16)) for name, part in zip(names, row, strict=True)]
+        text = f"{len(scheme.parts)} steps of {repeated(scheme)[1].name}, one after the other"
+        yield Block("Composition", tuple(rows), ((text, text + r"\\"),))
     if isinstance(program, StepProgram):
         _, scheme = repeated(scheme)
     if scheme.variational:
@@ -325,23 +306,15 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
         cost, quadratures = interval.cost, interval.integrals
     else:
         step = one_step_interval(side, scheme, controls)
-        yield _one_step(step)
+        # Solve each equation for the value that it updates.
+        updates = zip((*step.stages, *step.q.right, *step.p.right), step.equations, strict=True)
+        yield Block("One step", tuple((y, _shortest(y - e)) for y, e in updates if not is_past(y.name)))
         cost, quadratures = step.cost, step.integrals
     if model.cost is not None:
         yield Block("Discrete cost, summed over all intervals", ((_named("C_d"), cost),))
     if quadratures:
-        rows = tuple((_named(f"Gd_{i}"), value) for i, value in enumerate(quadratures, start=1))
-        yield Block("Shares in integrals, whose sums over all intervals are those of the integrals", rows)
-
-
-def _composition(scheme: schemes.Scheme) -> Block:
-    """The lengths of the base's steps, as parts of h."""
-    rows = []
-    for i, row in enumerate(scheme.parts, start=1):
-        names = (f"h_{i}",) if len(row) == 1 else (f"h_1({i})", f"h_2({i})")
-        rows += [(_named(name), STEP * sympy.N(fraction, 16)) for name, fraction in zip(names, row, strict=True)]
-    text = f"{len(scheme.parts)} steps of {repeated(scheme)[1].name}, one after the other"
-    return Block("Composition", tuple(rows), ((text, text + r"\\"),))
+        shares = tuple((_named(f"Gd_{i}"), value) for i, value in enumerate(quadratures, start=1))
+        yield Block("Shares in integrals, whose sums over all intervals are those of the integrals", shares)
 
 
 def _variational(model: Model, interval: VariationalInterval) -> Iterator[Block]:
@@ -368,24 +341,16 @@ def _variational(model: Model, interval: VariationalInterval) -> Iterator[Block]
 
 
 def _one_interval_earlier(model: Model, interval: VariationalInterval) -> dict[Symbol, Expr]:
-    """Substitution that turns expressions of the interval after node k into those of the interval before it."""
+    """Return the substitution from expressions of the interval after node k to those of the interval before it."""
     q_sites = interval.q
     shift: dict[Symbol, Expr] = dict(zip(q_sites.left, at_nodes(model.coordinates, "_k-1"), strict=True))
     shift |= dict(zip(q_sites.right, q_sites.left, strict=True))
     shift |= dict(zip(interval.inner, at_nodes(interval.inner, "_k-1"), strict=True))
-    of_before = [Symbol(f"{u.name}-1", real=True) for u in q_sites.of_interval]
-    shift |= dict(zip(q_sites.of_interval, of_before, strict=True))
+    shift |= {u: _named(f"{u.name}-1") for u in q_sites.of_interval}
     if q_sites.nodal:
         shift |= dict(zip(q_sites.right_controls, q_sites.left_controls, strict=True))
     shift[model.time] = model.time - STEP
     return shift
-
-
-def _one_step(step: OneStepInterval) -> Block:
-    """Each equation solved for the value that it updates."""
-    names = (*step.stages, *step.q.right, *step.p.right)
-    rows = tuple((y, _shortest(y - e)) for y, e in zip(names, step.equations, strict=True) if not is_past(y.name))
-    return Block("One step", rows)
 
 
 def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
@@ -413,39 +378,29 @@ def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
 
 
 def _layout(program: ControlProgram | StepProgram, notation: Notation) -> Block:
-    """What is unknown, and where it lives."""
+    """Return the unknowns of nodes, intervals and steps."""
+
+    def remark(words: str, symbols: Sequence[Symbol], none: str = "") -> tuple[str, str]:
+        names = (notation.name(symbol) for symbol in symbols)
+        text = words + (", ".join(f"${name}$" if notation.latex else name for name in names) or none)
+        return text, text + r"\\" if notation.latex else ""
+
     if isinstance(program, StepProgram):
-        left = _listed(program.unknowns, notation)
-        return Block(
-            "Layout of the unknowns",
-            remarks=(
-                _both("state at a node: ", _listed(program.left_symbols, notation), notation),
-                _both("solved for numerically in each step: ", left or "nothing, the step is explicit", notation),
-            ),
-        )
-    interval = _listed((*program.interval_symbols, *program.control_symbols), notation)
-    return Block(
-        "Layout of the unknowns",
-        remarks=(
-            _both("at a node: ", _listed(program.left_symbols, notation), notation),
-            _both("on an interval: ", interval or "nothing", notation),
+        remarks = [
+            remark("state at a node: ", program.left_symbols),
+            remark("solved for numerically in each step: ", program.unknowns, "nothing, the step is explicit"),
+        ]
+    else:
+        remarks = [
+            remark("at a node: ", program.left_symbols),
+            remark("on an interval: ", (*program.interval_symbols, *program.control_symbols), "nothing"),
             ("order: node 0, interval 0, node 1, ..., node N",) * 2,
-        ),
-    )
-
-
-def _listed(symbols: Sequence[Symbol], notation: Notation) -> str:
-    names: Iterable[str] = (notation.name(symbol) for symbol in symbols)
-    return ", ".join(f"${name}$" if notation.latex else name for name in names)
-
-
-def _both(words: str, listed: str, notation: Notation) -> tuple[str, str]:
-    """A remark as text and as LaTeX, only one of which is going to be read."""
-    return (words + listed, words + listed + r"\\") if notation.latex else (words + listed, "")
+        ]
+    return Block("Layout of the unknowns", remarks=tuple(remarks))
 
 
 def _shortest(expression: Expr) -> Expr:
-    """The shortest of a few equal sums; fractions are not put over one denominator, which only looks short."""
+    """Return the shortest of a few equal sums; a common denominator would only look short."""
     if expression.count_ops() > _SHORTEN_LIMIT:
         return expression
     termwise = Add(*(sympy.simplify(term) for term in Add.make_args(expand_mul(expression, deep=False))))
@@ -457,9 +412,9 @@ def _shortest(expression: Expr) -> Expr:
 
 @dataclass(frozen=True)
 class Equations:
-    """The equations of a problem and of its discretisation; `str` of it is the `text` of `codegen show`.
+    """The equations of a problem and of its discretisation; `str` returns the `text` of `codegen show`.
 
-    `latex` needs the package amsmath and no other. In a notebook they are mathematics.
+    In a notebook they are shown as mathematics. The `latex` needs the package amsmath.
     """
 
     text: str
@@ -467,7 +422,7 @@ class Equations:
 
     @cached_property
     def latex(self) -> str:
-        """The same as LaTeX, derived when it is asked for."""
+        """The equations as LaTeX, derived on demand."""
         return self._latex()
 
     def __str__(self) -> str:
@@ -487,12 +442,12 @@ def derived_equations(
     method: str | None = None,
     controls: str = "interval",
 ) -> Equations:
-    """The equations of a problem file, or of an object; raises what `equations` does."""
+    """Return the equations of a problem file or object; raises the errors of `equations`."""
 
-    def written(latex: bool) -> str:
+    def written_as(latex: bool) -> str:
         return equations(problem, arguments, scheme=scheme, method=method, controls=controls, latex=latex)
 
-    return Equations(written(False), lambda: written(True))
+    return Equations(written_as(False), lambda: written_as(True))
 
 
 _HEADING = re.compile(r"^\\(section\*|paragraph)\{(.*)\}$", re.MULTILINE)
@@ -501,14 +456,14 @@ _ESCAPE = re.compile(r"\\([_%&#$^{}])")
 
 
 def as_markdown(latex: str) -> str:
-    """LaTeX as `codegen show --latex` writes it in the Markdown of notebooks, whose mathematics stands between $."""
+    """Convert LaTeX of `codegen show --latex` to the Markdown of notebooks, with mathematics between $."""
 
-    def heading(found: re.Match[str]) -> str:
-        mark = "###" if found[1] == "section*" else "####"
-        return f"{mark} {_ESCAPE.sub(lambda own: own[1], found[2])}"
+    def heading(match: re.Match[str]) -> str:
+        mark = "###" if match[1] == "section*" else "####"
+        return f"{mark} {_ESCAPE.sub(lambda character: character[1], match[2])}"
 
-    def aligned(found: re.Match[str]) -> str:
-        return f"\n$$\n\\begin{{aligned}}\n{found[1]}\n\\end{{aligned}}\n$$"
+    def aligned(match: re.Match[str]) -> str:
+        return f"\n$$\n\\begin{{aligned}}\n{match[1]}\n\\end{{aligned}}\n$$"
 
     outside = re.sub(r"^([^&\n]*)\\\\$", r"\1  ", _HEADING.sub(heading, latex), flags=re.MULTILINE)
     return _ALIGNED.sub(aligned, outside)

@@ -1,4 +1,4 @@
-"""How derived equations are written for people: symbols as in a textbook, wrapped pretty text or LaTeX."""
+"""The notation of derived equations: symbols as in a textbook, as pretty text in lines or as LaTeX."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ WIDTH = 100
 _LATEX_WIDTH = 90
 _INDEX = re.compile(r"^(?P<base>.+?)(?:_stage(?P<stage>\d+))?(?:_k(?P<shift>1|-1)?|@(?P<end>[0T])|@(?P<side>[+-]))?$")
 _WORD = re.compile(r"[^\W\d]\w*")
+_INVISIBLE = re.compile(r"\\(left|right|frac|mathrm|operatorname)|[{}^_\s]")
+"""Parts of LaTeX without width on paper, for an estimate of the width."""
 _GREEK = (
     "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho sigma tau upsilon phi chi "
     "psi omega"
@@ -29,8 +31,8 @@ _LOW = str.maketrans("0123456789+-k", "₀₁₂₃₄₅₆₇₈₉₊₋ₖ")
 _HIGH = str.maketrans("0123456789+-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻")
 
 
-class _NamesAsTheyAre(PrettyPrinter):  # type: ignore[misc]
-    """Prints symbols by their names, which are in their final form already."""
+class _Printer(PrettyPrinter):  # type: ignore[misc]
+    """Prints symbols by their names, which are in their final form."""
 
     def _print_Symbol(self, e: Symbol, bold_name: bool = False) -> prettyForm:
         return prettyForm(e.name)
@@ -47,11 +49,11 @@ class Block:
 
 @dataclass(frozen=True)
 class Notation:
-    """Symbols of the pipeline to symbols as they are written; `velocities` maps the name dq to that of q.
+    """Translates symbols of the pipeline to printed symbols; `velocities` maps the name dq to the name q.
 
-    Names end in `_k`, `_k1`, `_k-1` at nodes, in `_stage1` inside a step, in `@0` and `@T` at the ends of time, in `@-`
-    and `@+` before and after a switch, in `@t-1/2` before all that for a value of the past; they begin with `rate ` for
-    one derivative by time, with `acceleration ` for two, with `f `, `f- ` or `f+ ` for forces.
+    Names end in `_k`, `_k1`, `_k-1` at nodes, in `_stage1` inside a step, in `@0` and `@T` at the ends of time, and in
+    `@-` and `@+` before and after a switch. Before these endings `@t-1/2` marks a past value. Names begin with `rate `
+    for the first derivative by time, with `acceleration ` for the second, and with `f `, `f- ` or `f+ ` for forces.
     """
 
     velocities: dict[str, str]
@@ -59,7 +61,7 @@ class Notation:
 
     @classmethod
     def of(cls, *models: Model, latex: bool = False) -> Notation:
-        """The notation of a problem; velocities that are called d<coordinate> are written with a dot."""
+        """Return the notation of a problem; velocities named d<coordinate> are printed with a dot."""
         pairs = [
             pair
             for model in models
@@ -70,14 +72,14 @@ class Notation:
         return cls({v: q for v, q in named if v == f"d{q}"}, latex)
 
     def translated(self, expression: Expr) -> Expr:
-        """The expression in symbols whose names are what is to be printed; a prime tells two of one name apart."""
+        """Return the expression with printed names as symbols; a prime distinguishes two symbols of one name."""
         names = {symbol: self.name(symbol) for symbol in expression.free_symbols}
-        made = {name for symbol, name in names.items() if identifiers.MARK not in symbol.name}
-        primed = {s for s, name in names.items() if identifiers.MARK in s.name and name in made}
+        unmarked = {name for symbol, name in names.items() if identifiers.MARK not in symbol.name}
+        primed = {s for s, name in names.items() if identifiers.MARK in s.name and name in unmarked}
         return expression.xreplace({s: Symbol(n + "'" * (s in primed), real=True) for s, n in names.items()})
 
     def name(self, symbol: Symbol) -> str:
-        """How one symbol is written."""
+        """Return the printed form of one symbol."""
         match = _INDEX.match(symbol.name)
         assert match is not None
         index = ""
@@ -86,7 +88,7 @@ class Notation:
         base, _, lag = identifiers.plain(match["base"]).partition("@t-")
         written = self._written(base, match["stage"], index)
         if lag:
-            return f"{written}(t - {_WORD.sub(lambda found: self._letter(found[0]), lag)})"
+            return f"{written}(t - {_WORD.sub(lambda match: self._letter(match[0]), lag)})"
         if match["side"]:
             return written + (f"^{{{match['side']}}}" if self.latex else match["side"].translate(_HIGH))
         return written + (f"({match['end']})" if match["end"] else "")
@@ -103,7 +105,7 @@ class Notation:
         return letter + (f"^{{{high}}}" if high else "") + (f"_{{{lows}}}" if lows else "")
 
     def _parts(self, base: str) -> tuple[str, str, str, int]:
-        """Letter, subscript, superscript and number of dots."""
+        """Return letter, subscript, superscript and number of dots."""
         mark, _, rest = base.rpartition(" ")
         if mark in ("f", "f-", "f+"):
             return "f", self._letter(rest), mark[1:], 0
@@ -129,7 +131,7 @@ class Notation:
 
 
 def written(title: str, blocks: Sequence[Block], notation: Notation) -> str:
-    """All blocks one after the other, ending without a newline."""
+    """Return all blocks as text, without a newline at the end."""
     render = _latex_block if notation.latex else _plain_block
     head = rf"\section*{{{_escaped(title)}}}" if notation.latex else textwrap.fill(title, WIDTH)
     return "\n\n".join([head, *("\n".join(render(block, notation)) for block in blocks)])
@@ -139,20 +141,15 @@ def _plain_block(block: Block, notation: Notation) -> Iterator[str]:
     yield from (block.heading, "-" * len(block.heading))
     for plain, _ in block.remarks:
         yield from textwrap.wrap(plain, WIDTH, initial_indent="  ", subsequent_indent="    ")
+    printer = _Printer({"use_unicode": True, "wrap_line": False})
     for left, right in block.equations:
         yield ""
-        yield from (line.rstrip() for line in _pretty(notation.translated(left), notation.translated(right)))
-
-
-def _pretty(left: Expr, right: Expr) -> Iterator[str]:
-    """The lines of one equation, sums broken between terms."""
-    printer = _NamesAsTheyAre({"use_unicode": True, "wrap_line": False})
-    label = prettyForm(f"  {left.name} = ")
-    room = WIDTH - label.width() - 2
-    for i, row in enumerate(_rows(right, lambda e: int(printer._print(e).width()), room)):
-        form = printer._print(row)
-        begin = label if i == 0 else prettyForm(" " * (label.width() - 2) + _sign(row))
-        yield from str(prettyForm(*begin.right(form))).split("\n")
+        label, value = prettyForm(f"  {notation.translated(left).name} = "), notation.translated(right)
+        room = WIDTH - label.width() - 2
+        for i, row in enumerate(_rows(value, lambda e: int(printer._print(e).width()), room)):
+            begin = label if i == 0 else prettyForm(" " * (label.width() - 2) + _sign(row))
+            form = prettyForm(*begin.right(printer._print(row)))
+            yield from (line.rstrip() for line in str(form).split("\n"))
 
 
 def _latex_block(block: Block, notation: Notation) -> Iterator[str]:
@@ -163,7 +160,7 @@ def _latex_block(block: Block, notation: Notation) -> Iterator[str]:
     yield r"\begin{align*}"
     for number, (left, right) in enumerate(block.equations):
         label, value = notation.translated(left), notation.translated(right)
-        rows = list(_rows(value, lambda e: len(_ink(sympy.latex(e))), _LATEX_WIDTH))
+        rows = list(_rows(value, lambda e: len(_INVISIBLE.sub("", sympy.latex(e))), _LATEX_WIDTH))
         for i, row in enumerate(rows):
             begin = f"{label.name} &= " if i == 0 else r"&\quad " + _sign(row)
             last = number == len(block.equations) - 1 and i == len(rows) - 1
@@ -172,7 +169,7 @@ def _latex_block(block: Block, notation: Notation) -> Iterator[str]:
 
 
 def _rows(value: Expr, width: Callable[[Expr], int], room: int) -> Iterator[Expr]:
-    """Sums that add up to the value, each as long as room permits; products with sums are expanded if need be."""
+    """Yield sums that add up to the value, each of at most the width `room`; products are expanded if needed."""
     if width(value) <= room:
         yield value
         return
@@ -192,11 +189,6 @@ def _terms(value: Expr) -> list[Expr]:
 
 def _sign(row: Expr) -> str:
     return "  " if row.as_ordered_terms()[0].could_extract_minus_sign() else "+ "
-
-
-def _ink(tex: str) -> str:
-    """LaTeX without what takes no place on paper, for a guess of its width."""
-    return re.sub(r"\\(left|right|frac|mathrm|operatorname)|[{}^_\s]", "", tex)
 
 
 def _escaped(text: str) -> str:

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from references import ROOT
 from speed import ratio, read_speed
 
-from codegen.show.figures.picture import Picture, using
-from codegen.show.figures.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
+from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY, Picture, using
 
 MEASURED = ROOT / "docs" / "measured"
 _OURS, _THEIRS = "codegen", "IPOPT"

@@ -43,7 +43,7 @@ def read_record(path: Path) -> dict[str, Any] | None:
 def mathematics(path: Path) -> str:
     """The problem as its author wrote it, in LaTeX, between the signs of formulas."""
     from codegen.problem.sources import ProblemFile
-    from codegen.show.notebook_mathematics import displayed
+    from codegen.show.notebook import displayed
 
     return displayed(ProblemFile(path).written({})[1])
 

@@ -19,7 +19,7 @@ from conftest import PROBLEMS
 import codegen
 from codegen.batch.case import LOST, MEANINGS, NOT_BUILT, UNUSABLE
 from codegen.batch.executors import processes
-from codegen.batch.executors.journal import journal_of
+from codegen.batch.executors.chunks import journal_of
 from codegen.cli.options import on_statuses
 
 PARTS = ("t", "q", "u", "cost", "residual", "iterations", "status", "message")

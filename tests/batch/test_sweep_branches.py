@@ -122,7 +122,7 @@ def test_a_planted_jump_is_found_among_samples_of_two_quantities(hill):
     assert (data.q.sel(coordinate="y").values[won, 10] < 0.0).all()
 
 
-def test_jumps_among_samples_are_the_same_by_any_engine_and_after_any_end(hill, monkeypatch):
+def test_jumps_among_samples_are_the_same_by_any_executor_and_after_any_end(hill, monkeypatch):
     words = ("sweep", hill, "--sample", "c=uniform(-1, 1)", "--cases", 120, "--method", "latin", "--chunk", 40)
     assert run(*words, "--workers", 1, "--out", "one.zarr").exit_code == 0
     assert run(*words, "--workers", 2, "--out", "two.zarr").exit_code == 0

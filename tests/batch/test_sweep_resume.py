@@ -12,7 +12,7 @@ import xarray
 from command_lines import ORBIT, assert_refused, contents, run
 
 import codegen
-from codegen.batch.executors.journal import journal_of
+from codegen.batch.executors.chunks import journal_of
 from codegen.batch.store import Store
 from codegen.errors import ClusterError, FileError, Interrupted
 from codegen.files import refused

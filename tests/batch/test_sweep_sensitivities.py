@@ -11,7 +11,7 @@ import codegen
 from codegen.batch.case import Attempt, Start, _unknowns
 from codegen.batch.cases import grid
 from codegen.batch.layout import Shapes, layout_of
-from codegen.batch.quantities import CaseRates, Quantity, Tangent
+from codegen.batch.request import CaseRates, Quantity, Tangent
 from codegen.batch.store import Frame
 from codegen.errors import ArgumentError
 from codegen.show.figures.pareto import is_dominated

@@ -1,4 +1,4 @@
-"""Engines: every chunk once, whatever becomes of the workers. The work is a stand-in that solves nothing."""
+"""Executors: every chunk once, whatever becomes of the workers. The work is a stand-in that solves nothing."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 from stand_in import StandIn
 
-from codegen.batch.executors import engine_for
+from codegen.batch.executors import executor_for
+from codegen.batch.executors.chunks import LOST
 from codegen.batch.executors.processes import TRIES
-from codegen.batch.executors.work import LOST
 
 
 def solved(work, workers, numbers):
-    with engine_for(workers)(work, workers) as solve:
+    with executor_for(workers)(work, workers) as solve:
         return sorted((number, done.tally.counts) for number, done in solve(numbers))
 
 

@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from compiled_modules import compiled
 from golden import CONTROL
 
-from codegen.batch.quantities import given_to, quantities
+from codegen.batch.request import given_to, quantities
 from codegen.solving.compiler import build
 
 ROOT = Path(__file__).resolve().parents[2]

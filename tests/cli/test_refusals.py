@@ -60,7 +60,6 @@ class TestMalformedProblems:
 
 # What the command line gets wrong: the words, and what the message must name.
 COMMAND_LINES = {
-    "no-command": ("", "no command"),
     "unknown-command": ("bild P", "'build'"),
     "unknown-option": ("--fast", "--fast"),
     "no-problem": ("solve", "PROBLEM.py"),

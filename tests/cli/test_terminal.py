@@ -71,6 +71,7 @@ UNCACHED = {"show", "analyse", "stress"}
 REFUSED = {("analyse", "particles"), ("analyse", "connect")}
 """Modified equations are not derived for pairs."""
 OTHERS = {
+    "new": ("pendulum",),
     "report": (PENDULUM, "--quick", "--limit", "0.1", "--out", "report"),
     "stress": (PENDULUM, "--out", "stress"),
     "warp": ("image.png", "--landmarks", "image.csv", "--out", "warped.png", "--json"),
@@ -112,7 +113,13 @@ def assert_sound(done, words, status=0):
 def test_every_command_is_tried():
     """Each stands in a table, and each of `OTHERS` is started by a test of its own kind below."""
     assert {*OF_PROBLEMS, *OTHERS} == set(COMMANDS)
-    assert set(OTHERS) == {"report", "stress", "warp", "distances", "app"}
+    assert set(OTHERS) == {"new", "report", "stress", "warp", "distances", "app"}
+
+
+def test_a_problem_is_copied(folder):
+    done = on_terminal("new", *OTHERS["new"], folder=folder)
+    assert_sound(done, OTHERS["new"])
+    assert (folder / "pendulum.py").read_bytes() == (PROBLEMS / "pendulum.py").read_bytes()
 
 
 @pytest.mark.parametrize("kind", KINDS)

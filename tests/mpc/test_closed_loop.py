@@ -118,7 +118,7 @@ def test_a_figure_has_a_panel_for_every_state_and_input_and_names_what_went_wron
     loop.plot(path, references={"x": lambda t: 0.0})
     text = path.read_text()
     assert text.startswith("<?xml")
-    from codegen.show.figures.closed_loop import closed_loop_figure
+    from codegen.show.figures.simulation import closed_loop_figure
 
     figure = closed_loop_figure(loop, {})
     assert len(figure.axes) == 4  # x, dx, u, latencies

@@ -6,8 +6,7 @@ from horizon_problems import STEPS, carried, regulator
 
 import codegen
 from codegen.errors import NumericsError
-from codegen.mpc.grids import Grids
-from codegen.mpc.interface import interface_of
+from codegen.mpc.interface import Grids, interface_of
 
 
 def require_same(module, grid, **values):

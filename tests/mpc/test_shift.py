@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from horizon_problems import carried, regulator
 
-from codegen.mpc.grids import shift_by
+from codegen.mpc.interface import shift_by
 
 STEPS = 8
 

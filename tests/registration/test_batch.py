@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codegen.batch.executors.journal import journal_of
-from codegen.batch.executors.work import Abandoned
+from codegen.batch.executors.chunks import Abandoned, journal_of
 from codegen.errors import ArgumentError, FileError, ImageError
 from codegen.files import refused, replacing
 from codegen.registration.batch import BatchRequest, outcome_of

@@ -15,12 +15,14 @@ ROOT = Path(__file__).parents[2]
 
 def test_the_wheel_has_the_problem_where_it_is_looked_for(tmp_path, monkeypatch):
     wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    gallery = tmp_path / wheel["sources"]["problems"]
     monkeypatch.setattr(place, "__file__", str(tmp_path / "codegen" / "registration" / "solver.py"))
     with pytest.raises(ModuleError, match="missing from the installation"):
         place.problem_file()
-    for source, target in wheel["force-include"].items():
-        (tmp_path / target).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / target).write_bytes((ROOT / source).read_bytes())
+    assert {"/problems/**/*.py", "/problems/data/*.csv"} <= set(wheel["include"])
+    for name in ("image_registration.py", "data/trilobite40.csv"):
+        (gallery / name).parent.mkdir(parents=True, exist_ok=True)
+        (gallery / name).write_bytes((ROOT / "problems" / name).read_bytes())
     found = place.problem_file()
     assert found.read_bytes() == (ROOT / "problems" / "image_registration.py").read_bytes()
     assert (found.parent / "data" / "trilobite40.csv").is_file()

@@ -9,7 +9,7 @@ from interpreted import of_problem
 from kkt_residuals import linear_residual
 from random_problems import phase_problems, single_problems
 
-from codegen.batch.quantities import given_to, quantities
+from codegen.batch.request import given_to, quantities
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.runtime.search.point import lagrangian

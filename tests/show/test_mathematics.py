@@ -12,7 +12,7 @@ from written_objects import FILES, object_of
 import codegen
 from codegen import Control, Phases, Waypoint, control, coordinate, free_parameter, parameters, state, states
 from codegen.identifiers import in_latex
-from codegen.show.notebook_mathematics import displayed, latex
+from codegen.show.notebook import displayed, latex
 
 NAMES = {
     "m": "m",

@@ -16,7 +16,7 @@ from codegen.show.figures.pareto import (
     require_objectives,
     values_of,
 )
-from codegen.show.figures.style import CRIMSON
+from codegen.show.figures.picture import CRIMSON
 
 ATTRIBUTES = {"title": "A test.", "formulation": "variational", "scheme": "midpoint", "steps": 4}
 WEIGHTS = np.linspace(0.0, 1.0, 11)

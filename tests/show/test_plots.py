@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from codegen.drawing import Arrow, Mass, Scene, Trail
 from codegen.errors import ArgumentError
 from codegen.show import figures
-from codegen.show.figures import panels, style
-from codegen.show.figures.picture import STYLE, Picture, using, words_of
+from codegen.show.figures import panels
+from codegen.show.figures.picture import STYLE, Picture, relation, using, words_of
 from codegen.show.figures.quantities import Inequality, Quantity
 from codegen.solving import api
 
@@ -44,8 +44,8 @@ def test_labels(name, label):
 
 
 def test_relations():
-    assert style.relation("w1**2 + 3*w2 <= 1") == "w1^2 + 3·w2 ≤ 1"
-    assert style.relation("x" * 50, 10) == "x" * 9 + "…"
+    assert relation("w1**2 + 3*w2 <= 1") == "w1^2 + 3·w2 ≤ 1"
+    assert relation("x" * 50, 10) == "x" * 9 + "…"
 
 
 def texts(figure):
@@ -246,11 +246,32 @@ class TestStyles:
         module, result = invented(2, 1, 1, "lagrangian", 1)
         drawn = picture(1, 1.0)
         figure = figures.figure(module, result, figures.Drawings(drawn, drawn), style=name)
-        assert figure.get_figwidth() == pytest.approx(width)
-        assert result.title.rstrip(".") in " ".join(figure.get_suptitle().split("\n"))
-        assert figure._suptitle.get_fontsize() == pytest.approx(letters, abs=0.1)
+        if name == "talk":  # a slide is at least this wide, with an aspect ratio of 16:9
+            assert figure.get_figwidth() >= width
+            assert figure.get_figwidth() / figure.get_figheight() == pytest.approx(16 / 9)
+        else:
+            assert figure.get_figwidth() == pytest.approx(width)
+        if name != "paper":
+            assert result.title.rstrip(".") in " ".join(figure.get_suptitle().split("\n"))
+            assert figure._suptitle.get_fontsize() == pytest.approx(letters, abs=0.1)
+        assert result.title.rstrip(".") in words_of(figure)
         with using(name):
             assert overlaps(figure) == []
+
+    def test_a_paper_has_neither_title_nor_multipliers_nor_iterations(self):
+        module, result = invented(2, 1, 1, "lagrangian", 1)
+        labels = {}
+        for name in ("page", "paper"):
+            figure = figures.figure(module, result, style=name)
+            labels[name] = texts(figure) | {axes.get_xlabel() for axes in figure.axes}
+            assert bool(figure.get_suptitle()) is (name == "page")
+        assert any("lambda" in text for text in labels["page"])
+        assert not any("lambda" in text for text in labels["paper"])
+        assert "iteration" in labels["page"] - labels["paper"]
+
+    def test_a_paper_says_that_a_problem_is_not_solved(self):
+        module, _ = invented(1, 1, 1, "lagrangian")
+        assert "NOT SOLVED" in figures.figure(module, unsolved(module), style="paper").get_suptitle()
 
     def test_others_are_refused(self):
         module, result = invented(1, 1, 1, "lagrangian")

@@ -22,7 +22,7 @@ import codegen
 from codegen.errors import ArgumentError, ExtraError
 from codegen.evidence.checks.base import Finding, Findings
 from codegen.show.equations import as_markdown
-from codegen.show.notebook_mathematics import displayed
+from codegen.show.notebook import displayed
 from codegen.solving.results.result import Result
 
 UNPICKLED = """

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from codegen.batch.quantities import quantities
+from codegen.batch.request import quantities
 from codegen.errors import ArgumentError
 from codegen.solving.loading import load
 from codegen.solving.request import as_number, duration_arguments, parameter_arguments, prescribed_ends, with_values

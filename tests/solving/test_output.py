@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from codegen.runtime.search.solution import print_log
-from codegen.show.figures import style
-from codegen.show.notebook_solution import html
+from codegen.show.figures import picture as style
+from codegen.show.notebook import html
 from codegen.solving import api
 from codegen.solving.results.output import as_record, as_table, log_table
 

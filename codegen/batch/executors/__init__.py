@@ -1,45 +1,48 @@
-"""The registry of engines: who does the chunks of some work. One file for each; another one is a file and a row."""
+"""The registry of executors, and the call that has chunks of work done by one of them.
+
+An executor is one file in this folder and one row of EXECUTORS.
+"""
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
-from codegen.errors import ExtraError
-
-if TYPE_CHECKING:
-    from codegen.batch.executors.work import Done, Work
+from codegen.batch.executors.chunks import Done, Tally, Work
+from codegen.errors import ArgumentError, ExtraError, NumericsError, clause
 
 Solved: TypeAlias = "Iterator[tuple[int, Done]]"
-"""Chunks by their numbers as they are finished, in any order."""
-Engine: TypeAlias = "Callable[[Work, int], AbstractContextManager[Callable[[Sequence[int]], Solved]]]"
-"""(work, workers) -> a context with workers that are ready, in which a function solves chunks by their numbers.
+"""Results of chunks by their numbers, in any order."""
+Executor: TypeAlias = "Callable[[Work, int], AbstractContextManager[Callable[[Sequence[int]], Solved]]]"
+"""(work, workers) -> a context with workers; in the context a function solves chunks by their numbers.
 
-Each chunk comes exactly once. One whose workers are lost time and again comes as `work.lost` makes it.
+Each chunk is returned exactly once. A chunk whose workers were lost several times is returned by `work.lost`.
 """
 
 
 @dataclass(frozen=True)
 class Row:
-    """Name and summary of an engine; its file has a function `running` that is an Engine."""
+    """Name and summary of an executor; its file defines a function `running` of type Executor."""
 
     name: str
     summary: str
 
     @property
-    def running(self) -> Engine:
-        """The engine, imported when it is asked for."""
+    def running(self) -> Executor:
+        """The executor, imported on demand."""
         return getattr(import_module(f"codegen.batch.executors.{self.name}"), "running")  # type: ignore[no-any-return]  # noqa: B009
 
 
 LOCAL = "local"
-"""The word for a cluster that is begun for the work, on this machine."""
-ENGINES = {
+"""Value of `cluster` that starts a cluster of dask on this machine."""
+EXECUTORS = {
     row.name: row
     for row in (
         Row("serial", "one chunk after the other in this process"),
@@ -47,26 +50,84 @@ ENGINES = {
         Row("dask", "workers of a cluster of dask, on any machines"),
     )
 }
-"""Every engine by name; tests run over this table."""
+"""All executors by name; tests run over this table."""
 
 
-def engine_for(workers: int, cluster: Any = None) -> Engine:
-    """The engine of a cluster, if there is one, or the one that so many workers of this machine need."""
+def executor_for(workers: int, cluster: Any = None) -> Executor:
+    """Return the executor for a cluster, or for this number of workers on this machine."""
     if cluster is not None:
-        running: Any = ENGINES["dask"].running
+        running: Any = EXECUTORS["dask"].running
         return partial(running, cluster=cluster)
-    return ENGINES["serial" if workers == 1 else "processes"].running
+    return EXECUTORS["serial" if workers == 1 else "processes"].running
 
 
 def connected(cluster: Any) -> AbstractContextManager[Any]:
-    """A client of the cluster that is asked for, or None where none is; it is looked for before anything takes long.
+    """Return a context with the client of a cluster, or with None.
 
-    Raises ExtraError without dask, ClusterError when nothing answers or nobody works there, and ArgumentError for what
-    is no cluster.
+    Raises ExtraError without dask, ClusterError when no scheduler answers or it has no workers, and ArgumentError for
+    an invalid value of `cluster`.
     """
     if cluster is None:
         return nullcontext()
     if find_spec("distributed") is None:
         raise ExtraError("a cluster needs dask, which is not installed", "pip install 'variational-codegen[cluster]'")
-    made: AbstractContextManager[Any] = import_module("codegen.batch.executors.dask").connected(cluster)
-    return made
+    client: AbstractContextManager[Any] = import_module("codegen.batch.executors.dask").connected(cluster)
+    return client
+
+
+Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]
+"""(name, count) -> a context with a function of (parts done, text) that shows progress."""
+Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
+"""(name) -> a context that shows activity during a long step."""
+
+
+@contextmanager
+def silent(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
+    """Show no progress."""
+    yield lambda done, text: None
+
+
+@dataclass(frozen=True)
+class Team:
+    """The number of processes or the client of a cluster, the display of progress, and the notes of workers."""
+
+    workers: int
+    cluster: Any = None
+    working: Working = nullcontext
+    progress: Progress = silent
+    notes: dict[str, None] = field(default_factory=dict)
+
+    def do(
+        self, work: Work, numbers: Sequence[int], total: int, before: Tally, keep: Callable[[int, Done], None],
+        what: tuple[str, str] = ("Solving", "cases"),
+    ) -> Tally:  # fmt: skip
+        """Solve chunks, pass each result to `keep`, and return the tally of these and earlier ones.
+
+        `total` is the number of all cases; `what` names the action and the unit of progress.
+        """
+        if not numbers:
+            return before
+        used, tally, begin = min(self.workers, len(numbers)), before, time.perf_counter()
+        with executor_for(used, self.cluster)(work, used) as solve, self.progress(what[0], total) as shown:
+            for number, done in solve(numbers):
+                keep(number, done)
+                tally = tally + done.tally
+                self.notes.update(dict.fromkeys(done.notes))
+                rate = (tally.cases - before.cases) / (time.perf_counter() - begin)
+                remaining, failed = (total - tally.cases) / rate, tally.cases - tally.solved
+                shown(tally.cases, f"{rate:.3g} {what[1]}/s, {failed} failed, about {remaining:.0f} s left")
+        return tally
+
+
+def team_size(workers: Any, cluster: Any) -> int:
+    """Return the number of worker processes, by default the number of available processors.
+
+    Raises NumericsError for an invalid number, ArgumentError for a number beside a cluster that has its own workers.
+    """
+    if workers is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+        raise NumericsError(f"--workers {clause(repr(workers))}", "give a positive integer")
+    if cluster not in (None, LOCAL):
+        raise ArgumentError("--workers with a cluster that has its own", "leave --workers out, or give --cluster local")
+    return workers

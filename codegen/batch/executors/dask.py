@@ -1,8 +1,8 @@
-"""A cluster of dask: its scheduler gives chunks to workers, which compile modules and write what they solve.
+"""The executor for a cluster of dask; its workers compile modules and store the results of their chunks.
 
-The client keeps a bounded number of chunks in flight, so that neither its memory nor the scheduler's grows with the
-cases. What is lost with a worker the scheduler has done again; what is lost with the scheduler is left to work that
-is resumed: chunks count when they are in the journal, and writing one twice writes the same numbers.
+The client keeps a bounded number of chunks in flight. So its memory and that of the scheduler do not grow with the
+number of cases. The scheduler repeats chunks of lost workers. After the loss of the scheduler the work can be resumed
+from its journal: a chunk that is written twice has the same numbers.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from distributed import Client, KilledWorker, LocalCluster, WorkerPlugin, get_wo
 from threadpoolctl import ThreadpoolController
 
 from codegen.batch.executors import LOCAL, Solved
-from codegen.batch.executors.work import Done, Parcel, Work
+from codegen.batch.executors.chunks import Done, Parcel, Work
 from codegen.errors import ArgumentError, ClusterError, CodegenError, clause, one_line
 
 TRIES = 3
-"""How many workers of a cluster of our own may be lost with a chunk before its cases count as lost."""
+"""Number of lost workers of a local cluster after which the cases of a chunk count as lost."""
 PATIENCE = 8.0
-"""Seconds to wait for a scheduler to answer, and then for it to have a worker."""
+"""Seconds to wait for the scheduler, and then for a worker."""
 DESERTED = 120.0
-"""Seconds to wait for another worker when the last one is lost."""
+"""Seconds to wait for a new worker when all are lost."""
 AHEAD = 2
-"""Chunks in flight for each thread of a worker: one that it solves, and one that is waiting there."""
+"""Chunks in flight for each thread of a worker: one in progress and one in its queue."""
 _POLL = 2.0
 _CLIENT: Any = Client  # dask has few types
 _CLUSTER: Any = LocalCluster
@@ -43,9 +43,9 @@ _RESUME = "what is written stays; begin the cluster again, and give --resume"
 
 @contextmanager
 def connected(cluster: Any) -> Iterator[Any]:
-    """A client of the scheduler at an address; a client, and the word for a cluster of our own, stay what they are.
+    """Yield a client of the scheduler at an address; a client and LOCAL are returned as they are.
 
-    Raises ClusterError when nothing answers or there are no workers, and ArgumentError for what is neither.
+    Raises ClusterError when no scheduler answers or it has no workers, ArgumentError for other values.
     """
     if isinstance(cluster, Client):
         if cluster.asynchronous:
@@ -64,17 +64,18 @@ def connected(cluster: Any) -> Iterator[Any]:
             _require_workers(client)
             yield client
         finally:
-            _close(client)
+            with suppress(Exception):  # the client is not used any more, in whatever state it is
+                client.close(timeout=1.0)
 
 
 @contextmanager
 def running(work: Work, workers: int, cluster: Any = LOCAL) -> Iterator[Callable[[Sequence[int]], Solved]]:
-    """Have workers of a cluster get ready, a local one of so many if it is none yet; see `codegen.batch.executors`."""
+    """Prepare the workers of a cluster, or start a local one; see `codegen.batch.executors.Executor`."""
     parcel = work.parcel()
     with ExitStack() as stack:
-        is_ours = cluster == LOCAL
-        client = stack.enter_context(_local(workers)) if is_ours else cluster
-        crew = _Crew(client, work, Solver(parcel, is_ours))
+        is_local = cluster == LOCAL
+        client = stack.enter_context(_local(workers)) if is_local else cluster
+        crew = _Crew(client, work, Solver(parcel, is_local))
         try:
             yield crew.solve
         finally:
@@ -87,7 +88,7 @@ def _client(address: str) -> Any:
         raise ArgumentError("--cluster without an address", remedy)
     try:
         return _CLIENT(address, timeout=PATIENCE, set_as_default=False)
-    except Exception as error:  # whatever the part of the address is that dask cannot read
+    except Exception as error:  # dask raises errors of many types for an invalid address
         reason = one_line(str(error) or type(error).__name__, 120)
         raise ClusterError(clause(f"--cluster {address}: no scheduler answers ({reason})"), remedy) from None
 
@@ -95,7 +96,7 @@ def _client(address: str) -> Any:
 def _require_workers(client: Any) -> None:
     try:
         client.wait_for_workers(1, timeout=PATIENCE)
-    except Exception:  # also where the scheduler is lost meanwhile
+    except Exception:  # also when the scheduler is lost
         remedy = "begin some, as `dask worker ADDRESS --nthreads 1 --nworkers 8`"
         raise ClusterError("the cluster has no workers", remedy) from None
 
@@ -118,7 +119,7 @@ def _local(workers: int) -> Iterator[Any]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Nothing of dask on the terminal: what matters is an error of ours."""
+    """Silence the loggers of dask: this package reports errors itself."""
     known = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in _LOGGERS]
     levels = {logging.getLogger(name): logging.getLogger(name).level for name in (*known, *_LOGGERS)}
     for logger in levels:
@@ -130,39 +131,34 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
-def _close(client: Any) -> None:
-    with suppress(Exception):  # it is of no use any longer, whatever became of it
-        client.close(timeout=1.0)
-
-
 class _Crew:
-    """The workers of a cluster, as far as this work has to do with them."""
+    """The workers of a cluster in their role for one piece of work."""
 
     def __init__(self, client: Any, work: Work, solver: Solver) -> None:
         self._client, self._work, self._name = client, work, f"codegen-{uuid.uuid4().hex}"
-        self._flying: dict[str, tuple[int, Any]] = {}
+        self._in_flight: dict[str, tuple[int, Any]] = {}
         self._arrived: SimpleQueue[str] = SimpleQueue()
         self._sent = 0
         self._threads, self._asked, self._seen = 0, 0.0, time.monotonic()
         _require_workers(client)
         try:
             client.register_plugin(solver, name=self._name)
-        except Exception as error:  # raised there, where codegen may not even be installed
+        except Exception as error:  # raised on the worker, where codegen may be missing
             reason = one_line(f"{type(error).__name__}: {error}", 200)
             remedy = "install the same version of variational-codegen for the scheduler and all workers"
             raise ClusterError(clause(f"workers of the cluster cannot be made ready ({reason})"), remedy) from None
 
     def solve(self, numbers: Sequence[int]) -> Solved:
-        """Keep as many chunks in flight as workers need; each is done when it comes back.
+        """Keep the queues of workers filled and yield each chunk when it is finished.
 
-        A chunk whose workers were lost may only have waited beside the one that was to blame. So it is tried again at
-        the end, alone.
+        A chunk with lost workers may have waited beside the chunk that ended them. It is repeated alone after all
+        others.
         """
-        left, suspects = iter(numbers), list[int]()
+        waiting, suspects = iter(numbers), list[int]()
         while True:
-            while len(self._flying) < self._most() and (number := next(left, None)) is not None:
+            while len(self._in_flight) < self._capacity() and (number := next(waiting, None)) is not None:
                 self._send(number)
-            if not self._flying:
+            if not self._in_flight:
                 break
             number, done = self._received()
             if done is None:
@@ -175,47 +171,48 @@ class _Crew:
             yield number, done or self._work.lost(number, "several workers were lost with its chunk; look for memory")
 
     def _send(self, number: int) -> None:
-        self._sent += 1  # one that comes back without result gets another key
+        self._sent += 1  # a chunk that is sent again gets another key
         key = f"{self._name}-{self._sent}"
         piece = self._work.piece(number)
         try:
             future = self._client.submit(_solve, self._name, piece, key=key, pure=False)
         except Exception as error:
             raise self._lost(error) from None
-        self._flying[key] = number, future
+        self._in_flight[key] = number, future
         future.add_done_callback(lambda finished: self._arrived.put(finished.key))
 
-    def _next(self) -> str:
-        """The key of a chunk that has come back; ClusterError where none can any longer."""
-        while True:
+    def _received(self) -> tuple[int, Done | None]:
+        """Return the next finished chunk, with None if its workers were lost; raises the error of a worker.
+
+        Raises ClusterError when the cluster has had no workers for too long.
+        """
+        key = None
+        while key is None:
             try:
-                return self._arrived.get(timeout=_POLL)
+                key = self._arrived.get(timeout=_POLL)
             except Empty:
-                self._most()  # which looks for workers
+                self._capacity()  # this counts the workers
                 if time.monotonic() > self._seen + DESERTED:
                     raise ClusterError(f"the cluster has had no workers for {DESERTED:.0f} s", _RESUME) from None
-
-    def _received(self) -> tuple[int, Done | None]:
-        """The next chunk, where it belongs, or None if its workers were lost; what a worker could not do is raised."""
-        number, future = self._flying.pop(self._next())
+        number, future = self._in_flight.pop(key)
         try:
             done = future.result()
         except KilledWorker:
             return number, None
-        except Exception as error:  # none of our own, which are values
+        except Exception as error:  # an error of dask: errors of this package are returned as values
             raise self._lost(error) from None
         future.release()
         if isinstance(done, BaseException):
             raise done
-        assert isinstance(done, Done), "workers send what they have done, or why they could not"
+        assert isinstance(done, Done), "workers return results or errors"
         return number, self._work.returned(number, done)
 
     def _lost(self, error: Exception) -> CodegenError:
         reason = one_line(str(error) or type(error).__name__, 150)
         return ClusterError(clause(f"the scheduler of the cluster was lost ({reason})"), _RESUME)
 
-    def _most(self) -> int:
-        """How many chunks may be in flight, as workers come and go: one waits where there are none."""
+    def _capacity(self) -> int:
+        """Return the number of chunks that may be in flight with the present workers, at least one."""
         now = time.monotonic()
         if now > self._asked + _POLL:
             try:
@@ -226,31 +223,31 @@ class _Crew:
         return max(1, AHEAD * self._threads)
 
     def end(self) -> None:
-        """Take back what is in flight, and leave nothing with the workers, as far as they can be reached."""
+        """Cancel the chunks in flight and unregister the work, if the workers can be reached."""
         if self._client.status != "running":
             return
         with suppress(Exception):
-            self._client.cancel([future for _, future in self._flying.values()], force=True)
+            self._client.cancel([future for _, future in self._in_flight.values()], force=True)
             self._client.unregister_worker_plugin(self._name)
 
 
 class Solver(WorkerPlugin):
-    """What a worker has of the work: the parcel until the first chunk comes, then the work, and one thread to do it."""
+    """A plugin of a worker: the parcel until the first chunk, then the unpacked work; one thread solves."""
 
-    def __init__(self, parcel: Parcel, is_ours: bool) -> None:
-        self._parcel, self._is_ours = parcel, is_ours
+    def __init__(self, parcel: Parcel, is_local: bool) -> None:
+        self._parcel, self._is_local = parcel, is_local
 
     def setup(self, worker: Any) -> None:
-        """Be there; compiling would keep the worker from answering."""
+        """Prepare without compilation, which would keep the worker from answering."""
         self._lock = threading.Lock()
         self._libraries = ThreadpoolController()
         self._work: Work | None = None
-        if self._is_ours and threading.current_thread() is threading.main_thread():
-            # A terminal interrupts all of its processes. It is the client that is meant, and ends this one.
+        if self._is_local and threading.current_thread() is threading.main_thread():
+            # A terminal interrupts all of its processes. The client handles the interrupt and ends the workers.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def __call__(self, piece: Any) -> Done:
-        """Solve a chunk; what is to be said of this machine comes with the first."""
+        """Solve a chunk; notes about this machine come with the first one."""
         with self._lock, self._libraries.limit(limits=1):
             notes: tuple[str, ...] = ()
             if self._work is None:
@@ -260,7 +257,7 @@ class Solver(WorkerPlugin):
 
 
 def _solve(name: str, piece: Any) -> Done | Exception:
-    """Solve a chunk on a worker; what it could not do is a value, which dask does not take for its own failure."""
+    """Solve a chunk on a worker; errors are returned as values, because dask treats exceptions as its own failures."""
     try:
         solver: Any = get_worker().plugins[name]
         return solver(piece)  # type: ignore[no-any-return]

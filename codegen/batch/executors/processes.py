@@ -1,7 +1,7 @@
-"""Processes on this machine that solve chunks, and are replaced when they are lost.
+"""The executor with worker processes on this machine; it replaces lost workers.
 
-On Linux workers are forks and have the modules of this process, whose machine code is loaded already; elsewhere they
-load it from the disk. A worker ends by itself when the process that began it is no longer there.
+On Linux workers are forks with the machine code of this process. On other systems workers load it from the disk. A
+worker ends by itself when its parent process has ended.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from codegen.batch.executors import Solved
-from codegen.batch.executors.work import Abandoned, Done, Work
+from codegen.batch.executors.chunks import Abandoned, Done, Work
 
 START = "fork" if sys.platform == "linux" else "spawn"  # elsewhere libraries do not survive a fork
 TRIES = 3
-"""How many workers may be lost with a chunk before its cases count as lost."""
+"""Number of lost workers after which the cases of a chunk count as lost."""
 _SECONDS = 5.0
-"""After so long without an order a worker looks whether the process that began it is still there."""
+"""Interval in seconds at which an idle worker checks that its parent process is alive."""
 
 
 @contextmanager
 def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solved]]:
-    """Start the processes, and make sure that they end with the block; see `codegen.batch.executors.Engine`."""
+    """Start the processes, and end them with the block; see `codegen.batch.executors.Executor`."""
     pool = _Pool(work, workers)
     try:
         yield pool.solve
@@ -42,7 +42,7 @@ def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solv
 
 @dataclass(eq=False)
 class _Worker:
-    """A process, the connection to it, and the chunk that it is at."""
+    """A process, the connection to it, and its current chunk."""
 
     process: BaseProcess
     connection: Connection[Any, Any]
@@ -55,32 +55,40 @@ class _Pool:
         self._work = work.loaded() if START == "fork" else work
         self._workers: list[_Worker] = []
         for _ in range(workers):
-            self._workers.append(self._started())
+            self._start_worker()
 
-    def _started(self) -> _Worker:
-        here, there = self._context.Pipe()
+    def _start_worker(self) -> None:
+        local_end, remote_end = self._context.Pipe()
         others = [worker.connection for worker in self._workers]
-        process = self._context.Process(target=_serve, args=(self._work, there, [here, *others]), daemon=True)
+        arguments = (self._work, remote_end, [local_end, *others])
+        process = self._context.Process(target=_serve, args=arguments, daemon=True)
         process.start()
-        there.close()
-        return _Worker(process, here)
+        remote_end.close()
+        self._workers.append(_Worker(process, local_end))
 
     def solve(self, numbers: Sequence[int]) -> Solved:
-        """Give each worker a chunk, and the next one when it is done."""
+        """Send each worker a chunk, and the next one when it has returned a result."""
         waiting, losses = list(reversed(numbers)), dict.fromkeys(numbers, 0)
         for worker in self._workers:
             self._order(worker, waiting)
         while busy := [worker for worker in self._workers if worker.chunk is not None]:
             ready = wait([worker.connection for worker in busy])
             for worker in (worker for worker in busy if worker.connection in ready):
-                number, done = worker.chunk, self._received(worker)
-                assert number is not None, "only workers with a chunk are listened to"
+                number = worker.chunk
+                assert number is not None, "only workers with a chunk are waited for"
+                done: Done | BaseException | None
+                try:
+                    done = worker.connection.recv()
+                except (EOFError, OSError):  # the worker is lost
+                    done = None
+                if isinstance(done, BaseException):
+                    raise done
                 if done is None:
                     losses[number] += 1
                     worker.connection.close()
                     worker.process.join()
                     self._workers.remove(worker)
-                    self._workers.append(self._started())
+                    self._start_worker()
                     worker = self._workers[-1]
                     if losses[number] < TRIES:
                         waiting.append(number)
@@ -94,22 +102,11 @@ class _Pool:
     def _order(self, worker: _Worker, waiting: list[int]) -> None:
         if waiting:
             worker.chunk = waiting.pop()
-            with suppress(OSError):  # that it is lost shows when it is listened to
+            with suppress(OSError):  # `solve` detects a lost worker
                 worker.connection.send(worker.chunk)
 
-    def _received(self, worker: _Worker) -> Done | None:
-        """What a worker has done, or None where it is lost; what it could not do is raised here."""
-        try:
-            done = worker.connection.recv()
-        except (EOFError, OSError):
-            return None
-        if isinstance(done, BaseException):
-            raise done
-        assert isinstance(done, Done), "workers send what they have done, or why they could not"
-        return done
-
     def end(self) -> None:
-        """End the processes; what they are at is of no use."""
+        """Kill the processes."""
         for worker in self._workers:
             worker.connection.close()
             worker.process.kill()
@@ -118,10 +115,10 @@ class _Pool:
 
 
 def _serve(work: Work, orders: Connection[Any, Any], inherited: Sequence[Connection[Any, Any]]) -> None:
-    """Solve the chunks that are ordered until there are no more orders, or nobody who gives them."""
-    for connection in inherited:  # so that the end of the process that has them shows
+    """Solve chunks in a worker process until the connection closes or the parent process has ended."""
+    for connection in inherited:  # an open copy would hide the end of the process at the other side
         connection.close()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is the other process that is interrupted, and ends this one
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt ends the parent, which ends its workers
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
     parent = os.getppid()

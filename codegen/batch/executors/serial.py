@@ -1,4 +1,4 @@
-"""Chunks one after the other in this process."""
+"""The executor that solves chunks one after the other in this process."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from contextlib import contextmanager
 from threadpoolctl import threadpool_limits
 
 from codegen.batch.executors import Solved
-from codegen.batch.executors.work import Work
+from codegen.batch.executors.chunks import Work
 
 
 @contextmanager
 def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solved]]:
-    """Solve here, with one thread of linear algebra as workers have; see `codegen.batch.executors.Engine`."""
-    assert workers == 1, "there is one process here"
+    """Solve in this process, with one thread of linear algebra; see `codegen.batch.executors.Executor`."""
+    assert workers == 1, "the serial executor has one process"
     with threadpool_limits(1):
         yield lambda numbers: ((number, work.solve(work.piece(number))) for number in numbers)

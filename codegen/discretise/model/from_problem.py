@@ -27,8 +27,7 @@ from codegen.discretise.model.written import jump_entries, maximises, used_quant
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
 from codegen.problem.bodies import has_path_couplings, written_out
 from codegen.problem.problem import Control, Phases, form_of
-from codegen.problem.sources import with_location
-from codegen.problem.sources import Source, source_of
+from codegen.problem.sources import Source, source_of, with_location
 from codegen.problem.symbols import Quantity
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.checks import rounding_of

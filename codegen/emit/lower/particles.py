@@ -8,7 +8,6 @@ from typing import Any
 
 from sympy import Rational, S, Symbol, sstr
 
-from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.discretise.particles import PairwiseProgram
 from codegen.emit.lower.blocks import BLOCK, GROUP, BlockLoop, gathered_loops, tracer_loops
 from codegen.emit.lower.kernels import Line

@@ -131,7 +131,7 @@ def findings_table(findings: Sequence[Finding]) -> Table:
 
 def findings_html(findings: Sequence[Finding]) -> str:
     """Return all findings as a table in HTML. Outcomes are words, because colours alone are not accessible."""
-    from codegen.show.notebook_solution import table as html_table
+    from codegen.show.notebook import table as html_table
 
     rows = [(finding.check, finding.subject, finding.outcome, finding.detail) for finding in findings]
     return html_table(rows, ("check", "subject", "outcome", "detail"), verdict(findings))

@@ -28,8 +28,8 @@ from sympy import Symbol
 from codegen import identifiers
 from codegen.discretise.interval import STEP
 from codegen.discretise.program import ControlProgram, IntervalElement, StepProgram, Unknown
-from codegen.emit.lower.control.layout import parameters
 from codegen.emit.lower.control.kernels import named_elements
+from codegen.emit.lower.control.layout import parameters
 from codegen.emit.verify.comparison import Values, with_time
 from codegen.emit.verify.kernels import part_of_chain
 from codegen.emit.verify.shares import shared_symbols

@@ -32,11 +32,11 @@ from numpy.typing import NDArray
 from sympy import Expr, S, Symbol
 
 from codegen.discretise.assembly import scaled_in_time
+from codegen.discretise.conditions.linking import independent_couplings
 from codegen.discretise.conditions.path import is_convex, nodal_conditions
 from codegen.discretise.interval import STEP, at_nodes, one_step_interval, variational_interval
 from codegen.discretise.model.definitions import Condition, Model
 from codegen.discretise.program import ControlProgram
-from codegen.discretise.conditions.linking import independent_couplings
 from codegen.discretise.schemes.base import Scheme
 from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.evidence.checks.layout import FlatVector, few_steps

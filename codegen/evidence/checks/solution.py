@@ -37,7 +37,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.linalg import LinearOperator, onenormest, splu
 from sympy import Expr, Symbol
 
-from codegen.batch.quantities import Quantity, given_to, quantities
+from codegen.batch.request import Quantity, given_to, quantities
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import InnerCondition, Model
 from codegen.errors import CodegenError

@@ -19,8 +19,7 @@ from typing import Any
 from codegen.errors import CodegenError
 from codegen.evidence.report.store import Case, Store, Values
 from codegen.evidence.stress.pool import end_with_parent
-from codegen.solving.loading import GeneratedModule, few_steps, is_control, is_simulation
-from codegen.solving.loading import load, machine_code_counts
+from codegen.solving.loading import GeneratedModule, few_steps, is_control, is_simulation, load, machine_code_counts
 
 WORKERS = 2
 MODULES, SURVEYS = "modules", "surveys"

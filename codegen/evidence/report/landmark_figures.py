@@ -15,7 +15,7 @@ from matplotlib.patches import Circle
 from codegen.evidence.report import landmark_effort, landmark_motion
 from codegen.evidence.report.page import colour_of
 from codegen.evidence.report.store import Settings, Store, Values, few_landmarks
-from codegen.show.figures.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
+from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 from codegen.solving.drivers import DRIVERS
 
 COLOURS = {

@@ -60,11 +60,11 @@ from codegen.evidence.report.page import (
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.runtime.search import point
 from codegen.solving import api
+from codegen.solving.arcs import order_of_optima
 from codegen.solving.drivers import DRIVERS as REGISTERED
 from codegen.solving.loading import ControlModule, GeneratedModule, Vector, is_control
 from codegen.solving.results.control import bound_distances
 from codegen.solving.results.result import Result
-from codegen.solving.arcs import order_of_optima
 
 DRIVERS = ("newton", "slsqp", "trust-constr", "fsolve")
 MOST_STEPS = 20_000

@@ -20,8 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from codegen.files import rendered
-from codegen.show.figures.picture import STYLE
-from codegen.show.figures.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
+from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY, STYLE
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 """A table for str.translate."""

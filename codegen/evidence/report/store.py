@@ -20,8 +20,7 @@ import numpy as np
 
 from codegen.problem.points import PointSet, read_points
 from codegen.solving.compiler import build
-from codegen.solving.loading import ConnectModule
-from codegen.solving.loading import load
+from codegen.solving.loading import ConnectModule, load
 
 Values = Mapping[str, Any]
 

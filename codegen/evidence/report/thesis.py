@@ -26,7 +26,7 @@ from codegen.evidence.report.optima import solved
 from codegen.evidence.report.orders import measured_order, order_text, verdict
 from codegen.evidence.report.page import Picture, Section, Table, colour_of, number, seconds, svg
 from codegen.evidence.report.store import Case, Extent, Store, Values, quick_settings
-from codegen.show.figures.style import BLUE, CRIMSON, DARK, GREEN, GREY, RED, body_colours
+from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREEN, GREY, RED, body_colours
 from codegen.solving.loading import ControlModule, is_control, is_simulation
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from codegen.runtime.search import point
 from codegen.solving.drivers import DRIVERS
-from codegen.solving.results.result import STATUSES, Result
 from codegen.solving.results.motions import rounding_level
+from codegen.solving.results.result import STATUSES, Result
 
 Values = tuple[tuple[str, Any], ...]
 """Names and values of keyword arguments; a value may itself be Values, which stands for a dict."""

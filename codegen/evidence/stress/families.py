@@ -11,16 +11,15 @@ import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from codegen.discretise.particles import PARTICLE_SCHEMES
 from codegen.discretise.schemes import METHODS, of_method
 from codegen.discretise.schemes.base import FIRST_ORDER
-from codegen.discretise.particles import PARTICLE_SCHEMES
 from codegen.errors import CodegenError
 from codegen.evidence.stress import motions
 from codegen.evidence.stress.cases import EXPECTATIONS, OUTCOMES, Case, Setup, Values
 from codegen.evidence.stress.motions import SchemeOf, promised, registered, setup
 from codegen.runtime.record import Form, Record
-from codegen.solving.loading import is_connect, is_of_particles
-from codegen.solving.loading import load
+from codegen.solving.loading import is_connect, is_of_particles, load
 
 # ---- Optimal control ----
 

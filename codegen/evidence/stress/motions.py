@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from codegen.discretise import schemes
-from codegen.discretise import particles
+from codegen.discretise import particles, schemes
 from codegen.discretise.schemes.base import Scheme
 from codegen.evidence.stress.cases import Case, Setup
 from codegen.evidence.stress.systems import TEXTBOOK, limit, swing

@@ -1,4 +1,4 @@
-"""Pictures of a result: everything about an optimum or a simulation on one page."""
+"""Figures of results: optima, simulations, connected points, sweeps, closed loops and specimens."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.figure import Figure
 
 from codegen.drawing import Scene
-from codegen.show.figures.closed_loop import closed_loop_figure
 from codegen.show.figures.control import Drawings, control_figure
-from codegen.show.figures.pareto import Objective, objectives_of, pareto_figure, require_objectives
-from codegen.show.figures.picture import finished, using, write
-from codegen.show.figures.simulation import connect_figure, simulation_figure, specimen_figure
-from codegen.show.figures.style import label
+from codegen.show.figures.pareto import objectives_of, pareto_figure, require_objectives
+from codegen.show.figures.picture import finished, label, using, write
+from codegen.show.figures.simulation import closed_loop_figure, connect_figure, simulation_figure, specimen_figure
 from codegen.show.figures.sweep import sweep_figure
 from codegen.solving.loading import GeneratedModule, is_connect, is_control
 from codegen.solving.results.result import Result
@@ -47,9 +45,9 @@ def figure(
     unit: str = "",
     style: str = "page",
 ) -> Figure:
-    """Draw a module's result for a page, a paper or a talk; `unit` is that of the time where no other is known.
+    """Draw a module's result in a style; `unit` is that of the time if the result has none.
 
-    Raises ArgumentError for another style.
+    Raises ArgumentError for an unknown style.
     """
     with using(style):
         if is_connect(module):
@@ -64,31 +62,30 @@ def figure(
 def save(
     module: GeneratedModule, result: Result, path: Path, drawings: Drawings | Scene | None = None, unit: str = ""
 ) -> None:
-    """Draw a module's result into a file whose ending matplotlib knows; `unit` is that of the time."""
+    """Draw a module's result into a file of a format of matplotlib; `unit` is that of the time."""
     write(figure(module, result, drawings, unit), path)
 
 
 def save_sweep(data: Dataset, path: Path, pareto: str | None = None, style: str = "page") -> None:
-    """Draw a sweep into a file whose ending matplotlib knows, or its front in two objectives, as "cost,duration".
+    """Draw a sweep, or its Pareto front in two objectives as "cost,duration", into a file of a format of matplotlib.
 
-    Raises ArgumentError for objectives that the data set does not have, and for another style than `figure` knows.
+    Raises ArgumentError for unknown objectives and for an unknown style.
     """
     write(figure_of_sweep(data, pareto, style), path, style)
 
 
 def figure_of_sweep(data: Dataset, pareto: str | None = None, style: str = "page") -> Figure:
-    """Draw a sweep, or its front in two objectives; ArgumentError for objectives that the data set does not have."""
+    """Draw a sweep, or its Pareto front in two objectives; raises ArgumentError for unknown objectives."""
     with using(style):
-        return finished(sweep_figure(data) if pareto is None else _front(data, objectives_of(pareto)))
-
-
-def _front(data: Dataset, objectives: tuple[Objective, Objective]) -> Figure:
-    require_objectives(objectives, data)
-    return pareto_figure(data, objectives)
+        if pareto is None:
+            return finished(sweep_figure(data))
+        objectives = objectives_of(pareto)
+        require_objectives(objectives, data)
+        return finished(pareto_figure(data, objectives))
 
 
 def save_specimens(points: Any, names: Sequence[str], share: float, path: Path) -> None:
-    """Draw specimens in two dimensions into a file whose ending matplotlib knows."""
+    """Draw specimens in two dimensions into a file of a format of matplotlib."""
     with using("page"):
         drawn = specimen_figure(points, names, share)
     write(drawn, path)

@@ -1,4 +1,4 @@
-"""Single panels of a figure: curves, steps, bounds and where they are active, path inequalities, the iterations."""
+"""Panels of a figure: curves, steps, bounds and their active parts, path inequalities, and the iterations."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from codegen.show.figures.picture import letter_size
-from codegen.show.figures.quantities import Inequality, Quantity
-from codegen.show.figures.style import (
+from codegen.show.figures.picture import (
     AMBER,
     BLUE,
     DARK,
@@ -22,12 +20,14 @@ from codegen.show.figures.style import (
     RED,
     body_colours,
     label,
+    letter_size,
     relation,
 )
+from codegen.show.figures.quantities import Inequality, Quantity
 from codegen.solving.loading import Matrix, Vector
 
 KINDS = {"state": BLUE, "momentum": GREEN, "multiplier": PINK, "control": RED}
-"""The colour of each kind of quantity, where there is one body."""
+"""Colours of the kinds of quantities for a single body."""
 
 _DOTTED = (0, (1, 1.5))
 _DASHED = (0, (5, 3))
@@ -39,7 +39,7 @@ _BOUND: dict[str, Any] = {"color": GREY, "linestyle": _DASHED, "linewidth": 1.0,
 
 
 def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None:
-    """A quantity of every body over time, with its bounds and, for a single body, its first guess.
+    """Draw a quantity of every body over time, with its bounds and, for a single body, its initial guess.
 
     A `second` quantity is drawn dashed in the same panel.
     """
@@ -68,7 +68,7 @@ def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None
 
 
 def inequality(axes: Any, shown: Inequality) -> None:
-    """The distance from equality of a path inequality over time; what lies below zero is forbidden."""
+    """Draw the distance of a path inequality from equality over time; negative values are forbidden."""
     single = shown.distance.shape[1] == 1
     for values, colour in zip(shown.distance.T, body_colours(shown.distance.shape[1], BLUE), strict=True):
         axes.plot(shown.t, values, color=colour, linewidth=1.5 if single else 1.2)
@@ -83,7 +83,7 @@ def inequality(axes: Any, shown: Inequality) -> None:
 
 
 def strip(axes: Any, shown: Sequence[Inequality]) -> None:
-    """When each of many path inequalities is active, for any body."""
+    """Draw the times at which many path inequalities are active, for any body."""
     for row, one in enumerate(shown):
         where = one.active().any(axis=1)
         axes.plot(one.t, np.where(where, row, np.nan), **_ACTIVE | {"marker": "|", "markersize": 5.5})
@@ -93,7 +93,7 @@ def strip(axes: Any, shown: Sequence[Inequality]) -> None:
 
 
 def iterations(axes: Any, log: Matrix) -> None:
-    """Errors of the iterates, and the weight of the logarithmic barrier where there was one."""
+    """Draw the errors of the iterates, and the barrier parameter, if there is one."""
     numbers = np.arange(len(log))
     columns: list[tuple[str, int, str, Any]] = [("residual", 1, BLUE, "-"), ("stationarity", 2, RED, "-")]
     columns += [("barrier", 5, GREY, _DOTTED)] if log.shape[1] > 5 else []
@@ -103,15 +103,10 @@ def iterations(axes: Any, log: Matrix) -> None:
     axes.set_xlabel("iteration")
     axes.set_ylabel("max-norm")
     axes.xaxis.get_major_locator().set_params(integer=True)
-    # Above the panel, where no curve can be.
-    axes.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 0.97),
-        ncols=3,
-        fontsize=letter_size(8),
-        columnspacing=1.0,
+    axes.legend(  # above the panel, where no curve can be
+        loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, fontsize=letter_size(8), columnspacing=1.0,
         handlelength=1.5,
-    )
+    )  # fmt: skip
 
 
 def handles(
@@ -121,9 +116,9 @@ def handles(
     phases: int = 1,
     inner_times: str = "",
 ) -> list[Any]:
-    """Entries of the figure's legend, only for what occurs in it; `outcome` says what the curves of one body are.
+    """Return the entries of the figure's legend; `outcome` names the curves of a single body.
 
-    `inner_times` says what times between start and end are called, where there are any.
+    `inner_times` names the times of point constraints, if there are any.
     """
     bodies = quantities[0].values.shape[1]
     bounded = any(np.isfinite(q.lower).any() or np.isfinite(q.upper).any() for q in quantities) or bool(inequalities)
@@ -143,7 +138,7 @@ def handles(
 
 
 def _line(axes: Any, shown: Quantity, values: Vector, **style: Any) -> None:
-    """A polygon through the nodes, broken where the quantity jumps, or a step for every interval."""
+    """Draw a polygon through the nodes with gaps at jumps, or a step for every interval."""
     if shown.on_intervals:
         axes.stairs(values, shown.t, baseline=None, **style)
         return
@@ -153,32 +148,32 @@ def _line(axes: Any, shown: Quantity, values: Vector, **style: Any) -> None:
 
 
 def switches(axes: Any, times: Sequence[float]) -> None:
-    """Where one phase ends and the next begins."""
+    """Mark the switches of phases."""
     for t in times:
         axes.axvline(t, **_SWITCH)
 
 
 def inner_times(axes: Any, times: Sequence[float]) -> None:
-    """Times at which conditions hold."""
+    """Mark the times of point constraints."""
     for t in times:
         axes.axvline(t, **_INNER)
 
 
 def _highlight(axes: Any, t: Vector, values: Matrix, where: np.ndarray) -> None:
-    """A broad line behind the parts of curves that lie on a limit."""
+    """Draw a broad line behind the parts of curves that lie on a limit."""
     for column, active in zip(values.T, where.T, strict=True):
         if not active.any():
             continue
         if column.size == t.size:
             axes.plot(t, np.where(active, column, np.nan), solid_capstyle="butt", **_ACTIVE)
-            alone = active & ~np.r_[False, active[:-1]] & ~np.r_[active[1:], False]
-            axes.plot(t[alone], column[alone], "o", color=AMBER, alpha=0.75, markersize=5.5, zorder=1.5)
+            single = active & ~np.r_[False, active[:-1]] & ~np.r_[active[1:], False]
+            axes.plot(t[single], column[single], "o", color=AMBER, alpha=0.75, markersize=5.5, zorder=1.5)
         else:
             axes.hlines(column[active], t[:-1][active], t[1:][active], **_ACTIVE)
 
 
 def _bounds(axes: Any, shown: Quantity) -> None:
-    """Dashed lines and shaded sides of bounds near the curves; bounds far away are named above the panel."""
+    """Draw bounds near the curves as dashed lines with a shaded side; name distant bounds above the panel."""
     finite = shown.values[np.isfinite(shown.values)]
     if finite.size == 0:
         return
@@ -195,13 +190,23 @@ def _bounds(axes: Any, shown: Quantity) -> None:
             else:
                 far.append(f"{sign} {bound:.4g}")
     axes.set_ylim(low, high)
-    _shade(axes, shown)
+    low, high = axes.get_ylim()
+    if shown.lower.ndim > 1:  # shade the region that is forbidden for all bodies
+        lower, upper = (_on_intervals(bounds, shown.t) for bounds in (shown.lower, shown.upper))
+        for edge, limits in ((low, lower.min(axis=1)), (high, upper.max(axis=1))):
+            axes.stairs(np.clip(limits, low, high), shown.t, baseline=edge, fill=True, color=FORBIDDEN, zorder=0.5)
+    else:
+        least, greatest = float(shown.lower.min()), float(shown.upper.max())
+        if low < least < high:
+            axes.axhspan(low, least, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+        if low < greatest < high:
+            axes.axhspan(greatest, high, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
     if far:
         axes.set_title(f"out of view: {', '.join(far[:2])}", loc="right", fontsize=letter_size(7.5), color=GREY)
 
 
 def _draw_bound(axes: Any, t: Vector, bounds: Vector | Matrix, bound: float) -> None:
-    """A dashed line where some body has this bound."""
+    """Draw a dashed line where some body has this bound."""
     if bounds.ndim == 1:
         axes.axhline(bound, **_BOUND)
         return
@@ -210,28 +215,13 @@ def _draw_bound(axes: Any, t: Vector, bounds: Vector | Matrix, bound: float) -> 
     axes.hlines(np.full(changes.size // 2, bound), t[changes[::2]], t[changes[1::2]], **_BOUND)
 
 
-def _shade(axes: Any, shown: Quantity) -> None:
-    """Colour what no body may enter."""
-    low, high = axes.get_ylim()
-    if shown.lower.ndim > 1:
-        lower, upper = (_on_intervals(bounds, shown.t) for bounds in (shown.lower, shown.upper))
-        for edge, bounds in ((low, lower.min(axis=1)), (high, upper.max(axis=1))):
-            axes.stairs(np.clip(bounds, low, high), shown.t, baseline=edge, fill=True, color=FORBIDDEN, zorder=0.5)
-        return
-    least, greatest = float(shown.lower.min()), float(shown.upper.max())
-    if low < least < high:
-        axes.axhspan(low, least, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
-    if low < greatest < high:
-        axes.axhspan(greatest, high, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
-
-
 def _on_intervals(bounds: Matrix, t: Vector) -> Matrix:
-    """Bounds on intervals: a node's are those of the interval before it."""
+    """Return bounds on intervals; the bounds of a node are those of the interval before."""
     return bounds[1:] if len(bounds) == t.size else bounds
 
 
 def widen_if_flat(axes: Any, values: np.ndarray) -> bool:
-    """Do not blow rounding errors of a constant up to the height of the panel; whether it is one."""
+    """Widen the axis of a constant, so that rounding errors are not magnified; return True for a constant."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return False
@@ -243,18 +233,18 @@ def widen_if_flat(axes: Any, values: np.ndarray) -> bool:
 
 
 def say_if_conserved(axes: Any, momenta: np.ndarray) -> None:
-    """Above the panel of a momentum that does not change but for rounding, how well it is conserved."""
+    """Write above the panel of a conserved momentum to what accuracy it is conserved."""
     if widen_if_flat(axes, momenta) and np.isfinite(momenta).all():
         axes.set_title(conserved_to(float(np.ptp(momenta))), loc="right")
 
 
 def conserved_to(spread: float) -> str:
-    """How well something is conserved that should be."""
+    """Return the accuracy of a conserved quantity in words."""
     return f"conserved to {spread:.0e}" if spread > 0.0 else "conserved exactly"
 
 
 def lengths(axes: Any, t: Vector) -> None:
-    """How long the intervals of a time grid are, where they differ."""
+    """Draw the lengths of the intervals of a time grid."""
     axes.step(t, np.append(np.diff(t), t[-1] - t[-2]), where="post", color=DARK, linewidth=1.0)
     axes.set_yscale("log")
     axes.set_ylabel("length of intervals")

@@ -1,26 +1,34 @@
-"""Pictures as notebooks show them and as files: a figure of matplotlib, and a film."""
+"""The style of figures, their titles and texts, and pictures and films as notebooks show them."""
 
 from __future__ import annotations
 
 import base64
 import io
+import json
 import re
-from collections.abc import Callable, Iterator
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import StepPatch
+from numpy.typing import NDArray
 
+from codegen import identifiers
 from codegen.errors import ArgumentError
 from codegen.files import replacing
+from codegen.solving.results.result import Result
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 STYLE: dict[Any, Any] = {
     "font.size": 9.5,
@@ -41,20 +49,27 @@ STYLE: dict[Any, Any] = {
     "ytick.labelsize": 8.5,
     "svg.hashsalt": "codegen",
 }
-"""Settings of matplotlib, to be used in a context."""
+"""Settings of matplotlib for a context."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """How large a picture is beside that on a page, its letters in points, how wide its lines are, dots per inch."""
+    """A style: size relative to a page, letters in points, relative line width, dots per inch, and contents.
+
+    Without `has_title` a solved figure has no title. Without `has_details` an optimum has no multipliers and
+    iterations. A slide has an aspect ratio of 16:9, with the drawing at the left.
+    """
 
     size: float
     letters: float
     lines: float
     resolution: float = 150.0
+    has_title: bool = True
+    has_details: bool = True
+    is_slide: bool = False
 
     def settings(self) -> dict[Any, Any]:
-        """Settings of matplotlib."""
+        """Return settings of matplotlib."""
         scale = self.letters / STYLE["font.size"]
         scaled = {name: scale * value for name, value in STYLE.items() if name.endswith("size")}
         return {**STYLE, **scaled, "savefig.dpi": self.resolution, "pdf.fonttype": 42}
@@ -62,17 +77,17 @@ class Style:
 
 STYLES = {
     "page": Style(1.0, 9.5, 1.0),
-    "paper": Style(7.1 / 12.0, 7.5, 0.7, 300.0),
-    "talk": Style(13.3 / 12.0, 15.0, 1.7),
+    "paper": Style(7.1 / 12.0, 7.5, 0.7, 300.0, has_title=False, has_details=False),
+    "talk": Style(13.3 / 12.0, 15.0, 1.7, has_details=False, is_slide=True),
 }
-"""What pictures may be for: a page on a screen; the two columns of a journal, 180 mm in all; slides."""
+"""Styles by use: a page on a screen; the two columns of a journal, 180 mm wide; slides."""
 
 _used: ContextVar[Style] = ContextVar("style", default=STYLES["page"])
 
 
 @contextmanager
 def using(name: str) -> Iterator[None]:
-    """Draw in a style; ArgumentError for one that there is not."""
+    """Draw in a style; raises ArgumentError for an unknown one."""
     if name not in STYLES:
         raise ArgumentError(f"there is no style {name!r}", f"give one of {', '.join(STYLES)}")
     token = _used.set(STYLES[name])
@@ -83,14 +98,26 @@ def using(name: str) -> Iterator[None]:
         _used.reset(token)
 
 
+def present_style() -> Style:
+    """Return the style of the surrounding `using`."""
+    return _used.get()
+
+
 def new_figure(width: float, height: float, layout: Any = "constrained") -> Figure:
-    """An empty figure of so many inches on a page, in the size of the style in use."""
-    size = _used.get().size
-    return Figure(figsize=(size * width, size * height), layout=layout)
+    """Return an empty figure, of a size in inches on a page, scaled to the present style.
+
+    A slide is as wide as the style has it, or wider for a high figure, with an aspect ratio of 16:9.
+    """
+    style = _used.get()
+    width, height = style.size * width, style.size * height
+    if style.is_slide:
+        width = max(width, 16.0 / 9.0 * height)
+        height = 9.0 / 16.0 * width
+    return Figure(figsize=(width, height), layout=layout)
 
 
 def finished(figure: Figure) -> Figure:
-    """The figure with lines and marks as wide as the style in use has them."""
+    """Return the figure with lines and marks scaled to the present style."""
     factor = _used.get().lines
     for line in figure.findobj(Line2D) if factor != 1.0 else ():
         line.set_linewidth(factor * line.get_linewidth())
@@ -101,12 +128,12 @@ def finished(figure: Figure) -> Figure:
 
 
 def letter_size(size: float) -> float:
-    """The size of letters that have so many points on a page, in the style in use."""
+    """Return a letter size in points on a page, scaled to the present style."""
     return size * _used.get().letters / STYLES["page"].letters
 
 
 def letters_across(figure: Figure) -> int:
-    """How many letters of a title stand side by side in a figure."""
+    """Return the number of letters of a title that fit side by side in a figure."""
     return int(10.0 * figure.get_figwidth() * STYLES["page"].letters / _used.get().letters)
 
 
@@ -114,7 +141,7 @@ _MOST_PANELS = 16
 
 
 def words_of(figure: Figure) -> str:
-    """The title of a figure, and what each of its panels shows, from where to where."""
+    """Return the title of a figure, and the quantity and range of each panel, as text."""
     title = _plain(str(figure.get_label()) or " ".join(figure.get_suptitle().split()))
     panels = list(dict.fromkeys(text for axes in figure.axes if (text := _panel(axes))))
     shown = "; ".join(panels[:_MOST_PANELS])
@@ -123,13 +150,13 @@ def words_of(figure: Figure) -> str:
 
 
 def _panel(axes: Any) -> str:
-    """A panel's quantity with its range and what it is drawn over; a drawing by its title and legend."""
+    """Return the quantity of a panel with its range and abscissa; for a drawing its title and legend."""
     name, over = _plain(axes.get_ylabel()), _plain(axes.get_xlabel())
     titles = [_plain(axes.get_title(loc=side)) for side in ("left", "center", "right")]
     if not name and not over:
         what = ", ".join([*filter(None, titles), *_entries(axes)])
         return f"a drawing of the system{f' ({what})' if what else ''}" if axes.has_data() or axes.artists else what
-    # The least and the greatest value of all curves of a panel that have more than two points.
+    # The range of all curves with more than two points.
     tables = [np.asarray(line.get_ydata(), dtype=float) for line in axes.lines if np.size(line.get_ydata()) > 2]
     tables += [np.asarray(step.get_data().values, dtype=float) for step in axes.patches if hasattr(step, "get_data")]
     values = np.concatenate([np.zeros(0), *(table.ravel() for table in tables)])
@@ -148,7 +175,7 @@ def _entries(axes: Any) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    r"""Words for mathematics: $\dot{\theta}_{1}$ is `rate of theta_1`."""
+    r"""Return words for mathematics: $\dot{\theta}_{1}$ is `rate of theta_1`."""
     text = re.sub(r"\\dot\{((?:[^{}]|\{[^{}]*\})*)\}", r"rate of \1", text)
     text = re.sub(r"\\mathrm\{([^{}]*)\}", r"\1", text)
     text = re.sub(r"\\var(?=phi|epsilon)", "", text)
@@ -156,39 +183,52 @@ def _plain(text: str) -> str:
 
 
 _DPI = 110
-_TOLD = {".png": "Description", ".pdf": "Subject", ".svg": "Description"}
-"""Kinds of pictures, and what their formats call the text that says what is shown."""
+_DESCRIPTIONS = {".png": "Description", ".pdf": "Subject", ".svg": "Description"}
+"""Formats of pictures, and the name of the metadata for a description."""
 
 
 def write(figure: Figure, path: Path, style: str = "page") -> None:
-    """Write a figure, with the text of what it shows, into a file whose ending matplotlib knows."""
+    """Write a figure, with a description in words, to a file of a format of matplotlib."""
     kind = path.suffix.lower()
-    metadata: dict[str, Any] = {_TOLD[kind]: words_of(figure)} if kind in _TOLD else {}
+    metadata: dict[str, Any] = {_DESCRIPTIONS[kind]: words_of(figure)} if kind in _DESCRIPTIONS else {}
     with using(style):
         figure.savefig(path, metadata=metadata | ({"Date": None} if kind == ".svg" else {}))
 
 
 def image(data: bytes, kind: str, text: str) -> str:
-    """A picture as an element of a page, with the text that stands for it."""
+    """Return a picture as an HTML element with an alternative text."""
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     return f'<img alt="{escape(text)}" src="{source}" style="max-width:100%">'
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A `figure` of matplotlib in its style, which a notebook shows; `save` writes it to a file."""
+    """A `figure` of matplotlib in its style, which a notebook shows."""
 
     figure: Figure
     style: str = "page"
 
     @property
     def text(self) -> str:
-        """What the figure shows, in words: every panel with its quantity and its range; files have it as well."""
+        """A description of the figure in words: every panel with its quantity and range. Files contain it as well."""
         return words_of(self.figure)
 
     def save(self, path: Path | str) -> None:
-        """Write the figure to a file, .png, .pdf or .svg; ArgumentError for another ending."""
-        if Path(path).suffix.lower() not in _TOLD:
+        """Write the figure to a file .png, .pdf or .svg.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+
+        Raises
+        ------
+        ArgumentError
+            For another ending.
+        FileError
+            If the file system refuses.
+        """
+        if Path(path).suffix.lower() not in _DESCRIPTIONS:
             raise ArgumentError(f"{path}: unknown kind of picture", "let it end in .png, .pdf or .svg")
         with replacing(Path(path)) as temporary:
             write(self.figure, temporary, self.style)
@@ -205,14 +245,27 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """A film of a motion: `data` are the bytes of a GIF, which a notebook shows; `save` writes it to a file."""
+    """A film of a motion, which a notebook shows; `data` are the bytes of a GIF."""
 
-    data: bytes = field(repr=False)  # hundreds of kilobytes, which notebooks keep as text beside the picture
+    data: bytes = field(repr=False)  # hundreds of kilobytes
     title: str
     _written: Callable[[Path], None] = field(repr=False)
 
     def save(self, path: Path | str) -> None:
-        """Write the film, .gif or .mp4; ArgumentError for another ending, or where ffmpeg is missing or fails."""
+        """Write the film to a file .gif or .mp4.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+
+        Raises
+        ------
+        ArgumentError
+            For another ending, or if ffmpeg is missing or fails.
+        FileError
+            If the file system refuses.
+        """
         path = Path(path)
         if path.suffix.lower() not in (".gif", ".mp4"):
             raise ArgumentError(f"{path}: unknown kind of film", "let it end in .gif or .mp4")
@@ -224,3 +277,125 @@ class Film:
 
     def _repr_html_(self) -> str:
         return image(self.data, "gif", f"Film: {self.title}")
+
+
+BLUE, RED, GREEN, PINK, AMBER, SKY = "#0072B2", "#D55E00", "#009E73", "#B8578F", "#E69F00", "#56B4E9"
+"""Colours that colour-blind readers can distinguish: Okabe and Ito (2008), Color universal design."""
+GREY, DARK = "#707070", "#303030"
+CRIMSON = "#BE1E2D"
+"""Colour of arrows."""
+FORBIDDEN = "#F6DFD3"
+"""Colour of the forbidden side of a bound."""
+
+MOST_BODY_COLOURS = 7
+"""Number of bodies with their own colours; more bodies are graded."""
+
+_SIGNS = (("**", "^"), ("<=", "≤"), (">=", "≥"), ("*", "·"))
+
+
+def body_colours(bodies: int, single: str) -> list[Any]:
+    """Return a colour for every body; a single body has the colour `single`."""
+    if bodies == 1:
+        return [single]
+    if bodies <= MOST_BODY_COLOURS:
+        return [BLUE, GREEN, PINK, AMBER, SKY, DARK, GREY][:bodies]
+    return [body_map()(index / (bodies - 1)) for index in range(bodies)]
+
+
+def body_map() -> Any:
+    """Return the colour map of many bodies, without its palest end."""
+    whole = matplotlib.colormaps["viridis"]
+    return matplotlib.colors.ListedColormap(whole([0.92 * i / 255 for i in range(256)]))
+
+
+def label(name: str) -> str:
+    """Return a symbol's name as mathematics: phi1 becomes a Greek letter with an index."""
+
+    def letter(part: str) -> str:
+        rest = part[1:]
+        if part.startswith("d") and rest and not rest.isdigit() and not identifiers.word(rest).startswith(r"\mathrm"):
+            return rf"\dot{{{identifiers.word(rest)}}}"
+        return identifiers.word(part)
+
+    parts = re.sub(r"(?<=[A-Za-z])(\d+)$", r"_\1", name).split("_")
+    letters = [letter(part) for part in parts if part] or [identifiers.word(name)]
+    return "$" + letters[0] + ("_{" + ",".join(letters[1:]) + "}" if len(letters) > 1 else "") + "$"
+
+
+def relation(text: str, longest: int = 46) -> str:
+    """Return a relation with mathematical signs, cut to at most `longest` characters."""
+    for sign, better in _SIGNS:
+        text = text.replace(sign, better)
+    return text if len(text) <= longest else text[: longest - 1] + "…"
+
+
+def title(figure: Figure, result: Result, notes: Sequence[str] = ()) -> None:
+    """Set the title of a result: problem, discretisation, outcome and notes."""
+    outcome = [f"{result.method}, {result.scheme}, {result.intervals}"]
+    outcome += [f"cost {result.cost:.6g}"] if result.cost is not None else []
+    outcome += [] if result.solved else [f"NOT SOLVED: {result.status}"]
+    set_title(figure, result.title, [*outcome, *notes], is_needed=not result.solved)
+
+
+def set_title(figure: Figure, name: str, details: Sequence[str], is_needed: bool = False) -> None:
+    """Set the label, which descriptions contain, and the wrapped title, if the style has one or it `is_needed`."""
+    texts = name.rstrip("."), ", ".join(details)
+    figure.set_label(". ".join(texts))
+    if _used.get().has_title or is_needed:
+        letters = letters_across(figure)
+        lines = (line for text in texts for line in textwrap.wrap(text, letters))
+        figure.suptitle("\n".join(lines), fontsize=letter_size(11))
+
+
+def quantity(name: str, data: Dataset | None = None) -> str:
+    """Return the label of a varied quantity; prescribed values have the end and the name, as in `start.r`.
+
+    The unit of a sweep's `data` follows, if it is known.
+    """
+    end, dot, own = name.partition(".")
+    text = f"{label(own)} at the {end}" if dot else label(name)
+    unit = json.loads(data.attrs.get("units", "{}")).get(own or name, "") if data is not None else ""
+    return f"{text} ({unit})" if unit else text
+
+
+def statuses(data: Dataset) -> NDArray[np.str_]:
+    """Return the status of each case of a sweep, for any text type of a file."""
+    values = data["status"].values
+    return np.array(values.ravel().tolist(), dtype=np.str_).reshape(values.shape)
+
+
+def heading(figure: Figure, data: Dataset, where: str = "") -> None:
+    """Set the title of a sweep: problem, discretisation, failed cases, and `where` the drawn cases lie."""
+    own = data.attrs
+    steps = [f"{own['steps']} steps"] if "steps" in own else []
+    status = statuses(data)
+    failed = int((status != "solved").sum())
+    outcome = f"{status.size} cases" + (f", {failed} FAILED" if failed else "")
+    details = [own["formulation"], own["scheme"], *steps, outcome + where]
+    set_title(figure, str(own["title"]), details, is_needed=failed > 0)
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units by names of quantities, as texts; `t` is the time, `energy` the energy. Missing names have no unit."""
+
+    by_name: Mapping[str, str]
+
+    @classmethod
+    def of(cls, result: Result, time: str = "") -> Units:
+        """Return the units of a result; `time` is the unit of the time if the result has none."""
+        return cls({**({"t": time} if time else {}), **result.units})
+
+    @property
+    def time(self) -> str:
+        """Label of an axis of time."""
+        return self.named("time", "t")
+
+    def label(self, name: str) -> str:
+        """Return the label of an axis of a quantity."""
+        return self.named(label(name), name)
+
+    def named(self, text: str, name: str) -> str:
+        """Return a text for a quantity, with its unit."""
+        unit = self.by_name.get(name, "")
+        return f"{text} ({unit})" if unit else text

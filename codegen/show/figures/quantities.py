@@ -1,8 +1,7 @@
-"""What a figure of an optimum shows, as arrays: every quantity with its bounds and first guess, path inequalities."""
+"""The quantities of a figure of an optimum as arrays: values, bounds and initial guess, and path inequalities."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,22 +11,22 @@ from codegen.runtime.record import Form, Meaning, Method, Place
 from codegen.runtime.search.grid import free_unknowns
 from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solving.results.result import Result
-from codegen.solving.results.segments import Segments, multiplier_names, put_together, segments_of
+from codegen.solving.results.segments import multiplier_names, put_together, segments_of
 
 CLOSE, LEAST = 2e-4, 1e-6
-"""Relative and absolute distance from a limit that count as none: an interior point method ends a little inside."""
+"""Relative and absolute distance up to which a value counts as active: an interior-point method ends inside."""
 
 _PER_INTERVAL = 9
-"""Times in an interval at which a control that is a polynomial there is drawn."""
+"""Number of points in an interval of the polynomial of a control."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity over time, a column for every body.
+    """One quantity over time, with a column for every body.
 
-    `values` belong to the times `t`, or to the intervals between them when there is one row less. Bounds are infinite
-    where there are none, and have rows like the values where they may change. `kind` is state, momentum, multiplier or
-    control; `jumps` are the nodes after which another value follows at once; `unit` stands behind the name.
+    `values` belong to the times `t`, or to the intervals if they have one row less. Missing bounds are infinite; bounds
+    that change have rows like the values. `kind` is state, momentum, multiplier or control. `jumps` are the nodes after
+    which the value jumps.
     """
 
     name: str
@@ -42,18 +41,19 @@ class Quantity:
 
     @property
     def on_intervals(self) -> bool:
-        """Whether the quantity is constant on every interval."""
+        """True if the quantity is constant on every interval."""
         return len(self.values) == self.t.size - 1
 
     def active(self) -> np.ndarray:
-        """Which values lie on a bound."""
+        """Return True for values on a bound."""
         room = self.upper - self.lower
-        size = np.where(np.isfinite(room), room, _spread(self.values))
+        spread = np.fmax.reduce(self.values, axis=0) - np.fmin.reduce(self.values, axis=0)
+        size = np.where(np.isfinite(room), room, spread)
         distance = np.minimum(self.values - self.lower, self.upper - self.values)
         return np.asarray(distance <= CLOSE * size + LEAST)
 
     def is_violated(self) -> bool:
-        """Whether a value lies beyond a bound by more than rounding."""
+        """Return True if a value violates a bound by more than rounding."""
         return bool(np.any((self.values < self.lower - LEAST) | (self.values > self.upper + LEAST)))
 
 
@@ -61,7 +61,7 @@ class Quantity:
 class Inequality:
     """A path inequality g <= 0 as its distance -g from equality (times, bodies), at its own times.
 
-    `segment` is the number of its segment where delays cut the motion, else 0.
+    `segment` is the number of its segment if delays cut the motion, else 0.
     """
 
     name: str
@@ -70,25 +70,25 @@ class Inequality:
     segment: int = 0
 
     def active(self) -> np.ndarray:
-        """Where the inequality holds with equality."""
+        """Return True where the inequality holds with equality."""
         return np.asarray(self.distance <= CLOSE * float(np.nanmax(np.abs(self.distance), initial=0.0)) + LEAST)
 
     def is_violated(self) -> bool:
-        """Whether the inequality does not hold, by more than rounding."""
+        """Return True if the inequality is violated by more than rounding."""
         return bool(np.any(self.distance < -LEAST))
 
 
 def first_guess(module: ControlModule, result: Result) -> Result:
-    """The result as it would be if the solver had not moved from the problem's first guess."""
+    """Return the result of the problem's initial guess, without any iteration."""
     grid = time_grid(module, result.steps, result.grid)
     t, q, p, u, multipliers = module.unpack(grid, module.initial_guess(grid))
     return replace(result, t=t, q=q, p=p, u=u, multipliers=multipliers, log=None)
 
 
 def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity]]:
-    """States, momenta, multipliers and controls of a result, each list in the order of declaration.
+    """Return states, momenta, multipliers and controls of a result, each list in the order of declaration.
 
-    A multiplier belongs to the state of the same index; those of momenta follow.
+    A multiplier belongs to the state of the same index; multipliers of momenta follow.
     """
     assert result.u is not None
     assert result.multipliers is not None
@@ -106,32 +106,41 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
     }
     out: dict[str, list[Quantity]] = {}
     for kind, (names, values, guessed, index) in groups.items():
-        # Bounds of momenta mean something only where momenta are unknowns of their own.
+        # Bounds of momenta apply only if momenta are unknowns.
         is_bounded = kind != "momentum" or metadata.method == Method.HAMILTONIAN
-        tables = [_by_body(table, bodies) for table in (_finite(values), guessed, lower[index], upper[index])]
+        tables = (_finite(values), guessed, lower[index], upper[index])
+        shown, initial, least, most = (table.reshape(len(table), bodies, -1) for table in tables)
         none = np.full(bodies, np.inf)
         out[kind] = [
             Quantity(
                 name,
                 kind,
                 fine if kind == "control" and result.stage_abscissae else result.t,
-                tables[0][:, :, i],
-                _limits(module, tables[2][:, :, i], -np.inf) if is_bounded else -none,
-                _limits(module, tables[3][:, :, i], np.inf) if is_bounded else none,
-                tables[1][:, :, i] if kind != "momentum" else None,
+                shown[:, :, i],
+                _limits(module, least[:, :, i], -np.inf) if is_bounded else -none,
+                _limits(module, most[:, :, i], np.inf) if is_bounded else none,
+                initial[:, :, i] if kind != "momentum" else None,
                 _jumps(module, result, name),
                 result.units.get(name, ""),
             )
             for i, name in enumerate(names)
         ]
-    out["multiplier"] = list(_multipliers(module, result, (*coordinates, *momenta)))
+    # Multipliers of the equations of motion, in the order of their quantities.
+    table = _finite(result.multipliers)
+    table, none = table.reshape(len(table), bodies, -1), np.full(bodies, np.inf)
+    wanted = {f"{stem}_{name}" for stem in ("lambda", "mu") for name in (*coordinates, *momenta)}
+    out["multiplier"] = [
+        Quantity(name, "multiplier", result.t, table[:, :, i], -none, none, jumps=_jumps(module, result, name))
+        for i, name in enumerate(multiplier_names(metadata, table.shape[2]))
+        if name in wanted
+    ]
     return out
 
 
 def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
-    """The path inequalities of a result, one for every condition that the author wrote, as they were discretised."""
+    """Return the path inequalities of a result as they were discretised, one for every condition of the author."""
     metadata = module.metadata
-    generated: Any = module  # it has names that only some modules have
+    generated: Any = module  # with names that only some modules have
     if result.unknowns is None or not hasattr(generated, "SLACKS"):
         return []
     grid = time_grid(module, result.steps, result.grid)
@@ -141,67 +150,54 @@ def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
     first = len(metadata.node)
     for phase, meanings in enumerate(metadata.slack_meanings):
         rows = slice(phase * result.steps, (phase + 1) * result.steps)
-        found: dict[Meaning, list[tuple[float, Matrix]]] = {}
+        by_meaning: dict[Meaning, list[tuple[float, Matrix]]] = {}
         for slack, multiplier in zip(generated.SLACKS - first, generated.SLACK_MULTIPLIERS - first, strict=True):
             meaning = meanings.get(metadata.interval[slack])
             if meaning is None or meaning.kind.place != Place.INTERVAL:
-                continue  # another phase has it
-            # The equation g + s = 0 may have a residual, so that the slack alone would hide a violation.
+                continue  # a condition of another phase
+            # The equation g + s = 0 may have a residual, so the slack alone would hide a violation.
             distance = intervals[:, rows, slack] - residuals[:, rows, multiplier]
-            found.setdefault(replace(meaning, at=0), []).append((meaning.at, _finite(distance).T))
-        for meaning, parts in found.items():
-            columns.setdefault(meaning, []).append(_in_order(parts, result.t[:-1][rows], np.diff(result.t)[rows]))
-    return [Inequality(m.subject, *_with_gaps(parts), m.segment) for m, parts in columns.items()]
-
-
-def _in_order(parts: list[tuple[float, Matrix]], t: Vector, steps: Vector) -> tuple[Vector, Matrix]:
-    """Times and values of what is known at some points of every interval."""
-    times = np.array([t + c * steps for c, _ in parts])
-    order = np.argsort(times.ravel(), kind="stable")
-    return times.ravel()[order], np.concatenate([values for _, values in parts])[order]
-
-
-def _with_gaps(parts: list[tuple[Vector, Matrix]]) -> tuple[Vector, Matrix]:
-    """Times and values of several stretches, with a value that is not drawn between them."""
-    t, values = parts[0]
-    for more, others in parts[1:]:
-        t = np.concatenate([t, t[-1:], more])
-        values = np.concatenate([values, np.full_like(others[:1], np.nan), others])
-    return t, values
+            by_meaning.setdefault(replace(meaning, at=0), []).append((meaning.at, _finite(distance).T))
+        for meaning, points in by_meaning.items():
+            # Sort the points of all intervals by time.
+            times = np.concatenate([result.t[:-1][rows] + c * np.diff(result.t)[rows] for c, _ in points])
+            order = np.argsort(times, kind="stable")
+            values = np.concatenate([values for _, values in points])
+            columns.setdefault(meaning, []).append((times[order], values[order]))
+    out = []
+    for meaning, parts in columns.items():
+        t, values = parts[0]
+        for more, others in parts[1:]:  # NaN makes a gap between phases
+            t = np.concatenate([t, t[-1:], more])
+            values = np.concatenate([values, np.full_like(others[:1], np.nan), others])
+        out.append(Inequality(meaning.subject, t, values, meaning.segment))
+    return out
 
 
 def _bounds(module: ControlModule, like: Result) -> tuple[list[Matrix], list[Matrix]]:
-    """Least and greatest (q, p, u), infinite where there are none."""
+    """Return lower and upper bounds of (q, p, u), infinite without bounds."""
     if not module.metadata.inequalities:
         tables = [np.full_like(table, np.inf) for table in (like.q, like.p, like.u)]
         return [-table for table in tables], tables
     grid = time_grid(module, like.steps, like.grid)
-    with np.errstate(all="ignore"):  # durations and momenta of infinite unknowns mean nothing
+    with np.errstate(all="ignore"):  # durations and momenta of infinite unknowns are not used
         lower, upper = (module.unpack(grid, bounds) for bounds in module.variable_bounds(grid))
     return [lower[1], lower[2], lower[3]], [upper[1], upper[2], upper[3]]
 
 
 def _finite(table: Matrix) -> Matrix:
-    """NaN, which is not drawn, instead of infinite numbers, where the numerics failed."""
+    """Replace infinite numbers by NaN, which is not drawn."""
     return np.where(np.isfinite(table), table, np.nan)
 
 
-def _spread(values: Matrix) -> Vector:
-    return np.asarray(np.fmax.reduce(values, axis=0) - np.fmin.reduce(values, axis=0))
-
-
-def _by_body(table: Matrix, bodies: int) -> Matrix:
-    return table.reshape(len(table), bodies, -1)
-
-
 def _limits(module: ControlModule, table: Matrix, none: float) -> Vector | Matrix:
-    """The bound of every body, or at every time as well where there are phases, each with its own bounds."""
+    """Return the bound of every body, with a row for each time if phases have their own bounds."""
     phases = module.metadata.phases
     if phases == 1:
         return _constant(table, none)
     steps = len(table) // phases
     parts = np.split(table, [len(table) - (phases - i) * steps for i in range(1, phases)])
-    # The node at the end of a phase has bounds of the next one as well.
+    # The node at the end of a phase also has the bounds of the next phase.
     inner = [part[:-1] if len(table) > phases * steps and steps > 1 else part for part in parts]
     return np.concatenate(
         [np.broadcast_to(_constant(own, none), part.shape) for own, part in zip(inner, parts, strict=True)]
@@ -209,68 +205,52 @@ def _limits(module: ControlModule, table: Matrix, none: float) -> Vector | Matri
 
 
 def _jumps(module: ControlModule, result: Result, name: str) -> tuple[int, ...]:
-    """The nodes after which a coordinate or momentum jumps; a coordinate's multiplier jumps with both."""
+    """Return the nodes after which a coordinate or momentum jumps; a coordinate's multiplier jumps with both."""
     names = {name} | ({name[7:], f"p_{name[7:]}"} if name.startswith("lambda_") else set())
     switches = enumerate(module.metadata.jumps, start=1)
     return tuple(i * result.steps for i, jumping in switches if names & set(jumping))
 
 
 def _drawn(module: ControlModule, result: Result, fine: Vector) -> Matrix:
-    """The controls as they are drawn: those at stages as polynomials, which may jump at nodes."""
+    """Return the controls to draw; controls at stages are polynomials, which may jump at nodes."""
     assert result.u is not None
-    if not result.stage_abscissae:
-        return _present(module, result.u, result.steps)
-    # At a node, the value at the end of the interval before it comes first.
-    before = np.nextafter(fine, result.t[0])
-    here = np.where(np.diff(fine, prepend=-np.inf) > 0.0, before, fine)
-    here[0] = fine[0]
-    return result.controls_at(here)
-
-
-def _present(module: ControlModule, controls: Matrix, steps: int) -> Matrix:
-    """Controls with NaN, which is not drawn, in phases that have no such control."""
+    if result.stage_abscissae:
+        # The first one of two points at a node belongs to the interval before.
+        before = np.nextafter(fine, result.t[0])
+        times = np.where(np.diff(fine, prepend=-np.inf) > 0.0, before, fine)
+        times[0] = fine[0]
+        return result.controls_at(times)
     if module.metadata.phases == 1:
-        return controls
-    grid = module.make_grid(steps)
+        return result.u
+    # Set NaN, which is not drawn, in phases without a control.
+    grid = module.make_grid(result.steps)
     _, intervals = module.views(grid, np.where(free_unknowns(grid), 0.0, np.nan))
     inside = module.metadata.interval
-    # The last of a name: multipliers come first, one of which may be called like a control.
+    # Find the last one of a name: multipliers come first and may have the name of a control.
     indices = [len(inside) - 1 - inside[::-1].index(name) for name in module.metadata.control_names]
-    return np.asarray(controls + intervals[0][:, indices])
+    return np.asarray(result.u + intervals[0][:, indices])
 
 
 def _constant(table: Matrix, none: float) -> Vector:
-    """The bound of every body: it is the same at all times, but missing where a boundary value takes its place."""
-    finite = np.isfinite(table)
-    found = np.where(finite, table, -np.inf if none < 0 else np.inf)
-    return np.asarray(found.max(axis=0) if none < 0 else found.min(axis=0), dtype=float)
-
-
-def _multipliers(module: ControlModule, result: Result, names: tuple[str, ...]) -> Iterator[Quantity]:
-    """Multipliers of the equations of motion, in the order of the quantities that they belong to."""
-    metadata, bodies = module.metadata, module.metadata.bodies
-    assert result.multipliers is not None
-    table = _by_body(_finite(result.multipliers), bodies)
-    none = np.full(bodies, np.inf)
-    columns = multiplier_names(metadata, table.shape[2])
-    wanted = {f"{stem}_{name}" for stem in ("lambda", "mu") for name in names}
-    for i, column in enumerate(columns):
-        if column in wanted:
-            jumps = _jumps(module, result, column)
-            yield Quantity(column, "multiplier", result.t, table[:, :, i], -none, none, jumps=jumps)
+    """Return the bound of every body, which is constant, but missing where boundary conditions replace the bound."""
+    bounds = np.where(np.isfinite(table), table, -np.inf if none < 0 else np.inf)
+    return np.asarray(bounds.max(axis=0) if none < 0 else bounds.min(axis=0), dtype=float)
 
 
 def quantities_of_segments(module: ControlModule, result: Result) -> dict[str, list[Quantity]]:
-    """States, momenta, multipliers and controls of a result, each list in the order of declaration."""
+    """Return the quantities of a result over the whole time, also if delays cut the motion into segments."""
     segments, cut = segments_of(module.metadata), result.by_segments
     if segments is None or cut is None:
         return quantities(module, result)
-    found = quantities(module, cut)
-    return {kind: _in_time(group, segments, cut) for kind, group in found.items()}
+    joined: dict[str, list[Quantity]] = {}
+    for kind, group in quantities(module, cut).items():
+        names, columns = segments.columns([quantity.name for quantity in group])
+        joined[kind] = [_joined(name, [group[i] for i in own], cut) for name, own in zip(names, columns.T, strict=True)]
+    return joined
 
 
 def inequalities_of_segments(module: ControlModule, result: Result) -> list[Inequality]:
-    """The path inequalities of a result, one for every condition that the author wrote."""
+    """Return the path inequalities of a result over the whole time, also if delays cut the motion into segments."""
     cut = result.by_segments
     if cut is None:
         return inequalities(module, result)
@@ -285,20 +265,14 @@ def inequalities_of_segments(module: ControlModule, result: Result) -> list[Ineq
 
 
 def first_guess_of_segments(module: ControlModule, result: Result) -> Result:
-    """The result as it would be if the solver had not moved from the problem's first guess."""
+    """Return the result of the initial guess, also if delays cut the motion into segments."""
     if result.by_segments is None:
         return first_guess(module, result)
     return put_together(first_guess(module, result.by_segments), module.metadata)
 
 
-def _in_time(group: list[Quantity], segments: Segments, cut: Result) -> list[Quantity]:
-    """One quantity for those of all segments that have the same name."""
-    names, columns = segments.columns([quantity.name for quantity in group])
-    return [_joined(name, [group[i] for i in own], cut) for name, own in zip(names, columns.T, strict=True)]
-
-
 def _joined(name: str, parts: list[Quantity], cut: Result) -> Quantity:
-    """One quantity from those of its segments, which meet at nodes, but not within intervals."""
+    """Return one quantity for those of its segments, which share nodes, but no intervals."""
     first, duration = parts[0], float(cut.t[-1] - cut.t[0])
     at_nodes = first.t.size == cut.t.size
 

@@ -1,4 +1,4 @@
-"""The items of a drawing as matplotlib artists: one instant of a scene, or its whole course in one picture."""
+"""Items of a drawing as artists of matplotlib: an instant of a scene, its course in one picture, and films."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import subprocess
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from itertools import chain, repeat
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -23,11 +22,10 @@ from PIL import Image
 
 from codegen.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.show.figures.picture import STYLE, letter_size
-from codegen.show.figures.style import BLUE, CRIMSON, DARK, GREY, SKY, body_colours
+from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, SKY, STYLE, body_colours, letter_size
 
 SHOTS, MANY_SHOTS = 9, 7
-"""Instants at which a picture shows one body, and the arrows of several bodies."""
+"""Number of instants in a picture of one body, and of the arrows of several bodies."""
 
 _FAINT = 0.18
 _PALE, _SHADOW = "#DCE6EE", "#A8A8A8"
@@ -35,17 +33,17 @@ Extent = tuple[float, float, float, float]
 
 
 def bodies_of(scene: Scene) -> int:
-    """The number of bodies that a scene shows."""
+    """Return the number of bodies of a scene."""
     return max(len(array) for item in scene.items for _, array in item.expressions())
 
 
 def is_moving(item: Item) -> bool:
-    """Whether an item changes with time."""
+    """Return True if an item changes with time."""
     return any(array.shape[1] > 1 for _, array in item.expressions())
 
 
 def extent(scenes: Sequence[Scene]) -> Extent:
-    """Left, right, bottom and top of all that is finite in some scenes, with a margin."""
+    """Return left, right, bottom and top of all finite points of some scenes, with a margin."""
     xs, ys = [np.zeros(0)], [np.zeros(0)]
     for item in (item for scene in scenes for item in scene.items):
         for x, y in _corners(item):
@@ -57,13 +55,13 @@ def extent(scenes: Sequence[Scene]) -> Extent:
         return -1.0, 1.0, -1.0, 1.0
     left, right, bottom, top = float(x.min()), float(x.max()), float(y.min()), float(y.max())
     longest = max(right - left, top - bottom) or 1.0
-    # A path along a line still needs room beside it.
+    # A straight path also needs a margin.
     wide, high = (max(0.05 * longest, (0.25 * longest - side) / 2) for side in (right - left, top - bottom))
     return left - wide, right + wide, bottom - high, top + high
 
 
 def prepare(axes: Any, room: Extent) -> None:
-    """Equal scales on both axes, and fixed limits."""
+    """Set equal scales on both axes, and fixed limits."""
     axes.set_xlim(room[0], room[1])
     axes.set_ylim(room[2], room[3])
     axes.set_aspect("equal", anchor="N")
@@ -73,7 +71,7 @@ def prepare(axes: Any, room: Extent) -> None:
 
 
 def instant(scene: Scene, index: int, room: Extent, *, moving: bool, alpha: float = 1.0) -> Iterator[Any]:
-    """The artists of what moves, or of what does not, at one of the scene's times; trails end there."""
+    """Yield the artists of moving or of fixed items at one of the scene's times; trails end there."""
     for item in scene.items:
         if is_moving(item) is moving:
             for body, colour in enumerate(_colours(scene, item)):
@@ -81,9 +79,9 @@ def instant(scene: Scene, index: int, room: Extent, *, moving: bool, alpha: floa
 
 
 def course(axes: Any, scene: Scene, room: Extent, instants: int = SHOTS) -> None:
-    """The whole motion in one picture: trails, and a few instants, the last one in full colour.
+    """Draw the motion in one picture: trails, and a few instants, the last one in full colour.
 
-    Of several bodies, only arrows are repeated; their places at the end are black squares.
+    Of several bodies only arrows are repeated; black squares mark the ends of trails.
     """
     prepare(axes, room)
     count, last = bodies_of(scene), scene.t.size - 1
@@ -104,7 +102,7 @@ def course(axes: Any, scene: Scene, room: Extent, instants: int = SHOTS) -> None
 
 
 def _colours(scene: Scene, item: Item) -> list[Any]:
-    """A colour for each body that has the item: bodies differ; of one body, the first trail from the others."""
+    """Return a colour for each body of an item; for a single body the first trail differs from the others."""
     count = bodies_of(scene)
     if not is_moving(item):
         single = GREY
@@ -116,18 +114,18 @@ def _colours(scene: Scene, item: Item) -> list[Any]:
 
 
 def _shots(item: Item, bodies: int, shots: np.ndarray) -> list[int]:
-    """At which instants an item is shown."""
+    """Return the instants at which an item is shown."""
     if isinstance(item, Trail):
         return [int(shots[-1])]
     if bodies > 1 and isinstance(item, Mass):
-        return []  # the marks at the ends of its trail show it
+        return []  # the ends of its trail are marked
     if bodies > 1 and not isinstance(item, Arrow):
         return [int(shots[0]), int(shots[-1])]
     return [int(shot) for shot in shots]
 
 
 def legend(axes: Any, scene: Scene, *, ends: bool) -> None:
-    """Name the labelled items below the axes and, with `ends`, what marks the ends of several bodies' trails."""
+    """Add a legend of labelled items below the axes and, with `ends`, of the marks at the ends of trails."""
     handles: dict[str, Any] = {}
     for item in scene.items:
         if item.label:
@@ -155,26 +153,18 @@ def _handle(item: Item, colour: Any) -> Any:
 
 
 def _artists(item: Item, body: int, index: int, room: Extent, colour: Any, alpha: float) -> Iterator[Any]:
-    """What shows one item of one body at one time; nothing where a number is not finite."""
+    """Yield the artists of an item of one body at one time, none if a number is not finite."""
 
     def at(array: np.ndarray) -> float:
         return float(array[min(body, len(array) - 1), min(index, array.shape[1] - 1)])
 
     if isinstance(item, Trail):
-        yield _trail(item, body, index, colour)
+        x, y = (array[min(body, len(array) - 1), : index + 1] for array in item.point)
+        yield Line2D(x, y, color=colour, linewidth=1.5, zorder=2)
         return
-    here = item.mapped(at)
-    if all(np.isfinite(number) for _, number in here.expressions()):
-        yield from _solid(here, room, colour, alpha)
-
-
-def _trail(item: Trail, body: int, index: int, colour: Any) -> Line2D:
-    x, y = (array[min(body, len(array) - 1), : index + 1] for array in item.point)
-    return Line2D(x, y, color=colour, linewidth=1.5, zorder=2)
-
-
-def _solid(item: Item, room: Extent, colour: Any, alpha: float) -> Iterator[Any]:
-    """The artist of an item whose parts are numbers."""
+    item = item.mapped(at)
+    if not all(np.isfinite(number) for _, number in item.expressions()):
+        return
     if isinstance(item, Rod):
         x, y = zip(item.start, item.end, strict=True)
         yield Line2D(x, y, color=DARK, linewidth=2.4, alpha=alpha, solid_capstyle="round", zorder=3)
@@ -183,7 +173,10 @@ def _solid(item: Item, room: Extent, colour: Any, alpha: float) -> Iterator[Any]
         yield patches.Circle(item.centre, item.radius, alpha=alpha, zorder=3.6, **style)
     elif isinstance(item, Box):
         style = {"facecolor": _PALE, "edgecolor": DARK, "linewidth": 1.2}
-        yield patches.Polygon(_box(item), closed=True, alpha=alpha, zorder=2.8, **style)
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (item.width / 2, item.height / 2)
+        c, s = np.cos(item.angle), np.sin(item.angle)
+        corners = np.asarray(corners @ np.array([[c, s], [-s, c]]) + item.centre)
+        yield patches.Polygon(corners, closed=True, alpha=alpha, zorder=2.8, **style)
     elif isinstance(item, Arrow):
         if np.hypot(*item.vector) > 4e-3 * max(room[1] - room[0], room[3] - room[2]):
             tip = item.start[0] + item.vector[0], item.start[1] + item.vector[1]
@@ -194,29 +187,19 @@ def _solid(item: Item, room: Extent, colour: Any, alpha: float) -> Iterator[Any]
         yield patches.Circle(item.centre, item.radius, alpha=alpha, zorder=1.6, **style)
     elif isinstance(item, Mark):
         yield Line2D([item.place[0]], [item.place[1]], color="black", marker="*", markersize=8, alpha=alpha, zorder=3.9)
-    elif isinstance(item, Ground):
-        yield from _ground(item, room)
-
-
-def _box(item: Box) -> np.ndarray:
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (item.width / 2, item.height / 2)
-    c, s = np.cos(item.angle), np.sin(item.angle)
-    return np.asarray(corners @ np.array([[c, s], [-s, c]]) + item.centre)
-
-
-def _ground(item: Ground, room: Extent) -> Iterator[Any]:
-    """A line with a hatched band to its right."""
-    start, end = np.array(item.start), np.array(item.end)
-    length = float(np.hypot(*(end - start))) or 1.0
-    right = np.array([end[1] - start[1], start[0] - end[0]]) / length
-    depth = 0.025 * max(room[1] - room[0], room[3] - room[2])
-    band = [start, end, end + depth * right, start + depth * right]
-    yield patches.Polygon(band, closed=True, fill=False, hatch="//////", edgecolor="#b0b0b0", linewidth=0.0, zorder=1.0)
-    yield Line2D([start[0], end[0]], [start[1], end[1]], color=DARK, linewidth=1.4, zorder=1.1)
+    elif isinstance(item, Ground):  # a line with a hatched band to its right
+        start, end = np.array(item.start), np.array(item.end)
+        length = float(np.hypot(*(end - start))) or 1.0
+        right = np.array([end[1] - start[1], start[0] - end[0]]) / length
+        depth = 0.025 * max(room[1] - room[0], room[3] - room[2])
+        band = [start, end, end + depth * right, start + depth * right]
+        style = {"fill": False, "hatch": "//////", "edgecolor": "#b0b0b0", "linewidth": 0.0}
+        yield patches.Polygon(band, closed=True, zorder=1.0, **style)
+        yield Line2D([start[0], end[0]], [start[1], end[1]], color=DARK, linewidth=1.4, zorder=1.1)
 
 
 def _corners(item: Item) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Points that an item reaches, as pairs of arrays."""
+    """Yield extreme points of an item, as pairs of arrays."""
     if isinstance(item, Rod | Ground):
         yield item.start
         yield item.end
@@ -238,35 +221,35 @@ def _corners(item: Item) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 RATE = 25
-"""Frames per second; a GIF counts hundredths of a second, and can keep this rate exactly."""
+"""Frames per second; GIF stores hundredths of a second, so this rate is exact."""
 SHORTEST, LONGEST, PAUSE = 2.0, 8.0, 1.0
-"""Seconds that a film lasts: as long as the motion within these limits, then a pause at the end."""
+"""Limits of the duration of a film in seconds, and the pause at its end."""
 FINE = 6
-"""Parts of the time between two frames, at which trails have points."""
+"""Number of points of trails between two frames."""
 
 Frame: TypeAlias = NDArray[np.uint8]
 """An image (height, width, 3)."""
 
 Progress: TypeAlias = Callable[[Iterable[Frame], int], Iterable[Frame]]
-"""Hands on as many frames as it is told, and may show how far they are."""
+"""Passes on frames, whose number is the second argument, and may show progress."""
 
 _DPI = 100
 _COLOURS = 128
 
 
 def scene_times(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The times at which `save` needs the scene of a motion with nodes t: evenly spaced, both ends included.
+    """Return the times at which `save` needs the scene: evenly spaced, with both ends of the node times t.
 
-    A frame is drawn for every `FINE`-th of them; the others make trails smooth.
+    A frame is drawn for every `FINE`-th time; the others make trails smooth.
     """
     length = min(max(float(t[-1] - t[0]), SHORTEST), LONGEST)
     return np.linspace(t[0], t[-1], FINE * round(RATE * length) + 1)
 
 
 def save(scene: Scene, title: str, path: Path, progress: Progress = lambda frames, count: frames) -> None:
-    """Film a scene at the times `scene_times`; the ending of the path, .gif or .mp4, decides the kind of file.
+    """Film a scene at the times of `scene_times` into a file .gif or .mp4.
 
-    Raises ArgumentError when ffmpeg is missing or fails.
+    Raises ArgumentError if ffmpeg is missing or fails.
     """
     write = _write_mp4 if path.suffix.lower() == ".mp4" else _write_gif
     count = len(scene.t[::FINE])
@@ -275,7 +258,7 @@ def save(scene: Scene, title: str, path: Path, progress: Progress = lambda frame
 
 
 def require_ffmpeg(path: Path) -> str:
-    """The program that makes films of type .mp4; ArgumentError when there is none."""
+    """Return the path of ffmpeg; raises ArgumentError if it is missing."""
     program = shutil.which("ffmpeg")
     if program is None:
         raise ArgumentError(f"{path} needs the program ffmpeg", "install ffmpeg, or let the file end in .gif")
@@ -283,10 +266,29 @@ def require_ffmpeg(path: Path) -> str:
 
 
 def frames(scene: Scene, title: str) -> Iterator[Frame]:
-    """Draw a frame for every `FINE`-th time of a scene: what stands still once, what moves every time."""
+    """Draw a frame for every `FINE`-th time of a scene; fixed items are drawn once."""
     room = extent([scene])
-    figure, axes, clock = _stage(scene, title, room)
-    canvas: Any = figure.canvas
+    ratio = (room[3] - room[2]) / (room[1] - room[0])
+    longest = 8.0 if ratio < 0.6 else 6.4
+    width = longest if ratio <= 1.0 else max(longest / ratio, 0.6 * longest)
+    height = min(longest, max(0.25 * longest, ratio * width)) + 1.0  # with title and legend
+    # Encoders of films need even numbers of pixels.
+    width, height = (2 * round(side * _DPI / 2) / _DPI for side in (width, height))
+    figure = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
+    canvas: Any = FigureCanvasAgg(figure)
+    axes: Any = figure.add_subplot()
+    prepare(axes, room)
+    for artist in instant(scene, 0, room, moving=False):
+        axes.add_artist(artist)
+    legend(axes, scene, ends=False)
+    figure.suptitle("\n".join(textwrap.wrap(title.rstrip("."), int(12 * width))), fontsize=9.5)
+    # The clock has as many decimals as the time needs between frames.
+    decimals = max(0, 2 - math.floor(math.log10(float(scene.t[-1] - scene.t[0]) or 1.0)))
+    clock = axes.set_title(f"t = {float(scene.t[-1]):.{decimals}f}", loc="left", fontsize=9.5)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    clock.set_animated(True)
+    canvas.draw()
     background = canvas.copy_from_bbox(figure.bbox)
     for frame in range(0, scene.t.size, FINE):
         canvas.restore_region(background)
@@ -294,56 +296,20 @@ def frames(scene: Scene, title: str) -> Iterator[Frame]:
         for artist in sorted(moving, key=lambda artist: artist.get_zorder()):
             axes.draw_artist(artist)
             artist.remove()
-        clock.set_text(_clock(scene.t[frame], scene.t))
+        clock.set_text(f"t = {scene.t[frame]:.{decimals}f}")
         axes.draw_artist(clock)
         yield np.array(canvas.buffer_rgba())[:, :, :3]
 
 
-def _stage(scene: Scene, title: str, room: Extent) -> tuple[Figure, Any, Any]:
-    """Figure, axes and clock, drawn without what moves."""
-    width, height = _size(room)
-    figure = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    prepare(axes, room)
-    for artist in instant(scene, 0, room, moving=False):
-        axes.add_artist(artist)
-    legend(axes, scene, ends=False)
-    figure.suptitle("\n".join(textwrap.wrap(title.rstrip("."), int(12 * width))), fontsize=9.5)
-    clock = axes.set_title(_clock(float(scene.t[-1]), scene.t), loc="left", fontsize=9.5)
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")
-    clock.set_animated(True)
-    figure.canvas.draw()
-    return figure, axes, clock
-
-
-def _size(room: Extent) -> tuple[float, float]:
-    """Width and height in inches that suit a scene, with room for title and legend."""
-    ratio = (room[3] - room[2]) / (room[1] - room[0])
-    longest = 8.0 if ratio < 0.6 else 6.4
-    width = longest if ratio <= 1.0 else max(longest / ratio, 0.6 * longest)
-    height = min(longest, max(0.25 * longest, ratio * width)) + 1.0
-    # Encoders of films want even numbers of pixels.
-    return 2 * round(width * _DPI / 2) / _DPI, 2 * round(height * _DPI / 2) / _DPI
-
-
-def _clock(t: float, times: NDArray[np.float64]) -> str:
-    """The time, with as many decimals as it changes by between frames."""
-    duration = float(times[-1] - times[0]) or 1.0
-    decimals = max(0, 2 - math.floor(math.log10(duration)))
-    return f"t = {t:.{decimals}f}"
-
-
 def _write_gif(pictures: Iterable[Frame], count: int, path: Path) -> None:
     images = [Image.fromarray(picture) for picture in pictures]
-    # One palette for all, else still parts would flicker; the last frame has all colours, the first perhaps others.
+    # A common palette prevents flickering; the first and the last frame together have all colours.
     sample = Image.new("RGB", (images[0].width, 2 * images[0].height))
     sample.paste(images[0], (0, 0))
     sample.paste(images[-1], (0, images[0].height))
     palette = sample.quantize(_COLOURS)
     colours = np.array(palette.getpalette()).reshape(-1, 3)
-    colours[(colours > 242).all(axis=1)] = 255  # paper stays white
+    colours[(colours > 242).all(axis=1)] = 255  # the background stays white
     palette.putpalette(colours.ravel().tolist())
     first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
     durations = [1000 // RATE] * (count - 1) + [round(1000 * PAUSE)]
@@ -351,29 +317,22 @@ def _write_gif(pictures: Iterable[Frame], count: int, path: Path) -> None:
 
 
 def _write_mp4(pictures: Iterable[Frame], count: int, path: Path) -> None:
-    program, paused = require_ffmpeg(path), _with_pause(pictures)
-    first = next(paused)
-    with _encoder(program, first.shape, path) as process:
+    program, remaining = require_ffmpeg(path), iter(pictures)
+    picture = next(remaining)
+    height, width, _ = picture.shape
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(RATE), "-i", "-"]
+    target = ["-an", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]  # a format that all players read
+    command = [program, "-loglevel", "error", "-y", *source, *target]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes) as process:  # type: ignore[call-overload]
         assert process.stdin is not None
-        with suppress(BrokenPipeError):  # what ffmpeg has to say to that follows
-            for picture in chain([first], paused):
+        with suppress(BrokenPipeError):  # the error of ffmpeg follows
+            process.stdin.write(picture.tobytes())
+            for picture in remaining:
+                process.stdin.write(picture.tobytes())
+            for _ in range(round(RATE * PAUSE)):
                 process.stdin.write(picture.tobytes())
         _, errors = process.communicate()
     if process.returncode:
         lines = errors.decode(errors="replace").strip().splitlines() or [f"exit status {process.returncode}"]
         raise ArgumentError(f"ffmpeg could not write the film ({lines[-1]})", "let the file end in .gif")
-
-
-def _with_pause(pictures: Iterable[Frame]) -> Iterator[Frame]:
-    for picture in pictures:
-        yield picture
-    yield from repeat(picture, round(RATE * PAUSE))
-
-
-def _encoder(program: str, shape: tuple[int, ...], path: Path) -> subprocess.Popen[bytes]:
-    height, width, _ = shape
-    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(RATE), "-i", "-"]
-    # Every player knows this pixel format.
-    target = ["-an", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
-    words = [program, "-loglevel", "error", "-y", *source, *target]
-    return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)

@@ -1,11 +1,11 @@
-"""The figure of a sweep: lines over a varied quantity, maps over two, distributions and fans over samples.
+"""The figure of a sweep: lines over one varied quantity, maps over two, distributions and fans over samples.
 
-Many trajectories in one panel: graded by a quantity, or as quantiles over time; and distributions of numbers.
+Many trajectories in a panel are graded by a quantity, or shown as quantiles over time.
 
-What sensitivities of one case predict of all samples, to first order: means, and standard deviations. The case is the
-one that is nearest to the mean of what varies. Its slopes times the deviations of quantities that are sampled
-independently of each other add up by squares; those of a table may follow each other, so that their covariances take
-part. Source: JCGM 100 (2008), Guide to the expression of uncertainty in measurement, section 5.
+With sensitivities, first-order predictions of mean and standard deviation stand beside those of the samples. They use
+the derivatives of the case that is nearest to the mean of the varied quantities. Variances of independent samples add
+up; covariances of the columns of a table are included. Source: JCGM 100 (2008), Guide to the expression of uncertainty
+in measurement, section 5.
 """
 
 from __future__ import annotations
@@ -22,12 +22,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from codegen.show.figures.panels import KINDS
-from codegen.show.figures.picture import letter_size, new_figure
-from codegen.show.figures.style import (
+from codegen.show.figures.picture import (
     AMBER,
     BLUE,
     CRIMSON,
@@ -38,6 +37,8 @@ from codegen.show.figures.style import (
     body_map,
     heading,
     label,
+    letter_size,
+    new_figure,
     quantity,
     statuses,
 )
@@ -46,12 +47,13 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 NORMAL_90 = 1.6448536269514722
-"""Within so many standard deviations a normal distribution has 90 % of its values."""
+"""Half width of the central 90 % of a normal distribution in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The case `centre` whose slopes predict, the places of varied quantities among them, and how these are spread.
+    """A first-order prediction from the derivatives of the case `centre`; `by` indexes the varied quantities among
+    them.
 
     `offset` (m,) is the mean of m quantities less their values in that case, `covariance` (m, m) that of their samples.
     """
@@ -62,7 +64,7 @@ class Prediction:
     covariance: NDArray[np.float64]
 
     def of(self, data: Dataset, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The mean and the standard deviation (...) of a variable (case, ...) that has derivatives."""
+        """Return mean and standard deviation (...) of a variable (case, ...) that has derivatives."""
         centre = np.asarray(data[name].isel(case=self.centre).values, dtype=float)
         slopes = np.asarray(data[f"d_{name}"].isel(case=self.centre).values, dtype=float)[self.by]
         mean = centre + np.tensordot(self.offset, slopes, 1)
@@ -70,19 +72,19 @@ class Prediction:
 
 
 def prediction(data: Dataset, varied: list[str]) -> Prediction | None:
-    """What predicts the samples of a sweep, if every quantity that varies has derivatives, and some case has them."""
+    """Return the prediction for a sweep, or None unless all varied quantities have derivatives in some case."""
     names = [str(name) for name in data["by"].values] if "d_cost" in data else []
     columns = {name: np.asarray(data[name].values, dtype=float) for name in varied if np.ptp(data[name].values) > 0.0}
     own = [name.removesuffix("_") if name not in names else name for name in columns]
     if not columns or not set(own) <= set(names):
         return None
     points = np.column_stack(list(columns.values()))
-    known = (statuses(data) == "solved") & np.isfinite(data["d_cost"].values).all(axis=1)
-    if not known.any():
+    has_rates = (statuses(data) == "solved") & np.isfinite(data["d_cost"].values).all(axis=1)
+    if not has_rates.any():
         return None
     mean, deviations = points.mean(axis=0), points.std(axis=0)
     distances = (((points - mean) / deviations) ** 2).sum(axis=1)
-    centre = int(np.argmin(np.where(known, distances, np.inf)))
+    centre = int(np.argmin(np.where(has_rates, distances, np.inf)))
     if data.attrs.get("cases") == "table":
         covariance = np.atleast_2d(np.cov(points.T, bias=True))
     else:
@@ -91,18 +93,16 @@ def prediction(data: Dataset, varied: list[str]) -> Prediction | None:
 
 
 MOST_PANELS, MOST_TRAJECTORIES, MOST_CASES = 15, 60, 4000
-"""Quantities, trajectories and cases for quantiles that are drawn at most."""
+"""Largest numbers of panels, of trajectories, and of cases for quantiles."""
 MOST_CONTROLS = 6
-"""So many controls at most take the place of states, where there are more of both than are drawn."""
+"""Largest number of controls that replace states if there are too many of both."""
 BANDS = ((0.05, 0.95, 0.18), (0.25, 0.75, 0.35))
-"""Quantiles between which a fan is filled, and how strongly."""
+"""Quantiles that bound the bands of a fan, and their opacity."""
 _COLUMNS = {"q": ("coordinate", "state"), "u": ("control", "control")}
 
 
 def groups_of(data: Dataset) -> tuple[list[tuple[str, str]], list[str]]:
-    """The trajectories that are drawn, as (array, column), states and then controls, and the columns for which there is
-    no room.
-    """
+    """Return the trajectories to draw as (array, column), states before controls, and the columns without room."""
     if "t" not in data:
         return [], []
     states, controls = (
@@ -115,7 +115,7 @@ def groups_of(data: Dataset) -> tuple[list[tuple[str, str]], list[str]]:
 
 
 def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.intp]]:
-    """Times and values (cases, times) of some cases that are solved, and which these are."""
+    """Return times and values (cases, times) of at most `most` solved cases, and the indices of these cases."""
     name, column = group
     solved = np.flatnonzero(statuses(data).ravel() == "solved")
     solved = solved[:: max(1, -(-solved.size // most))]
@@ -136,7 +136,7 @@ def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[NDArray[A
 def graded(
     panels: Mapping[str, Any], groups: Sequence[tuple[str, str]], data: Dataset, dim: str, places: NDArray[np.float64]
 ) -> ScalarMappable:
-    """Trajectories over time, each in the colour of its case; returns what a colour bar is made from."""
+    """Draw trajectories over time in the colours of their cases; return the mappable of the colour bar."""
     solved = places[statuses(data).ravel() == "solved"]
     least, most = (float(solved.min()), float(solved.max())) if solved.size else (0.0, 1.0)
     shades = ScalarMappable(Normalize(least, most if most > least else least + 1.0), body_map())
@@ -156,7 +156,7 @@ def _over_time(axes: Any, what: str, group: tuple[str, str]) -> None:
 
 
 def fan(axes: Any, data: Dataset, group: tuple[str, str], linear: Prediction | None = None) -> None:
-    """Quantiles of a quantity over time: the median, and bands between others; and what is predicted of the widest."""
+    """Draw the median and bands of quantiles of a quantity over time, and the prediction of the widest band."""
     t, values, _ = _curves(data, group, MOST_CASES)
     colour = KINDS[_COLUMNS[group[0]][1]]
     if not t.size:
@@ -182,7 +182,7 @@ def fan(axes: Any, data: Dataset, group: tuple[str, str], linear: Prediction | N
 
 
 def _column(table: NDArray[np.float64], data: Dataset, group: tuple[str, str]) -> NDArray[np.float64]:
-    """One column of the array of a case, (times,); the means of stages."""
+    """Return one column (times,) of the array of a case; stages count by their means."""
     columns = data[_COLUMNS[group[0]][0]].values.tolist()
     own = table[..., columns.index(group[1])]
     return own if own.ndim == 1 else own.mean(axis=1)
@@ -195,9 +195,9 @@ def histogram(
     is_wide: bool,
     linear: tuple[float, float] = (np.nan, np.nan),
 ) -> None:
-    """How often values occur, with the median and the quantiles of 5 and 95 %.
+    """Draw a histogram with the median and the quantiles of 5 and 95 %.
 
-    `linear` are the mean and the standard deviation that are predicted to first order, beside those of the samples.
+    `linear` are mean and standard deviation of the first-order prediction.
     """
     finite = values[np.isfinite(values)]
     axes.set_xlabel(name)
@@ -224,14 +224,14 @@ def histogram(
         axes.plot([], [], color=AMBER, label=f"first order: {mean:.4g} ± {deviation:.2g}")
         axes.plot([], [], " ", label=f"samples: {finite.mean():.4g} ± {finite.std():.2g}")
     axes.legend(loc="upper right", handlelength=1.6, frameon=True, framealpha=0.85, edgecolor="none")
-    axes.margins(y=0.3 if not linear[1] > 0.0 else 0.8)  # room for what the legend says
+    axes.margins(y=0.3 if not linear[1] > 0.0 else 0.8)  # room for the legend
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(visible=False, axis="x")
 
 
 _MOST_MEASURES, _MOST_NAMES = 4, 12
 _WIDE = 100.0
-"""Positive values whose largest is so many times the smallest are drawn on a logarithmic scale."""
+"""Ratio of positive values above which their axis is logarithmic."""
 FAILED: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 4.5, "zorder": 3.0}
 JUMP: dict[str, Any] = {
     "color": PINK, "marker": "o", "linestyle": "none", "markersize": 7, "markerfacecolor": "none", "zorder": 2.9,
@@ -240,7 +240,7 @@ JUMP: dict[str, Any] = {
 
 
 def no_room(data: Dataset, has_curves: bool, others: Sequence[str] = ()) -> str:
-    """For which trajectories, states at the end and `others` there is no room, as the end of a sentence."""
+    """Return the names of trajectories, final states and `others` without room, as the end of a sentence."""
     ends = [] if _has_cost(data) else [f"{label(str(name))} at the end" for name in data["coordinate"].values]
     curves = [label(name) for name in groups_of(data)[1]] if has_curves else []
     names = [*curves, *ends[_MOST_MEASURES:], *others]
@@ -253,11 +253,11 @@ def _has_cost(data: Dataset) -> bool:
 
 
 def measures_of(data: Dataset) -> dict[str, NDArray[np.float64]]:
-    """What a case comes to by its label: the cost, or the state at the end."""
+    """Return numbers of each case by their labels: the cost, or the final state."""
     if _has_cost(data):
         return {"cost": data["cost"].values}
     names = [str(name) for name in data["coordinate"].values][:_MOST_MEASURES]
-    # The last values of q that are numbers: arrays of fewer steps end in NaN.
+    # The last finite values of q: arrays of fewer steps end in NaN.
     q = data["q"].transpose(..., "node", "coordinate").values
     number = np.maximum(1, np.isfinite(q[..., 0]).sum(axis=-1)) - 1
     ends = np.moveaxis(np.asarray(np.take_along_axis(q, number[..., None, None], axis=-2)[..., 0, :]), -1, 0)
@@ -265,31 +265,31 @@ def measures_of(data: Dataset) -> dict[str, NDArray[np.float64]]:
 
 
 def is_failed(data: Dataset) -> NDArray[np.bool_]:
-    """Which cases have no solution."""
+    """Return True for cases without a solution."""
     return np.asarray(statuses(data) != "solved")
 
 
 def has_jump(data: Dataset) -> NDArray[np.bool_]:
-    """Which cases have a better neighbour beyond a jump of the cost."""
+    """Return True for cases with a better neighbour beyond a jump of the cost."""
     return np.asarray(data["jump"].values == 1) if "jump" in data else np.zeros(data["status"].shape, bool)
 
 
 def scale(axes: Any, values: NDArray[np.float64]) -> None:
-    """Draw values over a logarithmic axis where they are wide."""
+    """Use a logarithmic axis for values of a wide range."""
     if is_wide(values):
         axes.set_yscale("log")
 
 
 def is_wide(values: NDArray[np.float64]) -> bool:
-    """Whether values need a logarithmic scale."""
+    """Return True if values need a logarithmic axis."""
     finite = values[np.isfinite(values)]
     return finite.size > 1 and bool(finite.min() > 0.0) and bool(finite.max() > _WIDE * finite.min())
 
 
 _SAME, _MOST = 0.004, 0.5
-"""How close lines coincide, in parts of all that is drawn; in which part of their places at least."""
+"""Largest distance of coinciding lines relative to the range, and the least part of their points."""
 _DASH = 8.0
-"""The length of a dash, in widths of the line."""
+"""Length of a dash in line widths."""
 
 
 def _coincide(one: NDArray[np.float64], other: NDArray[np.float64], close: float) -> bool:
@@ -299,57 +299,70 @@ def _coincide(one: NDArray[np.float64], other: NDArray[np.float64], close: float
 
 
 def looks_of(groups: Sequence[Sequence[int]]) -> dict[int, dict[str, Any]]:
-    """How each line is drawn: as it is where it stands alone, else in dashes and marks that take turns."""
-    found: dict[int, dict[str, Any]] = {}
+    """Return the style of each line: plain, or alternating dashes and marks if lines coincide."""
+    styles: dict[int, dict[str, Any]] = {}
     for group in groups:
         number = len(group)
         for turn, line in enumerate(group):
-            # The pattern begins with its dash: that of a later turn begins so many dashes before its end.
+            # A pattern starts with its dash, so a later line starts near the end of its pattern.
             begin = (_DASH * (number - turn)) % (_DASH * number)
             dashes = (begin, (_DASH, _DASH * (number - 1)))
-            found[line] = {"linestyle": dashes, "markevery": (turn, number)} if number > 1 else {}
-    return found
+            styles[line] = {"linestyle": dashes, "markevery": (turn, number)} if number > 1 else {}
+    return styles
 
 
 def legend(axes: Any) -> None:
-    """A legend in which lines are whole that are drawn in dashes."""
+    """Add a legend in which dashed lines are solid."""
     for handle in axes.legend(loc="best").get_lines():
         if handle.get_linestyle() not in ("None", "none", " ", ""):
             handle.set_linestyle("-")
 
 
 _APART, _LONG, _LETTERS = 1.4, 6.0, 7.5
-"""How far a label is from other lines and how long its own is, at least, in heights of letters; their size."""
+"""Least distance of a label from other lines, least length of its line, in letter heights; size of letters."""
 
 
 def contours(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64], shown: NDArray[Any], norm: Normalize) -> None:
-    """Lines of round values of a table (y, x), with a label each where there is room for it."""
-    levels = _levels(norm)
-    if min(shown.shape) <= 2 or not np.isfinite(shown).any() or not levels.size:
+    """Draw contours of a table (y, x) at round values, with labels where there is room."""
+    least, most = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
+    if min(shown.shape) <= 2 or not np.isfinite(shown).any() or not least < most:
+        return
+    factors = (1.0,) if most > 1e3 * least else (1.0, 2.0, 5.0)
+    locator: Any = LogLocator(subs=factors) if isinstance(norm, LogNorm) else MaxNLocator(8)
+    levels = np.asarray(locator.tick_values(least, most), dtype=float)
+    levels = levels[(levels > least) & (levels < most)]
+    if not levels.size:
         return
     halo = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
     lines = axes.contour(x, y, np.ma.masked_invalid(shown), levels, colors=DARK, linewidths=0.7)
     lines.set_path_effects(halo)
-    places = list(_places(axes, lines.allsegs))
-    if places:
-        for text in axes.clabel(lines, fontsize=letter_size(_LETTERS), fmt="%.4g", manual=places):
+    positions = list(_label_positions(axes, lines.allsegs))
+    if positions:
+        for text in axes.clabel(lines, fontsize=letter_size(_LETTERS), fmt="%.4g", manual=positions):
             text.set_path_effects(halo)
 
 
-def _places(axes: Any, segments: Sequence[Sequence[NDArray[np.float64]]]) -> Iterator[tuple[float, float]]:
-    """Where labels stand, in data: on each level where there is most room about it, if there is enough.
+def _label_positions(axes: Any, segments: Sequence[Sequence[NDArray[np.float64]]]) -> Iterator[tuple[float, float]]:
+    """Yield for each level the position, in data, with the largest free space, if the space suffices for a label.
 
-    `segments` are the lines of each level as points (n, 2). Sizes are those of the panel before its surroundings are
-    laid out, which is near enough.
+    `segments` are the lines of each level as points (n, 2). The size of the panel is that before the final layout,
+    which is accurate enough.
     """
     letter = letter_size(_LETTERS) * axes.figure.dpi / 72.0
-    on_page = [
-        [_dense(axes.transData.transform(line), letter) for line in lines if len(line) > 1] for lines in segments
-    ]
-    placed: list[NDArray[np.float64]] = [_frame(axes.bbox, letter)]
+
+    def dense(line: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return points (n, 2) along a line, half a letter apart."""
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+        distances = np.linspace(0.0, along[-1], max(2, int(2.0 * along[-1] / letter)))
+        return np.column_stack([np.interp(distances, along, column) for column in line.T])
+
+    on_page = [[dense(axes.transData.transform(line)) for line in lines if len(line) > 1] for lines in segments]
+    box = axes.bbox
+    frame = [(box.x0, box.y0), (box.x1, box.y0), (box.x1, box.y1), (box.x0, box.y1), (box.x0, box.y0)]
+    occupied: list[NDArray[np.float64]] = [dense(np.array(frame))]
     for level, lines in enumerate(on_page):
-        others = np.concatenate([*placed, *(line for k, rest in enumerate(on_page) if k != level for line in rest)])
-        # Both ends of a label need room as well as its middle.
+        others = np.concatenate([*occupied, *(line for k, rest in enumerate(on_page) if k != level for line in rest)])
+        # The ends of a label also need space.
         inner = [line[2:-2] for line in lines if len(line) >= 2 * _LONG]
         if not inner:
             continue
@@ -357,47 +370,22 @@ def _places(axes: Any, segments: Sequence[Sequence[NDArray[np.float64]]]) -> Ite
         room = np.array([np.sqrt(((others - point) ** 2).sum(axis=1).min()) for point in points])
         best = int(np.argmax(room))
         if room[best] > _APART * letter:
-            placed.append(points[[best]])
+            occupied.append(points[[best]])
             x, y = axes.transData.inverted().transform(points[best])
             yield float(x), float(y)
 
 
-def _dense(line: NDArray[np.float64], letter: float) -> NDArray[np.float64]:
-    """Points (n, 2) along a line, half a letter apart."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    places = np.linspace(0.0, along[-1], max(2, int(2.0 * along[-1] / letter)))
-    return np.column_stack([np.interp(places, along, column) for column in line.T])
-
-
-def _frame(box: Any, letter: float) -> NDArray[np.float64]:
-    corners = np.array([(box.x0, box.y0), (box.x1, box.y0), (box.x1, box.y1), (box.x0, box.y1), (box.x0, box.y0)])
-    return _dense(corners, letter)
-
-
-def _levels(norm: Normalize) -> NDArray[np.float64]:
-    """Round values between the least and the largest, for contours."""
-    from matplotlib.ticker import LogLocator, MaxNLocator
-
-    least, most = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
-    if not least < most:
-        return np.zeros(0)
-    few = (1.0,) if most > 1e3 * least else (1.0, 2.0, 5.0)
-    locator: Any = LogLocator(subs=few) if isinstance(norm, LogNorm) else MaxNLocator(8)
-    found = np.asarray(locator.tick_values(least, most), dtype=float)
-    return found[(found > least) & (found < most)]
-
-
 MOST_LINES = 7
-"""A second quantity of so many values is shown as lines; of more, the two span a map."""
+"""Largest number of values of a second quantity that are shown as lines; more values span a map."""
 _MOST_MAPS, _MOST_SCATTERS, _MOST_POINTS = 6, 4, 20_000
 _FOOT = 0.035
-"""How much of a panel's height a row of failed cases takes."""
+"""Height of a row of failed cases relative to the panel."""
 
 
 def sweep_figure(data: Dataset) -> Figure:
-    """A page about a sweep, as `codegen.sweep` returns it; failed cases are crosses, and jumps of the cost rings.
+    """Draw a sweep, as `codegen.sweep` returns it; crosses are failed cases, rings are jumps of the cost.
 
-    What has no cost is shown by its state at the end. Of a grid of more than two quantities the two with the most
+    Problems without a cost are shown by their final state. Of a grid of more than two quantities the two with the most
     values are drawn, for several values of the next one, and middle values of the others.
     """
     dims = tuple(str(dim) for dim in data["status"].dims)
@@ -415,7 +403,7 @@ def sweep_figure(data: Dataset) -> Figure:
 
 
 def _axis_places(data: Dataset, dim: str) -> tuple[NDArray[np.float64], NDArray[np.intp], list[str]]:
-    """Where the values of a dimension are drawn, in which order, and their names where they are words."""
+    """Return the positions of the values of a dimension, their order, and their names if they are words."""
     values = data[dim].values if dim in data.coords else np.arange(data.sizes[dim])
     if np.asarray(values).dtype.kind not in "fiub":
         return np.arange(len(values), dtype=float), np.arange(len(values)), [str(value) for value in values]
@@ -424,7 +412,7 @@ def _axis_places(data: Dataset, dim: str) -> tuple[NDArray[np.float64], NDArray[
 
 
 def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
-    """Measures over one quantity, a line for each value of another, and trajectories graded by the first."""
+    """Draw measures over one quantity, a line for each value of another one, and trajectories graded by the first."""
     x, order, words = _axis_places(data, dims[0])
     by = dims[1] if len(dims) > 1 else None
     measures, (groups, _) = measures_of(data), groups_of(data)
@@ -455,7 +443,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
 
 
 def _rows(table: NDArray[Any], data: Dataset, dims: Sequence[str]) -> NDArray[Any]:
-    """A table over the cases as (values of the second dimension, of the first)."""
+    """Return a table over the cases as (values of the second dimension, of the first one)."""
     own = [str(dim) for dim in data["status"].dims]
     kept = np.moveaxis(table, own.index(dims[0]), -1)
     return kept.reshape(-1, kept.shape[-1])
@@ -471,11 +459,11 @@ def _measure(
     by: str | None,
     is_of_words: bool,
 ) -> None:
-    """Lines of one measure, failed cases below, in a row for each line and its colour, and jumps where they are."""
+    """Draw lines of one measure, with failed cases in a row for each line, and jumps."""
     scale(axes, rows)
     marker = "o" if is_of_words else "." if x.size <= 60 else ""
     values = [] if by is None else _named(data, by)
-    # Which of the lines (lines, n) coincide, each with those it does, in their order; NaN is nowhere.
+    # Find groups of coinciding lines (lines, n).
     is_log = axes.get_yscale() == "log"
     with np.errstate(invalid="ignore", divide="ignore"):
         heights = np.log(rows) if is_log else rows
@@ -516,7 +504,7 @@ def _named(data: Dataset, dim: str) -> list[str]:
 
 
 def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
-    """A heat map with contours over two quantities, for each measure, and for several values of a third."""
+    """Draw a heat map with contours over two quantities, for each measure and several values of a third quantity."""
     x, y = _axis_places(data, dims[0]), _axis_places(data, dims[1])
     chosen: list[Any] = [None]
     if len(dims) > 2:
@@ -558,7 +546,7 @@ def _norm(values: NDArray[np.float64]) -> Normalize:
 def _map(
     axes: Any, data: Dataset, dims: Sequence[str], places: Sequence[Any], values: NDArray[np.float64], norm: Normalize
 ) -> Any:
-    """One map; returns what a colour bar is made from."""
+    """Draw one map; return the mappable of the colour bar."""
     (x, columns, x_words), (y, rows, y_words) = places
     own = [str(dim) for dim in data["status"].dims]
     turned = own.index(dims[1]) > own.index(dims[0])
@@ -589,9 +577,9 @@ def _crowd(cells: int) -> float:
 
 
 def _samples(data: Dataset) -> Figure:
-    """The distribution of each measure with quantiles, the measure over quantities, fans of trajectories.
+    """Draw the distribution of each measure, the measure over quantities, and fans of trajectories.
 
-    With sensitivities, what those of one case predict stands beside.
+    With sensitivities the first-order prediction is added.
     """
     stride = max(1, -(-data.sizes["case"] // _MOST_POINTS))
     data = data.isel(case=slice(None, None, stride))

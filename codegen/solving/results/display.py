@@ -28,8 +28,8 @@ _TEXTS = ("problem", "title", "task", "driver", "scheme", "status", "message")
 _TIMED = ("steps_per_second",)
 """Entries of a summary that depend on the time of the solve."""
 
-_PICTURE, _FILM = Deferred("show.notebook_solution", "picture"), Deferred("show.notebook_solution", "film")
-_HTML = Deferred("show.notebook_solution", "html")
+_PICTURE, _FILM = Deferred("show.notebook", "picture"), Deferred("show.notebook", "film")
+_HTML = Deferred("show.notebook", "html")
 
 
 class Display:

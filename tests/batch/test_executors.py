@@ -1,20 +1,20 @@
-"""Every engine does any chunks, each once, and none is left to those who are killed by it."""
+"""Every executor does any chunks, each once, and none is left to those who are killed by it."""
 
 from __future__ import annotations
 
 import pytest
 from stand_in import StandIn
 
-from codegen.batch.executors import ENGINES, engine_for
-from codegen.batch.executors.work import LOST
+from codegen.batch.executors import EXECUTORS, executor_for
+from codegen.batch.executors.chunks import LOST
 
 pytest.importorskip("distributed")
 
 
-@pytest.mark.parametrize("name", ENGINES)
-def test_every_engine_solves_every_chunk_once(tmp_path, name):
+@pytest.mark.parametrize("name", EXECUTORS)
+def test_every_executor_solves_every_chunk_once(tmp_path, name):
     work = StandIn(tmp_path)
-    with ENGINES[name].running(work, 1) as solve:
+    with EXECUTORS[name].running(work, 1) as solve:
         found = {number: done.rows["square"][0] for number, done in solve([3, 1, 4])}
     assert found == {3: 9, 1: 1, 4: 16}
     assert {path.name for path in tmp_path.iterdir()} == {"1", "3", "4"}
@@ -22,7 +22,7 @@ def test_every_engine_solves_every_chunk_once(tmp_path, name):
 
 def test_workers_that_are_killed_are_replaced_and_a_chunk_that_kills_all_is_lost(tmp_path):
     work = StandIn(tmp_path, once=(0,), always=(2,))
-    with engine_for(2, "local")(work, 2) as solve:
+    with executor_for(2, "local")(work, 2) as solve:
         found = {number: done.tally.counts for number, done in solve(range(6))}
     assert found == {number: {LOST: 1} if number == 2 else {"solved": 1} for number in range(6)}
     tries = (tmp_path / "0").read_text().split()

@@ -1,4 +1,4 @@
-"""Batches on every engine: the bits of one process, and every pair once, whatever becomes of workers and client."""
+"""Batches on every executor: the bits of one process, and every pair once, whatever becomes of workers and client."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ from command_lines import assert_refused, run
 from dask_parts import cluster, kill, until
 from small_batches import batch, make
 
-from codegen.batch.executors import ENGINES
-from codegen.batch.executors.journal import journal_of
+from codegen.batch.executors import EXECUTORS
+from codegen.batch.executors.chunks import LOST, journal_of
 from codegen.batch.executors.processes import TRIES
-from codegen.batch.executors.work import LOST
 from codegen.errors import ClusterError
 from codegen.registration.batch_pairs import BatchWork, Pair, Places, SharedFile, jobs_in_folder, read_summary
 from codegen.registration.job import Options
@@ -54,8 +53,8 @@ def assert_same_images(out: Path, whole: Path) -> None:
     assert [path.name for path in out.iterdir() if path.suffix == ".csv"] == ["summary.csv"]
 
 
-@pytest.mark.parametrize("name", ENGINES)
-def test_every_engine_makes_the_bits_of_one_process(source, whole, tmp_path, name):
+@pytest.mark.parametrize("name", EXECUTORS)
+def test_every_executor_makes_the_bits_of_one_process(source, whole, tmp_path, name):
     where = {"serial": {}, "processes": {"workers": 2}, "dask": {"workers": 2, "cluster": "local"}}
     done = batch(source, tmp_path / "out", **where[name])
     assert_same_images(tmp_path / "out", whole[0])
@@ -63,13 +62,13 @@ def test_every_engine_makes_the_bits_of_one_process(source, whole, tmp_path, nam
     assert [line["moving"] for line in done.failed] == [str(source / "001.png")]
 
 
-@pytest.mark.parametrize("name", ENGINES)
-def test_every_engine_does_any_chunks(source, tmp_path, name):
-    """What outcomes of batches decide, which engine and how large a chunk, is no matter here."""
+@pytest.mark.parametrize("name", EXECUTORS)
+def test_every_executor_does_any_chunks(source, tmp_path, name):
+    """What outcomes of batches decide, which executor and how large a chunk, is no matter here."""
     jobs, _ = jobs_in_folder(source, Places(tmp_path), None, ())
     pairs = [Pair(number, job.absolute(), {}) for number, job in enumerate(jobs)]
     work = BatchWork(pairs, Options(), 5, 1, SharedFile.of(source / "000.png"))
-    with ENGINES[name].running(work, 1) as solve:
+    with EXECUTORS[name].running(work, 1) as solve:
         found = {number: [own.number for own in done.rows] for number, done in solve([2, 0])}
     assert found == {0: [0, 1, 2, 3, 4], 2: [10, 11]}
 

@@ -1,6 +1,6 @@
-"""What an engine costs beside the work: chunks that do nothing, and what that makes of a large sweep.
+"""What an executor costs beside the work: chunks that do nothing, and what that makes of a large sweep.
 
-    python tests/benchmarks/engine_overhead.py [--chunks N] [--seconds S] [--bytes B] [--cases N] [--cores N]
+    python tests/benchmarks/executor_overhead.py [--chunks N] [--seconds S] [--bytes B] [--cases N] [--cores N]
 
 Gives N empty chunks (5000) to two processes, and to a cluster of dask with a scheduler and two workers on this machine,
 and prints the milliseconds of each chunk: of whoever gives the orders, since nothing else is done. From the seconds and
@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 from control_speed import machine
 
-from codegen.batch.executors import engine_for
-from codegen.batch.executors.work import Done, Tally
+from codegen.batch.executors import executor_for
+from codegen.batch.executors.chunks import Done, Tally
 
 CHUNK = 1.0
 """Seconds of a chunk, as a sweep sizes them."""
@@ -55,7 +55,7 @@ class Empty:
 
 def milliseconds_of_chunk(cluster: str | None, chunks: int) -> float:
     """What a chunk takes, by the clock, once workers are ready."""
-    with engine_for(2, cluster)(Empty(), 2) as solve:
+    with executor_for(2, cluster)(Empty(), 2) as solve:
         found = sum(1 for _ in solve(range(100)))
         begin = time.perf_counter()
         found += sum(1 for _ in solve(range(100, 100 + chunks)))
