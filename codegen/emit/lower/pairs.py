@@ -17,7 +17,8 @@ from sympy import Expr, Symbol
 from codegen.discretise.model.pairwise import FRACTION, PairwiseModel
 from codegen.emit.lower.kernels import INNER, Kernel, Line, Output, kernel, needed
 from codegen.emit.lower.printer import scalar_code
-from codegen.emit.pairwise_derivatives import Assignment, PairDerivatives, TermDerivatives
+from codegen.emit.pairwise_derivatives import PairDerivatives, TermDerivatives
+from codegen.symbolic.graph import Assignment
 
 CLOSEST = Symbol("CLOSEST", positive=True)
 """The least squared distance that kernels distinguish from zero, if the pair term has a limit there."""

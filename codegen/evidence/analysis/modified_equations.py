@@ -105,7 +105,7 @@ def analysis(
     if name == _FAMILY and "hamiltonian" in usable and method in (None, "hamiltonian"):
         taken = {s.name for s in (*model.coordinates, *model.rates, *model.controls, *model.parameters)}
         weight = next(n for n in ("alpha", "beta", "gamma", "weight", "family_weight") if n not in taken)
-        chosen = replace(alpha(Symbol(weight, real=True)), name=f"{weight} family")
+        chosen: Scheme = replace(alpha(Symbol(weight, real=True)), name=f"{weight} family")
     else:
         chosen = schemes.find(name, method or transcribe.method_with(model, name))
     result = modified_equations(model, chosen, order)

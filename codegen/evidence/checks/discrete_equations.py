@@ -132,7 +132,8 @@ def _node_sides(model: Model, program: ControlProgram | StepProgram, scheme: Dis
         motion = _constant_controls(program)
         for suffix in ("_k", "_k1"):
             motion |= dict(zip(_constraint_multipliers(program, suffix), forces, strict=True))
-        motion |= _along(q, scheme.nodes, lambda c, begin=begin: shifted(begin + c * STEP))
+        instants = tuple(begin + c * STEP for c in scheme.nodes)
+        motion |= _along(q, instants, shifted)
         motion[model.time] = model.time + begin
         sides.append([equation.xreplace(motion) for equation in half])
 
