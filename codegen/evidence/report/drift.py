@@ -65,11 +65,11 @@ def drift_values(module: SimulateModule, steps: int) -> Values:
         return {"status": solution.status, "defect": defect}
     shape = (len(solution.t), -1)
     states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
-    error = solution.energy - solution.energy[0]
-    trend = trend_of(solution.t, error)
+    errors = solution.energy - solution.energy[0]
+    trend = trend_of(solution.t, errors)
     return {
         "status": "solved", "steps": steps, "h": grid.h, "defect": defect, "energy": float(solution.energy[0]),
-        "oscillation": float(np.ptp(error)), "first": float(np.ptp(first.energy)),
+        "oscillation": float(np.ptp(errors)), "first": float(np.ptp(first.energy)),
         "rise": trend.rise, "standard error": trend.error, "t": trend.t,
         "rounding": _random_walk(module, states[:: max(1, len(states) // 20)], steps),
     }  # fmt: skip
