@@ -22,7 +22,7 @@ from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.page import Section, Table, number
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.solving import api
-from codegen.solving.loading import SimulateModule, Vector, is_simulation
+from codegen.solving.interfaces import SimulateModule, Vector, is_simulation
 
 STORED, BLOCKS = 2000, 50
 """Stored states of a long motion, and blocks over which they are averaged."""
@@ -65,11 +65,11 @@ def drift_values(module: SimulateModule, steps: int) -> Values:
         return {"status": solution.status, "defect": defect}
     shape = (len(solution.t), -1)
     states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
-    drift = solution.energy - solution.energy[0]
-    trend = trend_of(solution.t, drift)
+    errors = solution.energy - solution.energy[0]
+    trend = trend_of(solution.t, errors)
     return {
         "status": "solved", "steps": steps, "h": grid.h, "defect": defect, "energy": float(solution.energy[0]),
-        "oscillation": float(np.ptp(drift)), "first": float(np.ptp(first.energy)),
+        "oscillation": float(np.ptp(errors)), "first": float(np.ptp(first.energy)),
         "rise": trend.rise, "standard error": trend.error, "t": trend.t,
         "rounding": _random_walk(module, states[:: max(1, len(states) // 20)], steps),
     }  # fmt: skip
