@@ -14,7 +14,8 @@ from codegen.drawing import Arrow, Mass, Scene, Trail
 from codegen.errors import ArgumentError
 from codegen.show import figures
 from codegen.show.figures import panels
-from codegen.show.figures.picture import STYLE, Picture, relation, using, words_of
+from codegen.show.figures.labels import relation
+from codegen.show.figures.picture import STYLE, Picture, using, words_of
 from codegen.show.figures.quantities import Inequality, Quantity
 from codegen.solving import api
 

@@ -22,7 +22,7 @@ from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.page import Section, Table, number
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.solving import api
-from codegen.solving.interfaces import SimulateModule, Vector, is_simulation
+from codegen.solving.loading import SimulateModule, Vector, is_simulation
 
 STORED, BLOCKS = 2000, 50
 """Stored states of a long motion, and blocks over which they are averaged."""

@@ -17,21 +17,18 @@ from matplotlib.ticker import MaxNLocator
 
 from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
+from codegen.show.figures.labels import Units, label, quantity, title
 from codegen.show.figures.picture import (
     AMBER,
     BLUE,
     DARK,
     GREY,
     MOST_BODY_COLOURS,
-    Units,
     body_colours,
     body_map,
-    label,
     letter_size,
     new_figure,
     present_style,
-    quantity,
-    title,
 )
 from codegen.show.figures.quantities import Inequality, Quantity, inequalities_of_segments, quantities_of_segments
 from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid

@@ -9,20 +9,8 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from codegen.show.figures.picture import (
-    AMBER,
-    BLUE,
-    DARK,
-    FORBIDDEN,
-    GREEN,
-    GREY,
-    PINK,
-    RED,
-    body_colours,
-    label,
-    letter_size,
-    relation,
-)
+from codegen.show.figures.labels import label, relation
+from codegen.show.figures.picture import AMBER, BLUE, DARK, FORBIDDEN, GREEN, GREY, PINK, RED, body_colours, letter_size
 from codegen.show.figures.quantities import Inequality, Quantity
 from codegen.solving.loading import Matrix, Vector
 

@@ -19,18 +19,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
-from codegen.show.figures.picture import (
-    BLUE,
-    CRIMSON,
-    DARK,
-    GREY,
-    body_map,
-    heading,
-    label,
-    new_figure,
-    quantity,
-    statuses,
-)
+from codegen.show.figures.labels import heading, label, quantity, statuses
+from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, body_map, new_figure
 
 if TYPE_CHECKING:
     from xarray import Dataset

@@ -1,13 +1,11 @@
-"""The style of figures, their titles and texts, and pictures and films as notebooks show them."""
+"""The style of figures, and pictures and films as notebooks show them."""
 
 from __future__ import annotations
 
 import base64
 import io
-import json
 import re
-import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -20,15 +18,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import StepPatch
-from numpy.typing import NDArray
 
-from codegen import identifiers
 from codegen.errors import ArgumentError
 from codegen.files import replacing
-from codegen.solving.results.result import Result
 
 if TYPE_CHECKING:
-    from xarray import Dataset
+    pass
 
 STYLE: dict[Any, Any] = {
     "font.size": 9.5,
@@ -125,6 +120,11 @@ def finished(figure: Figure) -> Figure:
     for step in figure.findobj(StepPatch) if factor != 1.0 else ():
         step.set_linewidth(factor * step.get_linewidth())
     return figure
+
+
+def has_title() -> bool:
+    """Return True if figures of the style in use have a title."""
+    return _used.get().has_title
 
 
 def letter_size(size: float) -> float:
@@ -290,8 +290,6 @@ FORBIDDEN = "#F6DFD3"
 MOST_BODY_COLOURS = 7
 """Number of bodies with their own colours; more bodies are graded."""
 
-_SIGNS = (("**", "^"), ("<=", "≤"), (">=", "≥"), ("*", "·"))
-
 
 def body_colours(bodies: int, single: str) -> list[Any]:
     """Return a colour for every body; a single body has the colour `single`."""
@@ -306,96 +304,3 @@ def body_map() -> Any:
     """Return the colour map of many bodies, without its palest end."""
     whole = matplotlib.colormaps["viridis"]
     return matplotlib.colors.ListedColormap(whole([0.92 * i / 255 for i in range(256)]))
-
-
-def label(name: str) -> str:
-    """Return a symbol's name as mathematics: phi1 becomes a Greek letter with an index."""
-
-    def letter(part: str) -> str:
-        rest = part[1:]
-        if part.startswith("d") and rest and not rest.isdigit() and not identifiers.word(rest).startswith(r"\mathrm"):
-            return rf"\dot{{{identifiers.word(rest)}}}"
-        return identifiers.word(part)
-
-    parts = re.sub(r"(?<=[A-Za-z])(\d+)$", r"_\1", name).split("_")
-    letters = [letter(part) for part in parts if part] or [identifiers.word(name)]
-    return "$" + letters[0] + ("_{" + ",".join(letters[1:]) + "}" if len(letters) > 1 else "") + "$"
-
-
-def relation(text: str, longest: int = 46) -> str:
-    """Return a relation with mathematical signs, cut to at most `longest` characters."""
-    for sign, better in _SIGNS:
-        text = text.replace(sign, better)
-    return text if len(text) <= longest else text[: longest - 1] + "…"
-
-
-def title(figure: Figure, result: Result, notes: Sequence[str] = ()) -> None:
-    """Set the title of a result: problem, discretisation, outcome and notes."""
-    outcome = [f"{result.method}, {result.scheme}, {result.intervals}"]
-    outcome += [f"cost {result.cost:.6g}"] if result.cost is not None else []
-    outcome += [] if result.solved else [f"NOT SOLVED: {result.status}"]
-    set_title(figure, result.title, [*outcome, *notes], is_needed=not result.solved)
-
-
-def set_title(figure: Figure, name: str, details: Sequence[str], is_needed: bool = False) -> None:
-    """Set the label, which descriptions contain, and the wrapped title, if the style has one or it `is_needed`."""
-    texts = name.rstrip("."), ", ".join(details)
-    figure.set_label(". ".join(texts))
-    if _used.get().has_title or is_needed:
-        letters = letters_across(figure)
-        lines = (line for text in texts for line in textwrap.wrap(text, letters))
-        figure.suptitle("\n".join(lines), fontsize=letter_size(11))
-
-
-def quantity(name: str, data: Dataset | None = None) -> str:
-    """Return the label of a varied quantity; prescribed values have the end and the name, as in `start.r`.
-
-    The unit of a sweep's `data` follows, if it is known.
-    """
-    end, dot, own = name.partition(".")
-    text = f"{label(own)} at the {end}" if dot else label(name)
-    unit = json.loads(data.attrs.get("units", "{}")).get(own or name, "") if data is not None else ""
-    return f"{text} ({unit})" if unit else text
-
-
-def statuses(data: Dataset) -> NDArray[np.str_]:
-    """Return the status of each case of a sweep, for any text type of a file."""
-    values = data["status"].values
-    return np.array(values.ravel().tolist(), dtype=np.str_).reshape(values.shape)
-
-
-def heading(figure: Figure, data: Dataset, where: str = "") -> None:
-    """Set the title of a sweep: problem, discretisation, failed cases, and `where` the drawn cases lie."""
-    own = data.attrs
-    steps = [f"{own['steps']} steps"] if "steps" in own else []
-    status = statuses(data)
-    failed = int((status != "solved").sum())
-    outcome = f"{status.size} cases" + (f", {failed} FAILED" if failed else "")
-    details = [own["formulation"], own["scheme"], *steps, outcome + where]
-    set_title(figure, str(own["title"]), details, is_needed=failed > 0)
-
-
-@dataclass(frozen=True)
-class Units:
-    """Units by names of quantities, as texts; `t` is the time, `energy` the energy. Missing names have no unit."""
-
-    by_name: Mapping[str, str]
-
-    @classmethod
-    def of(cls, result: Result, time: str = "") -> Units:
-        """Return the units of a result; `time` is the unit of the time if the result has none."""
-        return cls({**({"t": time} if time else {}), **result.units})
-
-    @property
-    def time(self) -> str:
-        """Label of an axis of time."""
-        return self.named("time", "t")
-
-    def label(self, name: str) -> str:
-        """Return the label of an axis of a quantity."""
-        return self.named(label(name), name)
-
-    def named(self, text: str, name: str) -> str:
-        """Return a text for a quantity, with its unit."""
-        unit = self.by_name.get(name, "")
-        return f"{text} ({unit})" if unit else text

@@ -15,20 +15,8 @@ from numpy.typing import NDArray
 
 from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
-from codegen.show.figures.picture import (
-    AMBER,
-    BLUE,
-    CRIMSON,
-    DARK,
-    GREY,
-    RED,
-    Units,
-    label,
-    letter_size,
-    new_figure,
-    set_title,
-    title,
-)
+from codegen.show.figures.labels import Units, label, set_title, title
+from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, DARK, GREY, RED, letter_size, new_figure
 from codegen.solving.loading import ConnectModule, Matrix, Vector
 from codegen.solving.results.result import Result
 

@@ -25,6 +25,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
+from codegen.show.figures.labels import heading, label, quantity, statuses
 from codegen.show.figures.panels import KINDS
 from codegen.show.figures.picture import (
     AMBER,
@@ -35,12 +36,8 @@ from codegen.show.figures.picture import (
     PINK,
     body_colours,
     body_map,
-    heading,
-    label,
     letter_size,
     new_figure,
-    quantity,
-    statuses,
 )
 
 if TYPE_CHECKING:
