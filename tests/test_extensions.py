@@ -51,7 +51,7 @@ class TestSchemeFamily:
     def test_it_has_a_limit_and_a_colour_and_cases_of_stress(self, extended):
         code = """
 from codegen.discretise import schemes
-from codegen.evidence.report.problem_figures import colour_of
+from codegen.evidence.report.page import colour_of
 from codegen.evidence.stress import families, systems
 names = [name for names in schemes.METHODS.values() for name in names]
 assert len({colour_of(name) for name in names}) == len(set(names))
