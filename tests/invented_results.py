@@ -109,7 +109,8 @@ def overlaps(figure: Figure) -> list[str]:
     renderer = figure.canvas.get_renderer()
     parts = [(axes.get_ylabel() or "drawing", axes.get_tightbbox(renderer)) for axes in figure.axes]
     parts += [("legend", legend.get_window_extent(renderer)) for legend in figure.legends]
-    parts.append(("title", figure._suptitle.get_window_extent(renderer)))
+    if figure._suptitle is not None:
+        parts.append(("title", figure._suptitle.get_window_extent(renderer)))
     found = []
     for (one, a), (other, b) in itertools.combinations(parts, 2):
         wide, high = min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0)

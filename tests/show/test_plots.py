@@ -271,8 +271,9 @@ class TestStyles:
         assert "iteration" in labels["page"] - labels["paper"]
 
     def test_a_paper_says_that_a_problem_is_not_solved(self):
-        module, _ = invented(1, 1, 1, "lagrangian")
-        assert "NOT SOLVED" in figures.figure(module, unsolved(module), style="paper").get_suptitle()
+        module, result = invented(1, 1, 1, "lagrangian")
+        stalled = replace(result, status="stalled")
+        assert "NOT SOLVED" in figures.figure(module, stalled, style="paper").get_suptitle()
 
     def test_others_are_refused(self):
         module, result = invented(1, 1, 1, "lagrangian")

@@ -22,7 +22,7 @@ from PIL import Image
 
 from codegen.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, SKY, STYLE, body_colours, letter_size
+from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, SKY, STYLE, body_colours, letter_size, present_style
 
 SHOTS, MANY_SHOTS = 9, 7
 """Number of instants in a picture of one body, and of the arrows of several bodies."""
@@ -134,7 +134,8 @@ def legend(axes: Any, scene: Scene, *, ends: bool) -> None:
         handles["start"] = Line2D([], [], color=DARK, marker="o", markersize=4, markerfacecolor="white", linestyle="")
         handles["end"] = Line2D([], [], color="black", marker="s", markersize=5, linestyle="")
     if handles:
-        location = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.06), "ncols": 5, "columnspacing": 1.4}
+        columns = 3 if present_style().is_slide else 5  # a slide gives less than half of its width to the drawing
+        location = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.06), "ncols": columns, "columnspacing": 1.4}
         axes.legend(list(handles.values()), list(handles), fontsize=letter_size(8.5), **location)
 
 
