@@ -30,7 +30,7 @@ def check(
 ) -> None:
     """Check the derivation and the generated code. Exit status 1 if a check fails."""
     from codegen.emit import naming
-    from codegen.evidence.checks.base import findings_table
+    from codegen.evidence.checks.base import findings_table, verdict
     from codegen.problem.sources import parse_arguments
     from codegen.solving import compiler
     from codegen.solving.loading import load
@@ -58,8 +58,10 @@ def check(
             problem, arguments, scheme=scheme, method=method, controls=controls.value, module=module,
             time_limit=time_limit, sensitivities=sensitivities,
         )  # fmt: skip
-    console().print(findings_table(findings))
     failed = [finding for finding in findings if not finding.passed]
+    screen = console()
+    screen.print(f"[bold {'red' if failed else 'green'}]{verdict(findings)}[/]")
+    screen.print(findings_table(findings))
     if failed:
         text = f"codegen: {len(failed)} of {len(findings)} checks failed, first {failed[0].check}"
         typer.echo(one_line(text), err=True)

@@ -278,7 +278,7 @@ def tifffile() -> Any:
         import tifffile
     except ImportError as error:
         finding = "TIFF files take tifffile, which is not installed"
-        raise ExtraError(finding, "pip install variational-codegen[images]") from error
+        raise ExtraError(finding, "install the extra: pip install 'variational-codegen[images]'") from error
     tifffile.logger().setLevel(logging.CRITICAL)
     return tifffile
 

@@ -66,7 +66,7 @@ LINES = {
     "pareto-no-plot": ("sweep O --vary r1=5:6:3 --out s.zarr --pareto cost,duration", "--pareto without --plot"),
     "pareto-one": ("sweep O --vary r1=5:6:3 --out s.zarr --plot s.png --pareto cost", "two objectives"),
     "pareto-unknown": ("sweep O --vary r1=5:6:3 --out s.zarr --plot s.png --pareto cost,time", "--pareto time"),
-    "sensitivities-of-simulation": ("sweep P --vary duration=1,2 --sensitivities --out s.zarr", "sensitivities are"),
+    "sensitivities-of-simulation": ("sweep P --vary duration=1,2 --sensitivities --out s.zarr", "has no sensitivities"),
     "keep-derivatives-of-nothing": ("sweep O --vary r1=5:6:3 --keep q,d_q --out s.zarr", "give --sensitivities"),
     "no-problem": ("sweep nothing.py --vary r1=5:6:3 --out s.zarr", "nothing.py: no such file"),
 }  # fmt: skip
