@@ -38,7 +38,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 from written_objects import object_of
-from codegen.compiler import build
+from codegen.solving.compiler import build
 made = build(object_of(Path(sys.argv[2])), scheme="stormer-verlet")
 print(made.path, made.cached)
 """

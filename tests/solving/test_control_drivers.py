@@ -195,7 +195,7 @@ def test_threads_that_use_scipy_at_once_leave_warnings_and_blas_as_they_were(mon
             yield
             threads[0] = before
 
-    monkeypatch.setattr(shared, "_libraries", Libraries)
+    monkeypatch.setattr(shared, "_blas", Libraries)
     filters = list(warnings.filters)
     first, second = quiet_single_thread(), quiet_single_thread()
     first.__enter__()
