@@ -92,7 +92,7 @@ def test_search_finds_a_saddle_point(chromium, address):
     found = visit.page.eval_on_selector_all("#search-results li a", "links => links.map(link => link.href)")
     assert any("guide/statuses.html" in link for link in found), found
     visit.page.goto(next(link for link in found if "guide/statuses.html" in link))
-    assert "The point is stationary, but no minimum" in visit.page.inner_text("article")
+    assert "The point is stationary but not a minimum" in visit.page.inner_text("article")
     assert (visit.errors, visit.outside) == ([], [])
     visit.page.close()
 
