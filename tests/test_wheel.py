@@ -55,12 +55,11 @@ def outside(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_it_has_the_package_and_nothing_else(wheel):
-    def tracked(*patterns):
-        command = ["git", "ls-files", *patterns]
+    def tracked(folder):
+        command = ["git", "ls-files", folder]
         return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout.split()
 
-    problems = tracked("problems/*.py", "problems/*.csv")
-    gallery = {name.replace("problems/", "codegen/gallery/", 1) for name in problems}
+    gallery = {name.replace("problems/", "codegen/gallery/", 1) for name in tracked("problems")}
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert names == {*tracked("codegen"), *gallery}
     assert "codegen/py.typed" in names
