@@ -3,7 +3,7 @@
 On a grid, consider the cost along a line. For a smooth cost, the difference of two neighbours lies between the
 predictions from the slopes on both sides, or close to them. This remains true where one branch of optima takes over
 from another at equal cost. The difference lies outside where a search has ended in the worse of two optima. At an end
-of a line, or beside a failed case, there is one slope only. There a parabola and a cubic through the following costs
+of a line, or next to a failed case, there is one slope only. There a parabola and a cubic through the following costs
 predict the cost. A deviation at an end is worth a new solve, but it is no certain jump, because a smooth cost may grow
 faster towards an end.
 

@@ -276,7 +276,7 @@ class Work:
         return solve_case(varied, self._module_values(self.cases.values(np.array([index]))[0]), None)
 
     def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
-        """Solve the cases of a chunk along a path through neighbours, and again beside jumps of the cost.
+        """Solve the cases of a chunk along a path through neighbours, and again next to jumps of the cost.
 
         Raises Abandoned as soon as `is_wanted` returns False.
         """

@@ -38,7 +38,7 @@ FIRST_GRIDS = 5
 GROWTH = 4.0
 """Largest factor by which the number of intervals on arcs grows from one grid to the next."""
 GROWTH_AT_SWITCHES = 1.2
-"""The same while the error is largest at a switching time; finer grids beside the switching time do not reduce it."""
+"""The same while the error is largest at a switching time; finer grids near the switching time do not reduce it."""
 SHRINKAGE = 0.7
 """Smallest factor by which the number of intervals changes."""
 AIM = 0.5

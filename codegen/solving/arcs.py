@@ -44,7 +44,7 @@ SECANTS = 8
 LEAST_JUMP = 0.05
 """Smallest jump of a control, relative to its range, for which a switching time is computed."""
 BESIDE, FAR = 3, 12
-"""Nodes beside a gap that its errors affect: for the lengths of intervals, and at all."""
+"""Nodes next to a gap that its errors affect: for the lengths of intervals, and at all."""
 MOST_GAPS = 40
 """Most gaps of a phase; with more gaps controls chatter, and no arcs are distinguished."""
 CLOSE = 1e-3
@@ -113,7 +113,7 @@ def _active_bounds(module: ControlModule, result: Result, grid: Grid) -> Iterato
     lower, upper = module.variable_bounds(grid)
     width = (upper - lower)[primal]
     close = np.minimum(below, above)
-    # The distance decides between two bounds; the slope decides beside a single bound.
+    # The distance decides between two bounds; the slope decides at a single bound.
     active = np.where(np.isfinite(width), close < CLOSE * width, np.abs(slopes) > close)
     kind = np.zeros(result.unknowns.size, np.int8)
     kind[primal] = np.where(active, np.where(below < above, -1, 1), 0)
@@ -165,7 +165,7 @@ def _switching_time(result: Result, grid: Grid, gap: Gap) -> float | None:
 
 
 def around(nodes: Vector, gap: Gap, margin: int) -> slice:
-    """Return the nodes of a phase in a gap and beside the gap; `nodes` are their times as fractions of the phase."""
+    """Return the nodes of a phase in a gap and next to the gap; `nodes` are their times as fractions of the phase."""
     first, last = np.searchsorted(nodes, [gap.begin + 1e-12, gap.end - 1e-12])
     return slice(max(0, int(first) - margin), int(last) + margin + 1)
 
@@ -205,7 +205,7 @@ def scales_of(table: Matrix) -> Vector:
 def compared(module: ControlModule, coarse: Result, fine: Result, without: Sequence[Gap] = ()) -> Estimate:
     """Return the largest relative difference of two results at nodes of the coarser grid, in costs and in parameters.
 
-    Nodes in the gaps `without`, and beside these gaps, do not count.
+    Nodes in the gaps `without`, and next to these gaps, do not count.
     """
     table, names = trajectories(module, fine)
     before, _ = trajectories(module, coarse)

@@ -2,7 +2,7 @@
 
 Every file is imported under a name made from its text and its path. Hence two modules of the same name do not collide,
 and another process can import a module by its name: solutions, and functions such as `solve`, can be pickled. The
-machine code that numba stores beside the file does not depend on that name.
+machine code that numba stores next to the file does not depend on that name.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class Team:
 def team_size(workers: Any, cluster: Any) -> int:
     """Return the number of worker processes, by default the number of available processors.
 
-    Raises NumericsError for an invalid number, ArgumentError for a number beside a cluster that has its own workers.
+    Raises NumericsError for an invalid number, ArgumentError for a number with a cluster of other workers.
     """
     if workers is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

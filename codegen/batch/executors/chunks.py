@@ -38,7 +38,7 @@ class Tally:
     """Number of cases by status, the first message of each status, and the seconds of all solves.
 
     `improved` counts cases with a lower cost after a start from beyond a jump of the cost. `jumps` counts cases that
-    still lie beside a jump.
+    still lie next to a jump.
     """
 
     counts: Mapping[str, int] = field(default_factory=dict)
@@ -235,7 +235,7 @@ def _lock_file(folder: Path, name: str) -> TextIO:
 
 
 def journal_of(path: Path) -> Path:
-    """Return the path of the journal beside a store or table."""
+    """Return the path of the journal of a store or table."""
     return path.with_name(f"{path.name}.journal")
 
 

@@ -151,7 +151,7 @@ class _Crew:
     def solve(self, numbers: Sequence[int]) -> Solved:
         """Keep the queues of workers filled and yield each chunk when it is finished.
 
-        A chunk with lost workers may have waited beside the chunk that ended them. It is repeated alone after all
+        A chunk with lost workers may have waited with the chunk that ended them. It is repeated alone after all
         others.
         """
         waiting, suspects = iter(numbers), list[int]()
