@@ -113,8 +113,15 @@ def _local(workers: int) -> Iterator[Any]:
             memory_limit=0,
             silence_logs=logging.CRITICAL,
         )
-        with cluster, _CLIENT(cluster, set_as_default=False) as client:
+        client = _CLIENT(cluster, set_as_default=False)
+        try:
             yield client
+        finally:
+            with suppress(Exception):  # a worker that is still starting cannot be closed: distributed raises an error
+                client.wait_for_workers(workers, timeout=PATIENCE)
+            for connection in (client, cluster):
+                with suppress(Exception):  # all chunks are back, or an error is on its way
+                    connection.close()
 
 
 @contextmanager
