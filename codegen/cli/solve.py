@@ -33,7 +33,6 @@ from codegen.cli.options import (
 )
 from codegen.errors import ArgumentError, one_line
 from codegen.files import replacing
-from codegen.solving.tasks import TASKS
 from codegen.terminal import console, following, working
 
 if TYPE_CHECKING:
@@ -148,10 +147,7 @@ def solve(
     _print(outcome, json, log)
     result = outcome.result
     if not result.solved:
-        may_help = guesses == 1 and "guesses" in TASKS[result.task].options
-        is_stuck = result.status in ("infeasible", "saddle point", "stalled")
-        hint = "; --guesses 10 tries ten first guesses" if may_help and is_stuck else ""
-        typer.echo(one_line(f"codegen: {result.message}{hint}") + on_statuses(result.status), err=True)
+        typer.echo(one_line(f"codegen: {result.message}") + on_statuses(result.status), err=True)
         raise typer.Exit(1)
 
 
@@ -198,12 +194,15 @@ def with_options(outcome: Outcome) -> Outcome:
     """Return the outcome with options of the command in its messages, in place of arguments of `codegen.solve`."""
 
     def replaced(message: str) -> str:
+        message = re.sub(r"\b(guesses|scaling)='?(\w+)'?", r"--\1 \2", message)
+        message = message.replace("another scheme", "another --scheme")
         argument = r"\braise (max_iterations|time_limit)\b"
         return re.sub(argument, lambda match: f"raise --{match[1].replace('_', '-')}", message)
 
     result = outcome.result
     levels = tuple(replace(level, message=replaced(level.message)) for level in result.levels)
-    return replace(outcome, result=replace(result, message=replaced(result.message), levels=levels))
+    notes = tuple(replaced(note) for note in result.notes)
+    return replace(outcome, result=replace(result, message=replaced(result.message), levels=levels, notes=notes))
 
 
 @dataclass(frozen=True)

@@ -320,13 +320,14 @@ _UNPACK = (
     "unpack what is returned, as in (x,), (v,) = coordinates('x'), or use state('x'), control('u'), parameter('m', 1) "
     "and their like"
 )
-_OF_SYMPY = "take functions of expressions from sympy, not from math or numpy"
+_OF_SYMPY = "take functions of expressions from sympy, not from math or numpy, as in from sympy import cos, sin"
 _MISTAKES = (
     ("truth value of Relational", "write two inequalities, such as x >= 0 and x <= 2, for 0 <= x <= 2, or use bounds"),
     ("'tuple'", _UNPACK),
     ("multiply sequence", _UNPACK),
     ("Cannot convert expression to float", _OF_SYMPY),
     ("ufunc", _OF_SYMPY),
+    ("free_parameter() missing", 'give its initial guess, as in free_parameter("T", 3)'),
     ("'function'", "call it where it makes a symbol, as in t = time()"),
 )
 """Words of a TypeError, and the remedy."""

@@ -11,10 +11,10 @@ import itertools
 import secrets
 import sys
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NoReturn, TypeVar
 
 import numpy as np
 import sympy
@@ -26,6 +26,8 @@ from codegen.symbolic.terms import EachBodyBase
 
 _serial_numbers = itertools.count(secrets.randbits(60) << 32)
 """The numbers begin at a random value in every process, so that unpickled symbols of another process are distinct."""
+_NUMPY_FUNCTIONS = {name for name, value in vars(np).items() if isinstance(value, np.ufunc) and value.nin == 1}
+"""The functions of one argument of numpy, which call the method of that name of an object."""
 _recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities", default=None)
 
 
@@ -56,6 +58,16 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
         if recorded is not None and cls.own:
             recorded.append(symbol)
         return symbol
+
+    def __getattr__(self, name: str) -> Callable[[], NoReturn]:
+        """Return a method that refuses a function of numpy, whose own message has no remedy."""
+        if name not in _NUMPY_FUNCTIONS:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+
+        def refuse() -> NoReturn:
+            raise ExpressionError(f"numpy.{name}({self})", "take functions from sympy: from sympy import cos, sin")
+
+        return refuse
 
     def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
         """Return what recreates the same symbol, with all its attributes, from a pickle or for a copy."""

@@ -15,6 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from codegen.errors import NumericsError, SchemeError
 from codegen.problem.points import PointSet, read_points
 from codegen.runtime.record import Kind, Role
@@ -50,6 +52,11 @@ LEAST_ITERATIONS = 50
 """Lower limit of the iterations of a search for the optimum on double steps."""
 _TOO_TIGHT = ("inaccurate", "stalled")
 """Statuses of solves whose tolerance is below the rounding errors."""
+_SEARCHES = ("iteration limit", "time limit", "stalled", "infeasible", "saddle point")
+"""Statuses of searches that may succeed from another guess or by another discretisation."""
+_ZERO = 1e-10
+"""Controls and costs below this size are rounding errors of zero."""
+_IDLE = "all controls are zero, and so is the cost: the free motion meets all conditions; is an end missing?"
 _ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relative error of the cost"}
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
@@ -109,7 +116,7 @@ def outcome_of(request: Request, working: Working = nullcontext, following: Foll
         with following() if is_watched else working("Solving") as watch:
             shown = request.watch or (watch if is_watched else None)
             result = _solved(request, module, driver, steps, warm, points, shown)
-        result = _with_notes(module, _with_error(request, module, driver, result))
+        result = _with_notes(request, module, _with_error(request, module, driver, result))
         if request.sensitivities:
             result = with_sensitivities(result, module)
         file = getattr(module, "__file__", None)
@@ -250,14 +257,25 @@ def require_memory(numbers: int, steps: int) -> None:
         )
 
 
-def _with_notes(module: GeneratedModule, result: Result) -> Result:
-    """Return the result with notes on the motion between nodes."""
-    if not (is_control(module) and result.solved and result.unknowns is not None):
+def _with_notes(request: Request, module: GeneratedModule, result: Result) -> Result:
+    """Return the result with notes: on the motion between nodes, idle controls, remedies for a failed search."""
+    if not is_control(module) or result.unknowns is None:
         return result
+    if not result.solved:
+        untried = [
+            *(["guesses=10"] if request.guesses == 1 and request.warm is None else []),
+            *(["another scheme"] if request.scheme is None and not request.is_built else []),
+            *(["scaling='none'"] if request.scaling == "auto" else []),
+        ]
+        if result.status not in _SEARCHES or not untried:
+            return result
+        return replace(result, notes=(*result.notes, f"what may help, in this order: {', '.join(untried)}"))
     solution = module, result.unknowns, result.steps, result.grid
     gross = [excursion.note for excursion in excursions(*solution) if excursion.is_gross]
     beyond = [stage.note for stage in stages_beyond(*solution)]
-    return replace(result, notes=(*result.notes, *gross, *beyond, *(pole.note for pole in poles(*solution))))
+    is_idle = result.u.size and max(np.abs(result.u).max(), abs(result.cost or 0.0)) <= _ZERO
+    idle = [_IDLE] if is_idle else []
+    return replace(result, notes=(*result.notes, *idle, *gross, *beyond, *(pole.note for pole in poles(*solution))))
 
 
 def _with_error(request: Request, module: GeneratedModule, driver: Driver, result: Result) -> Result:

@@ -63,6 +63,21 @@ class TestJson:
         assert note.startswith("between nodes the motion violates")
         assert f"codegen: note: {note}" in result.stderr.splitlines()
 
+    def test_a_forgotten_end_is_a_note(self, solved, folder, uncompiled):
+        (folder / "endless.py").write_text(WALLED.replace(", end={x: 1, y: 0}", ""))
+        _, record = solved("endless.py")
+        assert (record["status"], record["cost"]) == ("solved", pytest.approx(0.0, abs=1e-12))
+        assert "is an end missing?" in record["notes"][0]
+
+    def test_a_failed_search_names_what_may_help(self, solved, folder, uncompiled):
+        (folder / "walled.py").write_text(WALLED)
+        options = ("--max-iterations", 1)
+        assert solved("walled.py", *options)[1]["notes"] == [
+            "what may help, in this order: --guesses 10, another --scheme, --scaling none"
+        ]
+        options = (*options, "--guesses", 2, "--scaling", "none", "--scheme", "trapezoidal")
+        assert "notes" not in solved("walled.py", *options)[1]
+
     def test_simulation(self, solved):
         result, record = solved(PENDULUM, "--every", 50)
         assert result.exit_code == 0

@@ -148,7 +148,12 @@ def test_units_that_do_not_agree_are_refused(changed, said):
 
 @pytest.mark.parametrize(
     ("unit", "said"),
-    [("smoot", "the unit 'smoot' of x is unknown"), ("kg**", "is unknown"), ("degC", "does not begin at zero")],
+    [
+        ("smoot", "the unit 'smoot' of x is unknown"),
+        ("kilogramm", "perhaps it is kilogram"),
+        ("kg**", "is unknown"),
+        ("degC", "does not begin at zero"),
+    ],
 )
 def test_units_that_cannot_be_used(unit, said):
     x, u = state("x", unit=unit), control("u")

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import sympy
 from sympy.core import relational
 from sympy.logic import boolalg
@@ -83,6 +84,11 @@ def value_entries(what: str, mapping: Any) -> Iterator[Entry]:
                 f"{what} of {key} is a {type(value).__name__}",
                 f"give one value there, or limits as in {what}_conditions=[{key} >= ..., {key} <= ...]",
             )
+        if what == "guess" and isinstance(value, (tuple, list, np.ndarray)):
+            remedy = (
+                'write a function of time(), or a Table of time, or all guesses in a file: guess=Trajectory("g.csv")'
+            )
+            raise ExpressionError(f"guess of {key} is a {type(value).__name__}", remedy)
         yield entry_of(what, f"{what} of {key}", value, key)
 
 

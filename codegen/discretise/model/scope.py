@@ -209,8 +209,10 @@ def require_keys(entries: Sequence[Entry], kinds: Kinds) -> None:
         if role == "dynamics" and not is_position:
             raise SymbolError(f"dynamics gives {key}, which is no state", "use states as keys")
         if role == "guess" and not (is_position or is_control):
-            finding = f"guess gives {key}, which is no {position} or control"
-            raise SymbolError(finding, f"guess {position}s and controls")
+            remedy = f"guess {position}s and controls"
+            if isinstance(key, FreeParameter):
+                remedy = f'write its guess into the declaration, as in free_parameter("{key}", 3)'
+            raise SymbolError(f"guess gives {key}, which is no {position} or control", remedy)
         if role == "scale" and not (is_position or isinstance(key, (Momentum, ControlInput, FreeParameter))):
             remedy = f"scale {position}s, controls, free parameters"
             raise SymbolError(f"scale gives {key}, which is no unknown", remedy)

@@ -9,6 +9,7 @@ be plain numbers: they count in the units of the quantity that they are compared
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
@@ -51,9 +52,10 @@ def checked_unit(text: str, name: str) -> Any:
     try:
         unit = registry.Unit("dimensionless" if text.strip() in ("", "1") else text)
     except (pint.errors.PintError, TokenError, ValueError, TypeError, AttributeError, AssertionError) as error:
-        raise UnitError(
-            clause(f"the unit {text!r} of {name} is unknown ({error})"), "write one that pint knows, as in kg*m/s**2"
-        ) from None
+        remedy = "write one that pint knows, as in kg*m/s**2"
+        if similar := difflib.get_close_matches(text, dir(registry), cutoff=0.8):
+            remedy = f"perhaps it is {' or '.join(similar)}; {remedy}"
+        raise UnitError(clause(f"the unit {text!r} of {name} is unknown ({error})"), remedy) from None
     if registry.Quantity(0.0, unit).to_base_units().magnitude != 0.0:
         raise UnitError(f"the unit {text!r} of {name} does not begin at zero", "give K or delta_degC")
     return unit

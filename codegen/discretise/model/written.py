@@ -84,15 +84,22 @@ def used_quantities(entries: Iterable[Entry]) -> list[Quantity]:
     for entry in entries:
         for symbol in _symbols(entry):
             if not isinstance(symbol, Quantity):
-                raise SymbolError(
-                    f"{symbol} in {entry.what} was never declared",
-                    f'declare it, for example {symbol} = parameter("{symbol}", 1.0)',
-                )
+                raise _undeclared(symbol, entry, entries)
             used.add(symbol)
     used |= {symbol.partner for symbol in used if isinstance(symbol, (EndValue, Delayed))}
     used |= {symbol for value in used if isinstance(value, Delayed) for symbol in value.lag.free_symbols}
     used |= {symbol.partner for symbol in used if isinstance(symbol, (Coordinate, Velocity, Momentum))}
     return sorted(used, key=lambda symbol: symbol.declared)
+
+
+def _undeclared(symbol: sympy.Symbol, entry: Entry, entries: Sequence[Entry]) -> SymbolError:
+    """Return the error for a symbol of sympy, which may have the name of a declared quantity."""
+    for quantity in (quantity for other in entries for quantity in _symbols(other)):
+        if isinstance(quantity, Quantity) and quantity.name == symbol.name:
+            finding = f"{symbol} in {entry.what} is a plain symbol of sympy, and not the declared {symbol}"
+            return SymbolError(finding, f"use the symbol that the declaration of {symbol} returned")
+    finding = f"{symbol} in {entry.what} was never declared"
+    return SymbolError(finding, f'declare it, for example {symbol} = parameter("{symbol}", 1.0)')
 
 
 def _symbols(entry: Entry) -> list[sympy.Symbol]:

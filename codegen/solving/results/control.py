@@ -121,7 +121,7 @@ def control_result(
         **({"maximum": -verdict.cost} if metadata.maximised else {}),
         "duration": float(t[-1] - t[0]),
         "final_state_miss": max(max_norm(_misses(module, grid, unknowns)), max_norm(equations)),
-        "largest_control": max_norm(u),
+        **({"largest_control": max_norm(u)} if u.size else {}),
         "stationarity": verdict.stationarity,
         **named,
         **({f"waypoint_{i}": float(t[k]) for i, k in enumerate(grid.inner, 1)} if metadata.waypoints else {}),
