@@ -38,6 +38,7 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
     """
 
     __slots__ = ("declared", "unit")
+    name: str
     declared: int
     unit: str
     own: ClassVar[bool] = True

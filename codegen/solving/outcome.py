@@ -273,8 +273,8 @@ def _with_notes(request: Request, module: GeneratedModule, result: Result) -> Re
     solution = module, result.unknowns, result.steps, result.grid
     gross = [excursion.note for excursion in excursions(*solution) if excursion.is_gross]
     beyond = [stage.note for stage in stages_beyond(*solution)]
-    is_idle = result.u.size and max(np.abs(result.u).max(), abs(result.cost or 0.0)) <= _ZERO
-    idle = [_IDLE] if is_idle else []
+    sizes = [] if result.u is None or not result.u.size else [np.abs(result.u).max(), abs(result.cost or 0.0)]
+    idle = [_IDLE] if sizes and max(sizes) <= _ZERO else []
     return replace(result, notes=(*result.notes, *idle, *gross, *beyond, *(pole.note for pole in poles(*solution))))
 
 
