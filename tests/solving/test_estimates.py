@@ -40,6 +40,7 @@ def test_decay_is_fitted_as_by_scipy(folder, scheme, error):
     assert found.values == pytest.approx(best, rel=error)
     assert result.cost == pytest.approx(((decay(TIMES, *best) - VALUES) ** 2).sum(), rel=10 * error)
     # scipy linearises the motion in its parameters.
+    assert found.gauss_newton_errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=max(10 * error, 1e-6))
     assert found.standard_errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=0.05)
     squares = ((decay(TIMES, *best) - VALUES) ** 2).sum()
     exact = 2.0 * squares / (TIMES.size - 2) * np.linalg.inv(exact_hessian(*best))
@@ -73,6 +74,7 @@ def test_deviations_from_a_column_are_weights(folder):
     result = codegen.solve(interpreted(path, scheme="gauss-4"))
     best, covariance = curve_fit(decay, TIMES, VALUES, [1, 1], sigma, True, xtol=1e-14, ftol=1e-14)
     assert result.estimates.values == pytest.approx(best, rel=1e-6)
+    assert result.estimates.gauss_newton_errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-5)
     assert result.estimates.standard_errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=0.05)
 
 

@@ -3,7 +3,8 @@
 The cost is a sum of squares over variances. The inverse of its reduced Hessian is half the covariance of the estimates.
 States, controls and multipliers are eliminated from the KKT matrix at the solution, which leaves a Hessian of the free
 parameters. If no standard deviations are given, a common one is estimated from the residuals of the fit. For robust
-losses the covariance is that of M-estimators. Sources: Bard (1974), Nonlinear parameter estimation, chapter 7; Seber
+losses the covariance is that of M-estimators. Gauss-Newton errors, as in `nls` of R and `curve_fit` of scipy, leave the
+second derivatives of the motion out. Sources: Bard (1974), Nonlinear parameter estimation, chapter 7; Seber
 and Wild (1989), Nonlinear regression, sections 2.1 and 5.1; Huber (1967), The behavior of maximum likelihood estimates
 under nonstandard conditions.
 """
@@ -92,15 +93,35 @@ class Fit:
 
         `following` (n, p) has the derivatives of all unknowns by these quantities.
         """
-        s, shared = self._structure, self._linking(len(following))
-        slopes = np.zeros((len(self._samples), following.shape[1]))
-        for i, sample in enumerate(self._samples):
-            local = np.zeros(s.element + s.shared)
-            plain(self._module.sample_gradient)(*self._arguments(sample), local)
-            first = sample[0] * self._chain + sample[1] * s.stride
-            slopes[i] = local[: s.element] @ following[first : first + s.element]
-            slopes[i] += local[s.element :] @ following[shared[sample[0]]]
-        return slopes
+        return np.array([self._slope(sample, following) for sample in self._samples])
+
+    def error_slopes(self, following: Matrix) -> Matrix:
+        """Return the derivatives (count, p) of all errors by p quantities, for a loss of squares.
+
+        The square (w e)^2 has the derivative w de where e = 1/(2 w), so that the gradient of a sample with this one
+        error has the derivative of the error.
+        """
+        slopes, columns = [], self.fitted.shape[1]
+        for sample, fitted, weights in zip(self._samples, self.fitted, self.weights, strict=True):
+            body, k, begin, row, nodes = sample
+            for column in np.flatnonzero(weights > 0.0):
+                single = row.copy()
+                single[begin + 2 + columns : begin + 2 + 2 * columns] = 0.0
+                single[begin + 2 + columns + column] = weights[column]
+                single[begin + 2 + column] = fitted[column] - 0.5 / weights[column]
+                slopes.append(self._slope((body, k, begin, single, nodes), following))
+        return np.array(slopes).reshape(self.count, following.shape[1])
+
+    def _slope(self, sample: Any, following: Matrix) -> Vector:
+        """Return the derivatives (p,) of the loss of one sample."""
+        s = self._structure
+        local = np.zeros(s.element + s.shared)
+        plain(self._module.sample_gradient)(*self._arguments(sample), local)
+        first = sample[0] * self._chain + sample[1] * s.stride
+        linking = self._linking(len(following))[sample[0]]
+        return np.asarray(
+            local[: s.element] @ following[first : first + s.element] + local[s.element :] @ following[linking]
+        )
 
 
 def plain(function: Any) -> Any:
@@ -116,7 +137,9 @@ class Estimates:
     ----------
     names : tuple of str
     values, standard_errors : ndarray, shape (p,)
-        NaN for the error of a parameter in `at_bounds` or `undetermined`.
+        From the reduced Hessian; NaN for the error of a parameter in `at_bounds` or `undetermined`.
+    gauss_newton_errors : ndarray, shape (p,)
+        From the first derivatives of the errors, as R and scipy have them; NaN also for robust losses.
     intervals : ndarray, shape (p, 2)
         Confidence intervals, `quantile` standard errors to both sides.
     correlations : ndarray, shape (p, p)
@@ -138,6 +161,7 @@ class Estimates:
     names: tuple[str, ...]
     values: Vector
     standard_errors: Vector
+    gauss_newton_errors: Vector
     intervals: Matrix
     correlations: Matrix
     deviation: float
@@ -187,9 +211,14 @@ def estimates_of(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.boo
         reason = f"{fit.count} values were measured, and {fit.count - freedom} numbers are free"
     deviation = np.sqrt(fit.squares / freedom) if is_estimated and freedom > 0 else np.nan if is_estimated else 1.0
     covariance, unknown_errors = np.full((len(names), len(names)), np.nan), np.full(unknowns.size, np.nan)
+    gauss_newton = np.full(len(names), np.nan)
     if reduced and inverse and not reason:
         if observations.loss == "squares":
             block = 2.0 * float(deviation) ** 2 * inverse.matrix
+            slopes = fit.error_slopes(reduced.following)
+            factor = np.linalg.pinv(slopes, rcond=np.sqrt(FLAT))
+            gauss_newton[is_free] = float(deviation) * np.sqrt((factor**2).sum(axis=1))
+            gauss_newton[lost] = np.nan
         else:
             slopes = fit.slopes(reduced.following)
             block = inverse.matrix @ (slopes.T @ slopes) @ inverse.matrix
@@ -210,7 +239,7 @@ def estimates_of(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.boo
         tuple(name for name, is_one in zip(names, mask, strict=True) if is_one) for mask in (~is_free, lost)
     )
     return Estimates(
-        names, values, errors, intervals, correlations, float(deviation), is_estimated, freedom, quantile,
+        names, values, errors, gauss_newton, intervals, correlations, float(deviation), is_estimated, freedom, quantile,
         unknown_errors, at_bounds, undetermined, reason,
     )  # fmt: skip
 
@@ -293,15 +322,16 @@ def _inverse(reduced: _Reduced, values: Vector) -> _Inverse:
 
 def as_record(estimates: Estimates) -> dict[str, Any]:
     """Return the part of the JSON object for estimates."""
-    rows = zip(estimates.names, estimates.values, estimates.standard_errors, estimates.intervals, strict=True)
+    numbers = estimates.values, estimates.standard_errors, estimates.gauss_newton_errors, estimates.intervals
     return {
         "parameters": {
             name: {
                 "value": as_finite(value),
                 "standard_error": as_finite(error),
+                "gauss_newton_error": as_finite(gauss_newton),
                 "interval": [*map(as_finite, interval)],
             }
-            for name, value, error, interval in rows
+            for name, value, error, gauss_newton, interval in zip(estimates.names, *numbers, strict=True)
         },
         "confidence": CONFIDENCE,
         "correlations": [[as_finite(entry) for entry in row] for row in estimates.correlations],

@@ -149,17 +149,18 @@ def estimates_tables(record: Mapping[str, Any]) -> list[Table]:
 
     title: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "box": box.SIMPLE_HEAD}
     table, names = Table(title="Estimates", **title), list(record["parameters"])
+    table.caption, table.caption_justify = "standard errors from the reduced Hessian", "left"
     if record["deviation_is_estimated"]:
         errors = f"standard deviation of errors {_number(record['deviation'])}"
-        table.caption = f"{errors}, {record['degrees_of_freedom']} degrees of freedom"
-        table.caption_justify = "left"
+        table.caption += f"; {errors}, {record['degrees_of_freedom']} degrees of freedom"
     table.add_column("parameter", style="cyan", no_wrap=True)
-    for heading in ("value", "standard error", f"{100 * record['confidence']:g} % interval"):
+    for heading in ("value", "standard error", "Gauss-Newton", f"{100 * record['confidence']:g} % interval"):
         table.add_column(heading, justify="right")
     for name, found in record["parameters"].items():
         low, high = found["interval"]
         interval = "not available" if low is None else f"{_number(low)} to {_number(high)}"
-        table.add_row(name, _number(found["value"]), _number(found["standard_error"]), interval)
+        numbers = (found[key] for key in ("value", "standard_error", "gauss_newton_error"))
+        table.add_row(name, *map(_number, numbers), interval)
     if not 1 < len(names) <= _CORRELATED:
         return [table]
     beside = Table(title="Correlations", **title)
