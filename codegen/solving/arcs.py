@@ -308,7 +308,7 @@ def _inner_nodes(module: ControlModule, grid: Grid) -> tuple[int, ...]:
     return tuple(map(int, grid.inner)) if module.metadata.inner_times else ()
 
 
-def _restricted(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Vector) -> Vector:
+def _restricted(module: ControlModule, fine: Grid, grid: Grid, rows: Indices, unknowns: Vector) -> Vector:
     """Return the unknowns of a solution on double steps.
 
     Nodes keep their values. Controls, slacks and multipliers of steps have the mean of two intervals. Other multipliers
@@ -334,7 +334,9 @@ def _restricted(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Ve
     return np.asarray(module.with_pinned_values(grid, result))
 
 
-def _carried_on(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Vector, start: Vector) -> Vector | None:
+def _carried_on(
+    module: ControlModule, fine: Grid, grid: Grid, rows: Indices, unknowns: Vector, start: Vector
+) -> Vector | None:
     """Return the optimum on double steps from Newton's method, with the active bounds of the finer grid.
 
     Return None if steps do not settle, the reduced Hessian is not positive definite, or other bounds become active.

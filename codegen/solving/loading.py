@@ -125,6 +125,9 @@ class ControlModule(Protocol):
     unpack: Callable[[Grid, Vector], Unpacked]
     views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]
     variable_bounds: Callable[[Grid], tuple[Vector, Vector]]
+    # With measurements:
+    sample_values: Callable[..., None]
+    sample_gradient: Callable[..., float]
 
 
 class StepGrid(Protocol):
@@ -216,12 +219,12 @@ class ConnectModule(Protocol):
 GeneratedModule: TypeAlias = ControlModule | SimulateModule | ConnectModule
 
 
-def few_steps(module: Any, steps: int) -> int:
+def few_steps(module: GeneratedModule, steps: int) -> int:
     """Return a number of intervals, increased where inner times need more."""
     return max(steps, int(module.metadata.inner_times) + 1)
 
 
-def inner_places(module: Any) -> tuple[float, ...]:
+def inner_places(module: ControlModule) -> tuple[float, ...]:
     """Return the inner times as fractions of the duration, or of the number of intervals if they are free."""
     if not module.metadata.inner_times:
         return ()

@@ -229,7 +229,7 @@ def as_number(value: Any) -> float:
 # Parameter overrides
 
 
-def with_arguments(module: Any, **arguments: Any) -> Any:
+def with_arguments(module: GeneratedModule, **arguments: Any) -> Any:
     """Return a copy of a module whose functions that make grids or cases have arguments bound."""
     other = ModuleType(getattr(module, "__name__", "generated"))
     other.__dict__.update(vars(module))
@@ -239,7 +239,7 @@ def with_arguments(module: Any, **arguments: Any) -> Any:
     return other
 
 
-def with_values(module: Any, values: Mapping[str, float]) -> Any:
+def with_values(module: GeneratedModule, values: Mapping[str, float]) -> Any:
     """Return the module with parameter overrides by name; `start.x` is a prescribed end.
 
     Raises ArgumentError for an unknown name, and NumericsError for values that no grid can have.
@@ -269,7 +269,7 @@ def with_values(module: Any, values: Mapping[str, float]) -> Any:
     return other
 
 
-def overridable(module: Any) -> dict[str, tuple[str, str]]:
+def overridable(module: GeneratedModule) -> dict[str, tuple[str, str]]:
     """Return the arguments of module functions by the names of overrides, each with the quantity of a prescribed end.
 
     A parameter takes precedence over a duration or an end of the same name. Connect problems have no overrides.
@@ -289,18 +289,18 @@ def parameter_arguments(module: Any) -> dict[str, str]:
     return dict(zip(module.metadata.parameters, _keywords(module)[before:], strict=False))
 
 
-def duration_arguments(module: Any) -> tuple[str, ...]:
+def duration_arguments(module: GeneratedModule) -> tuple[str, ...]:
     """Return the arguments for given durations; with delays the duration is that of a segment."""
     of_parameters = parameter_arguments(module).values()
     return tuple(name for name in _keywords(module) if name.startswith("duration") and name not in of_parameters)
 
 
-def apart_from_delays(module: Any) -> tuple[str, ...]:
+def apart_from_delays(module: GeneratedModule) -> tuple[str, ...]:
     """Return the arguments for durations that may be overridden: none if delays are fractions of the duration."""
     return () if segments_of(module.metadata) else duration_arguments(module)
 
 
-def prescribed_ends(module: Any) -> dict[str, tuple[str, str]]:
+def prescribed_ends(module: GeneratedModule) -> dict[str, tuple[str, str]]:
     """Return the end and the quantity of prescribed values by names such as `end.x`.
 
     The start of particles is an array, whose entries have no names.
@@ -311,7 +311,7 @@ def prescribed_ends(module: Any) -> dict[str, tuple[str, str]]:
     return {f"{end}.{name}": (end, name) for end, names in ends for name in names}
 
 
-def require_apart_from_arrays(module: Any, names: Iterable[str]) -> None:
+def require_apart_from_arrays(module: GeneratedModule, names: Iterable[str]) -> None:
     """Raise ArgumentError for an override of the start of particles, which is an array."""
     if not (is_simulation(module) and is_of_particles(module)):
         return
@@ -321,7 +321,7 @@ def require_apart_from_arrays(module: Any, names: Iterable[str]) -> None:
             raise ArgumentError(finding, "call solve(start=...) of its module, which takes all positions and momenta")
 
 
-def require_apart_from_delays(module: Any, names: Iterable[str]) -> None:
+def require_apart_from_delays(module: GeneratedModule, names: Iterable[str]) -> None:
     """Raise ArgumentError for an override of a duration of which delays are fractions."""
     if segments_of(module.metadata) is None:
         return

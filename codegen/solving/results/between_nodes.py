@@ -59,7 +59,7 @@ STAGES_NEGLIGIBLE = 1e-6
 # Transfer to finer grids
 
 
-def _divided(module: Any, coarse: Grid, cuts: Matrix) -> Grid:
+def _divided(module: ControlModule, coarse: Grid, cuts: Matrix) -> Grid:
     """Return the grid on which every interval is divided into the fractions `cuts` (intervals, parts)."""
     phases = module.metadata.phases
     parts = (np.diff(coarse.nodes)[:, None] * cuts).reshape(phases, -1)
@@ -67,7 +67,9 @@ def _divided(module: Any, coarse: Grid, cuts: Matrix) -> Grid:
     return time_grid(module, parts.shape[1], parts if phases > 1 else parts[0])
 
 
-def _transferred(module: Any, coarse: Grid, fine: Grid, unknowns: Vector, parts: int, straight: bool = False) -> Vector:
+def _transferred(
+    module: ControlModule, coarse: Grid, fine: Grid, unknowns: Vector, parts: int, straight: bool = False
+) -> Vector:
     """Return the unknowns on the finer grid: states interpolated, intervals repeated, slacks and multipliers zero.
 
     States are linear between the nodes of a scheme of order two, or if `straight`, and otherwise monotone cubics.
@@ -196,7 +198,7 @@ def sampled_conditions(module: ControlModule) -> tuple[str, ...]:
     return tuple(dict.fromkeys(row.name for row in _rows(module)))
 
 
-def _rows(module: Any) -> Iterator[_Row]:
+def _rows(module: ControlModule) -> Iterator[_Row]:
     """Yield the conditions of a module that depend only on states of one node, time and parameters."""
     metadata, structure = module.metadata, module.problem.structure
     first, stride = structure.node, structure.stride
@@ -232,7 +234,7 @@ def _rows(module: Any) -> Iterator[_Row]:
 class _Sampled:
     """Values of conditions, and the size of their terms, on intervals that are divided into fractions `cuts`."""
 
-    def __init__(self, module: Any, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
+    def __init__(self, module: ControlModule, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
         self.module, self.grid = module, _divided(module, coarse, cuts)
         self.intervals, self.parts = cuts.shape
         self._unknowns = _transferred(module, coarse, self.grid, unknowns, self.parts)
@@ -410,7 +412,7 @@ def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector
 class _Refined:
     """The equations of motion on a finer grid, on which a solution is linear inside every interval."""
 
-    def __init__(self, module: Any, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
+    def __init__(self, module: ControlModule, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
         self.module, self.cuts, self.grid = module, cuts, _divided(module, coarse, cuts)
         self._unknowns = _transferred(module, coarse, self.grid, unknowns, cuts.shape[1], straight=True)
         # Stages lie between the nodes of the finer grid.

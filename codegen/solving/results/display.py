@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from codegen.show.figures.picture import Film, Picture
-    from codegen.solving.loading import Vector
+    from codegen.solving.loading import GeneratedModule, Vector
 
 _COLUMNS = {"q": "coordinate", "p": "momentum", "u": "control"}
 """The dimension of the columns of each array, named as in the data set of a sweep."""
@@ -306,7 +306,7 @@ class Background:
     `source` that cannot be pickled; figures then lack the drawing. `arguments` are those of the problem file.
     """
 
-    module: Any
+    module: GeneratedModule
     path: Path | None = None
     source: Any = None
     arguments: Mapping[str, str] = field(default_factory=dict)

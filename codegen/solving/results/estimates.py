@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.solving.loading import Grid, Matrix, Vector
+from codegen.solving.loading import ControlModule, Grid, Matrix, Vector
 
 CONFIDENCE = 0.95
 AT_BOUND = 1e-6
@@ -35,7 +35,7 @@ _PART = 1e-3
 class Fit:
     """Measurements and the values of the motion at the same times, one after the other for each body."""
 
-    def __init__(self, module: Any, grid: Grid, unknowns: Vector) -> None:
+    def __init__(self, module: ControlModule, grid: Grid, unknowns: Vector) -> None:
         """Read the samples from the parameters of a grid, and evaluate the motion at the samples."""
         self._module, self._unknowns = module, unknowns
         self._structure = s = module.problem.structure
@@ -188,7 +188,7 @@ class Estimates:
         return notes
 
 
-def estimates_of(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.bool_]) -> Estimates | None:
+def estimates_of(module: ControlModule, grid: Grid, unknowns: Vector, held: NDArray[np.bool_]) -> Estimates | None:
     """Return the accuracy of the free parameters at a solution; None without measurements or free parameters.
 
     `held` (n,) marks the `unknowns` (n,) at bounds.
@@ -257,7 +257,9 @@ class _Reduced:
     freedom: int
 
 
-def _reduced(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.bool_], free: Any) -> _Reduced | None:
+def _reduced(
+    module: ControlModule, grid: Grid, unknowns: Vector, held: NDArray[np.bool_], free: Any
+) -> _Reduced | None:
     """Return the Hessian of the cost by the `free` unknowns if all others follow; None if the others are singular."""
     from scipy import sparse
     from scipy.sparse.linalg import splu
