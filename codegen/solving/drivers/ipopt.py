@@ -1,7 +1,7 @@
 """IPOPT through cyipopt, with exact sparse Hessians: an independent interior point method for comparison.
 
 Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
-large-scale nonlinear programming. cyipopt is an extra: `pip install variational-codegen[ipopt]`.
+large-scale nonlinear programming. cyipopt is an extra: `pip install cyipopt`.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
         import cyipopt  # type: ignore[import-not-found, import-untyped, unused-ignore]
     except ImportError:
         raise ArgumentError(
-            "driver ipopt needs the package cyipopt", "install variational-codegen[ipopt], or use another driver"
+            "driver ipopt needs the package cyipopt", "pip install cyipopt, or use another driver"
         ) from None
     program = program_on_grid(module, run)
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance

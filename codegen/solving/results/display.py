@@ -267,9 +267,7 @@ class Display:
 def _require_library(library: str, purpose: str) -> None:
     """Raise ExtraError, which names the extra to install, if a library is missing."""
     if find_spec(library) is None:
-        raise ExtraError(
-            f"{purpose} needs {library}, which is not installed", "pip install 'variational-codegen[sweep]'"
-        )
+        raise ExtraError(f"{purpose} needs {library}, which is not installed", "pip install xarray zarr netCDF4")
 
 
 def _with_columns(display: Display) -> Any:
