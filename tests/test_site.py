@@ -19,8 +19,10 @@ from codegen.solving.results.result import STATUSES
 
 ROOT = PROBLEMS.parent
 DOCS = ROOT / "docs"
+OBJECTS = DOCS / "reference" / "objects"
 MADE = {DOCS / "reference" / "commands.md", DOCS / "gallery" / "index.md", DOCS / "benchmarks.md"}
 MADE |= {DOCS / "gallery" / f"{path.stem}.md" for path in problem_files()}
+MADE |= {OBJECTS / f"{name}{'-class' * name[0].isupper()}.md" for name in ("index", "Result", *codegen.__all__)}
 """Pages that are made when the site is built."""
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts and path not in MADE)
 LINK = re.compile(r"\]\(([^)\s]+)\)")

@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+import re
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import benchmarks
 from references import PROBLEMS, ROOT, STORED, Known, digest, known_of, misses, problem_files
+from signature import page_of, text
 from speed import read_speed, speed_section
 from sphinx.errors import ExtensionError
 from sphinx.util import logging
@@ -259,6 +261,31 @@ def choices(own: Any) -> str:
     return "|".join(str(each.value) for each in type(own.default)) if isinstance(own.default, Enum) else "VALUE"
 
 
+# The objects of the reference.
+
+
+_RESULT = "solving.results.result:Result"
+
+
+def object_pages() -> dict[str, str]:
+    """Return a page for each section of `reference/python.md`, by the name of the object, and the index of all."""
+    whole = (DOCS / "reference" / "python.md").read_text(encoding="utf-8")
+    sections = re.split(r"^### (.+)\n", re.sub(r"^## .*\n", "", whole, flags=re.MULTILINE), flags=re.MULTILINE)[1:]
+    pages, rows = {}, []
+    for title, section in zip(sections[::2], sections[1::2], strict=True):
+        name = {"Results": "Result"}.get(title, title)
+        body = section.replace("```{code-cell} ipython3", "```python").replace("#### ", "## ")
+        body = re.sub(r"^(```\{signature\} .+)$", r"\1\n:full:", body, flags=re.MULTILINE)
+        body = body.replace("](../", "](../../").replace("](#", "](../python.md#")
+        pages[page_of(name)] = f"# {name}\n{body}\n[Run the example](../python.md#{title.lower()})\n"
+        docstring = text(_RESULT if name == "Result" else name)
+        rows.append(f"| [`{name}`]({page_of(name)}.md) | {docstring.partition(chr(10))[0]} |")
+    names = "\n".join(sorted(pages, key=str.lower))
+    table = "\n".join(["| name | |", "|---|---|", *sorted(rows, key=str.lower)])
+    pages["index"] = f"# Objects\n\n{table}\n\n```{{toctree}}\n:hidden:\n\n{names}\n```\n"
+    return pages
+
+
 def make(app: Any) -> None:
     """Write all pages that are made."""
     makers = [
@@ -268,6 +295,8 @@ def make(app: Any) -> None:
     ]
     gallery(hashlib.sha256(b"".join(path.read_bytes() for path in sorted(makers))).hexdigest())
     write(DOCS / "reference" / "commands.md", commands())
+    for name, page in object_pages().items():
+        write(DOCS / "reference" / "objects" / f"{name}.md", page)
     write(DOCS / "benchmarks.md", benchmarks.page())
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from docutils import nodes
 from docutils.statemachine import StringList
+from sphinx import addnodes
 from sphinx.util.docutils import SphinxDirective
 
 import codegen
@@ -56,7 +57,7 @@ def markdown(docstring: str) -> list[str]:
             entry, _, kind = line.partition(" : ")
             is_named = kind or section in ("Parameters", "Attributes")
             names = ", ".join(f"`{each}`" for each in entry.split(", ")) if is_named else entry
-            written.append(f"- {names}{f' ({kind})' if kind else ''}")
+            written.append(f"- {names}{f' ({kind})' if kind else ''}{':' * following.startswith(' ')}")
         else:
             written.append(f"  {line.strip()}" if section not in ("", "Notes") and line else line)
     return written
@@ -98,20 +99,51 @@ def annotation(written: Any) -> str:
     return written if isinstance(written, str) else getattr(written, "__name__", str(written))
 
 
+def page_of(name: str) -> str:
+    """Return the file name of the page that has the full docstring of a name.
+
+    Files of classes are marked: some file systems take `Control` and `control` for one name.
+    """
+    own = name.rpartition(":")[2].partition(".")[0].replace("Display", "Result")
+    return f"{own}-class" if own[0].isupper() else own
+
+
 class Signature(SphinxDirective):
-    """The signature in code, and the docstring as Markdown; `no-text` leaves the latter out."""
+    """The signature in code, and the first paragraph of the docstring with a link to the page of the object.
+
+    With `full` the directive shows the whole docstring, and enters the name in the index and in the list of objects.
+    """
 
     required_arguments = 1
-    option_spec = {"no-text": lambda _: True}  # noqa: RUF012  docutils's own way
+    option_spec = {"full": lambda _: True}  # noqa: RUF012  docutils's own way
 
     def run(self) -> list[nodes.Node]:
         """Parse the docstring where the directive stands."""
         name = self.arguments[0]
-        block = nodes.literal_block("", call(name), language="python")
+        block, docstring = nodes.literal_block("", call(name), language="python"), text(name)
         shown = nodes.container()
-        if "no-text" not in self.options:
-            self.state.nested_parse(StringList(markdown(text(name)), source=name), 0, shown)
+        if "full" in self.options:
+            self.state.nested_parse(StringList(markdown(docstring), source=name), 0, shown)
+            return [*self._entered(name), block, *shown.children]
+        lines = [
+            *docstring.partition("\n\n")[0].splitlines(),
+            "",
+            f"[Parameters and details](objects/{page_of(name)}.md)",
+        ]
+        self.state.nested_parse(StringList(lines, source=name), 0, shown)
         return [block, *shown.children]
+
+    def _entered(self, name: str) -> list[nodes.Node]:
+        """Enter a name in the index, in the search and in `objects.inv`; return the target and its entry."""
+        own = name.rpartition(":")[2].replace("Display.", "Result.")
+        thing = found(name)
+        kind = "method" if "." in own else "type" if is_alias(thing) else "function"
+        if inspect.isclass(thing):
+            kind = "exception" if issubclass(thing, Exception) else "class"
+        node_id = nodes.make_id(f"codegen.{own}")
+        self.env.get_domain("py").note_object(f"codegen.{own}", kind, node_id, location=self.get_location())
+        entry = addnodes.index(entries=[("single", f"{own} ({kind})", node_id, "", None)])
+        return [nodes.target("", "", ids=[node_id]), entry]
 
 
 def setup(app: Any) -> dict[str, bool]:
