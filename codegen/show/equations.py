@@ -11,6 +11,7 @@ from pathlib import Path
 
 import sympy
 from sympy import Add, Expr, Symbol, expand_mul
+from sympy.simplify.fu import TR8
 
 from codegen.discretise import schemes, transcribe
 from codegen.discretise.conditions import CONDITIONS
@@ -320,7 +321,7 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
 def _variational(model: Model, interval: VariationalInterval) -> Iterator[Block]:
     names = [q.name for q in model.coordinates]
     own = [i for i, name in enumerate(names) if not is_past(name)]
-    rows = [(_named("L_d"), interval.lagrangian)]
+    rows = [(_named("L_d"), _shortest(interval.lagrangian))]
     for mark, forces in (("f-", interval.force_minus), ("f+", interval.force_plus)):
         rows += [(_named(f"{mark} {name}"), f) for name, f in zip(names, forces, strict=True) if f != 0]
     inner = [(q, b) for q, b in zip(interval.inner, interval.inner_balance, strict=True) if not is_past(q.name)]
@@ -400,14 +401,25 @@ def _layout(program: ControlProgram | StepProgram, notation: Notation) -> Block:
 
 
 def _shortest(expression: Expr) -> Expr:
-    """Return the shortest of a few equal sums; a common denominator would only look short."""
+    """Return the shortest of a few equal expressions; a common denominator of all terms would only look short.
+
+    Products of sines and cosines are written as sums of both, in which sin^2 + cos^2 is 1. `sympy.simplify` finds
+    little more and takes twenty times as long.
+    """
     if expression.count_ops() > _SHORTEN_LIMIT:
         return expression
-    termwise = Add(*(sympy.simplify(term) for term in Add.make_args(expand_mul(expression, deep=False))))
-    shorter = min(expression, termwise, key=lambda candidate: int(candidate.count_ops()))
-    # A flat sum is easier to read than nested fractions that are a little shorter.
     expanded = sympy.expand(expression)
-    return expanded if expanded.count_ops() <= _FLAT_BONUS * shorter.count_ops() else shorter
+    flat = min(expanded, sympy.expand(TR8(expanded)), key=_length)
+    termwise = Add(*map(sympy.together, Add.make_args(expand_mul(expression, deep=False))))
+    factored = (sympy.factor_terms(sympy.signsimp(form)) for form in (expression, flat, termwise))
+    shorter = min(expression, *factored, key=_length)
+    # A flat sum is easier to read than nested fractions that are a little shorter.
+    return flat if _length(flat) <= _FLAT_BONUS * _length(shorter) else shorter
+
+
+def _length(expression: Expr) -> int:
+    """Return the number of operations."""
+    return int(expression.count_ops())
 
 
 @dataclass(frozen=True)
