@@ -410,7 +410,8 @@ def _shortest(expression: Expr) -> Expr:
         return expression
     expanded = sympy.expand(expression)
     flat = min(expanded, sympy.expand(TR8(expanded)), key=_length)
-    termwise = Add(*map(sympy.together, Add.make_args(expand_mul(expression, deep=False))))
+    terms = Add.make_args(expand_mul(expression, deep=False))
+    termwise = Add(*(min((sympy.together(form) for form in (term, TR8(term))), key=_length) for term in terms))
     factored = (sympy.factor_terms(sympy.signsimp(form)) for form in (expression, flat, termwise))
     shorter = min(expression, *factored, key=_length)
     # A flat sum is easier to read than nested fractions that are a little shorter.

@@ -7,9 +7,12 @@ import unicodedata
 from pathlib import Path
 
 import pytest
+from sympy import cos, sin
 
+import codegen
 from codegen.discretise import schemes
 from codegen.errors import ArgumentError, SchemeError
+from codegen.problem.sources import source_of
 from codegen.show.equations import equations
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -142,3 +145,11 @@ def test_unknown_choices_are_refused():
         shown("pendulum", scheme="middle")
     with pytest.raises(ArgumentError):
         shown("pendulum", controls="nodal")
+
+
+def test_squares_of_sine_and_cosine_add_up_to_one():
+    q, v = codegen.coordinate("q")
+    lagrangian = (v * sin(q)) ** 2 / 2 + (v * cos(q)) ** 2 / 2
+    text = equations(source_of(codegen.Simulate(lagrangian=lagrangian, duration=1, start={q: 0, v: 1})))
+    assert "cos" in text.split("Discrete Lagrangian")[0]
+    assert "cos" not in text.split("Discrete Lagrangian")[1]
