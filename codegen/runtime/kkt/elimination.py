@@ -31,10 +31,10 @@ A right-hand side that took part in the elimination needs no forward substitutio
 backward substitution as one more unknown with the value -1.
 
 Arrays of a body with N intervals: `entries` (N, entries of an interval) holds second derivatives; `gradient` and
-`diagonal` are (N stride + node,), and `diagonal` is added to the diagonal of the matrix. The factors `upper` (R,
-width), `inverse` (R, 2) and `order` (R,) have R = N block + last rows, see `symmetric`. `inverses` (1 or N, condensed,
-condensed) holds inverse(C), and `couplings` (N, condensed, width) holds B. `stages` explains the tuples `kept` and
-`room`.
+`diagonal` are (N stride + node,), and `diagonal` is added to the diagonal of the matrix. The factors `upper`
+(R, width), `inverse` (R, 2) and `order` (R,) have R = N block + last rows, see `symmetric`. `inverses`
+(1 or N, condensed, condensed) holds inverse(C), and `couplings` (N, condensed, width) holds B. `stages` explains the
+tuples `kept` and `room`.
 
 Sources: Irons (1970), A frontal solution program for finite element analysis; Haynsworth (1968), Determination of the
 inertia of a partitioned Hermitian matrix; Rao, Wright and Rawlings (1998), Application of interior-point methods to

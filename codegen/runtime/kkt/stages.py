@@ -30,8 +30,8 @@ The tuple `room` holds work space: weighted (s, reach), products (reach, reach),
 the table CROSSED, the dense matrix (2 s, width), and a vector (width,).
 
 Functions for one interval take its rows of these arrays; `own` is its row of `entries`. The argument `first` is the
-index of the first stage of the interval in the vector of unknowns of a body. `gradient` and `diagonal` (N stride +
-node,) belong to a body.
+index of the first stage of the interval in the vector of unknowns of a body. `gradient` and `diagonal`
+(N stride + node,) belong to a body.
 """
 
 import numpy as np

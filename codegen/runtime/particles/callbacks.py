@@ -27,8 +27,8 @@ def first_momenta(case):
 def trajectory(case, momenta):
     """Make all steps from initial momenta (nd,); return the outcome, the states, and the points.
 
-    The outcome is negative if a step fails. H is evaluated at the points. States have shape (N + 1, 2, n, d), points (N
-    POINTS, 2, n, d).
+    The outcome is negative if a step fails. H is evaluated at the points. States have shape (N + 1, 2, n, d), points
+    (N POINTS, 2, n, d).
     """
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[0, 0], path[0, 1] = case.start, np.reshape(momenta, case.start.shape)
@@ -101,8 +101,8 @@ def first_unknowns(case):
 def all_equations(case, unknowns):
     """Return each step from a state minus the next state, as a vector (2ndN,).
 
-    The unknowns are the positions at inner nodes, then the momenta at all nodes. The last positions are target -
-    sigma^2 p_N.
+    The unknowns are the positions at inner nodes, then the momenta at all nodes. The last positions are
+    target - sigma^2 p_N.
     """
     return path_errors(case, path_of(case, unknowns))[0].ravel()
 

@@ -63,8 +63,8 @@ def action_of(case, positions):
 def stiffness(case, inverses):
     """Return the factors of the Hessian of the action at nodes 1 ... N, for constant G: a block-tridiagonal matrix.
 
-    The factors are the inverse pivots (N, m, m) and the couplings (N - 1, m, m) of neighbouring nodes. `inverses` (N,
-    m, m) holds the inverses of G.
+    The factors are the inverse pivots (N, m, m) and the couplings (N - 1, m, m) of neighbouring nodes. `inverses`
+    (N, m, m) holds the inverses of G.
     """
     blocks = inverses * (len(inverses) / case.duration)
     size = blocks.shape[1]
