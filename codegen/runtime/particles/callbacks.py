@@ -6,10 +6,15 @@ with N steps, n particles and d coordinates.
 - Shooting: the unknowns are the initial momenta.
 - All states at once: the equations are each step from a state minus the next state. The unknowns are the positions at
   inner nodes, then the momenta at all nodes.
-- The discrete action: minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c
-  q_k+1 with the abscissa c. The unknowns are the positions at inner nodes, then one momentum P_k of each interval. At a
-  minimum the multipliers are 2 P_k. The conditions for the positions are then the equations of the scheme for the
-  momenta.
+- The discrete action: minimise a cost subject to constraints. The unknowns are the positions at inner nodes, then one
+  momentum P_k of each interval.
+
+The discrete action, with the abscissa c of the scheme, is
+
+    minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c q_k+1.
+
+At a minimum the multipliers are 2 P_k. The conditions for the positions are then the equations of the scheme for the
+momenta.
 """
 
 import numpy as np
@@ -93,7 +98,7 @@ def path_of(case, unknowns):
 
 
 def first_unknowns(case):
-    """Return the initial guess (2ndN,) of the unknowns of `all_equations`: those of the guessed path."""
+    """Return the initial guess (2ndN,) of the unknowns of `all_equations`, from the guessed path."""
     path = guessed_path(case)
     return np.concatenate([path[1:-1, 0].ravel(), path[:, 1].ravel()])
 
@@ -130,7 +135,7 @@ def all_equations_jacobian(case, unknowns):
 
 
 def action_start(case):
-    """Return the initial guess (nd (2 N - 1),) of the unknowns of the discrete action: those of the guessed path."""
+    """Return the initial guess (nd (2 N - 1),) of the unknowns of the discrete action, from the guessed path."""
     path = guessed_path(case)
     return np.concatenate([path[1:-1, 0].ravel(), path[:-1, 1].ravel()])
 
