@@ -16,12 +16,13 @@ matrix, by Sylvester's law.
 With `backward`, blocks are counted from the end, and each holds a node and the interval before it. The equations of an
 interval are then eliminated with the state at its end, which they determine. With the state at its start, rounding
 errors would grow as dissipative dynamics do backward in time. If the node of block 0 is prescribed, block 0 is singular
-by itself, because later unknowns match its equations. Then block 0 is `bordered`: it is eliminated with the last node.
-Linking variables border the fronts of all bodies. The elimination leaves their Schur complement, a dense matrix.
+by itself, because its equations determine later unknowns. Then block 0 is `bordered`: it is eliminated with the last
+node. Linking variables border the fronts of all bodies. The elimination leaves their Schur complement, a dense matrix.
 
 Too many negative pivots are detected before the elimination ends. Consider the eliminated rows and the multipliers of
 all equations that contain their unknowns. At a minimum, they form a matrix with one negative eigenvalue for every
-multiplier. Without the multipliers still to come, this matrix has at most that many (Cauchy's interlacing theorem).
+multiplier. Without the multipliers still to come, the matrix has at most this number of negative eigenvalues (Cauchy's
+interlacing theorem).
 
 Unknowns inside an interval are condensed first. Let C be their block in the Hessian of an interval, and B their rows
 for all other unknowns. Their elimination leaves K - B' inverse(C) B. C is inverted on each interval, or once if it is
@@ -102,7 +103,8 @@ from codegen.runtime.kkt.symmetric import (
 def scatter(shape, tables, hessian, k, element, couplings):
     """Write the second derivatives `hessian` (entries,) of interval k into `element` and `couplings`.
 
-    `element` (rows, width) takes the entries without condensed unknowns, `couplings` the entries with one such unknown.
+    `element` (rows, width) takes the entries without condensed unknowns, `couplings` the entries with one condensed
+    unknown.
     """
     kept, rows, columns = place_of(tables, KEPT), place_of(tables, KEPT_ROWS), place_of(tables, KEPT_COLUMNS)
     for j in range(count_of(tables, KEPT)):
@@ -309,8 +311,9 @@ def eliminate_body(
 def apply_boundary_conditions(shape, tables, at_start, at_end, k, steps, diagonal, element):
     """Apply the boundary conditions to the first or the last `element` matrix (rows, width).
 
-    The second derivatives of the start or the end are added. Rows and columns of unknowns that a boundary condition
-    prescribes become rows and columns of the unit matrix.
+    The second derivatives of the start or the end are added, and the diagonal of the node that is eliminated last. Rows
+    of unknowns that equal linking variables are added to the rows of these variables. Rows and columns of prescribed
+    unknowns become rows and columns of the unit matrix.
     """
     block, tail = block_size(shape), tail_of(shape)
     left, right = (block, 0) if shape.backward else (0, block)
@@ -420,9 +423,9 @@ def move_front(shape, element, rest):
 
 @njit(error_model="numpy")
 def end_front(shape, rest, remaining, last):
-    """Fill `last` (last + shared, ..) with the front `rest` that all blocks have left.
+    """Fill `last` (last + shared, ..) with the front `rest` that remains after all blocks.
 
-    Both triangles are filled for the last node and the border; only the upper triangle for the linking variables.
+    Both triangles are filled for the last node and the border, and only the upper triangle for the linking variables.
     """
     clear(last)
     for i in range(remaining):
@@ -478,9 +481,9 @@ def forward(shape, tables, upper, inverse, order, steps, right, front, last):
 def backward(shape, tables, upper, order, steps, carried, last, front, right):
     """Substitute backward with U through a body, from the last node to the first block.
 
-    `last` begins with the result of `forward` for the last node and the border, then holds the solution of the linking
-    variables. `right` holds the result of `forward`, or zeros if the right-hand side took part in the elimination
-    (`carried`). The solution overwrites it.
+    At the beginning `last` holds the result of `forward` for the last node and the border, then the solution of the
+    linking variables. `right` holds the result of `forward`, or zeros if the right-hand side took part in the
+    elimination (`carried`). The solution overwrites `right`.
     """
     block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
     first = steps * block

@@ -162,7 +162,7 @@ def compiled_any_shape():
         is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
         is_wanted,
     ):  # fmt: skip
-        """Factor the KKT matrix if it `is_new`, and solve for the step if it `is_wanted`; see `solve_system`."""
+        """Factor the KKT matrix if `is_new` is 1, and solve for `step` if `is_wanted` is 1; see `solve_system`."""
         p = place_of(tables, SHAPE)
         shape = Shape(
             tables[p], tables[p + 1], tables[p + 2], tables[p + 3], tables[p + 4], tables[p + 5], tables[p + 6],

@@ -58,7 +58,7 @@ def solve_system(
         Second derivatives, lower triangle: of intervals (bodies, steps, entries of an interval), then of the starts of
         all bodies, then of their ends. With linking variables, the matrix (root, root) of coupling conditions follows.
     gradient, diagonal, step : pointer
-        Vectors (n,): the right-hand side is minus the gradient; the diagonal is added to that of the matrix.
+        Vectors (n,): the right-hand side is minus the gradient; `diagonal` is added to the diagonal of the matrix.
     equations : int
         Number of negative eigenvalues of the KKT matrix at a minimum.
     factors, orders : pointer

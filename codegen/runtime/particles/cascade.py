@@ -87,8 +87,8 @@ def guessed_path(case, steps=None):
 def run_cascade(case, method, guess):
     """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts).
 
-    With a `guess` (n, d) of the momenta, the only attempt is shooting from the guess. The returned `attempts` are
-    sentences. `tangents` is the number of linearised trajectories.
+    With a `guess` (n, d) of the momenta, the only attempt is shooting from the guess. `tangents` is the number of
+    linearised trajectories. `attempts` holds a sentence for each attempt.
     """
     (path, points), factor = allocate_path(case), preconditioner(case)
     log = np.zeros((case.max_iterations + 1, 3))
@@ -212,9 +212,9 @@ def by_continuation(case, factor, path, points, log):
 
 
 def allocate_path(case, start_momenta=None):
-    """Return arrays `path` and `points` for the steps of a case.
+    """Return new arrays `path` and `points` for the steps of a case.
 
-    All positions of `path` are those of the start. The momenta at the start are `start_momenta` (n, d), or zero.
+    All states of `path` have the positions of the start. The momenta at the start are `start_momenta` (n, d), or zero.
     """
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
@@ -333,7 +333,7 @@ class Solution(NamedTuple):
 def solve_case(case, guess=None, method=None):
     """Connect the points of a case; return a Solution.
 
-    `guess` (n, d) are initial momenta to shoot from. `method` chooses the order of the attempts; by default it is the
+    `guess` (n, d) holds initial momenta to shoot from. `method` chooses the order of the attempts; the default is the
     method of the module. Numerical failures raise no error.
     """
     outcome, path, points, iterations, tangents, residual, attempts = run_cascade(

@@ -100,7 +100,7 @@ def largest_difference(pairs, before, path, rows, h, own, parameters, shape):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def energies_of(pairs, path, own, parameters, shape, values):
-    """Fill `values` (M,) with H at the first M rows of `path` (.., 2 n d); `shape` (2, n, d) is that of a state."""
+    """Fill `values` (M,) with H at the first M rows of `path` (.., 2 n d); a state has the shape `shape` (2, n, d)."""
     states = path.reshape((path.shape[0], *shape))
     for row in range(values.size):
         values[row] = energy_of(pairs.hamiltonian, states[row], own, parameters)

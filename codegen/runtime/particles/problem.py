@@ -106,7 +106,7 @@ class PairProblem:
 
     @cached_property
     def pairs(self):
-        """The Pairs of the problem, for compiled code that stores second derivatives."""
+        """The Pairs of the problem: addresses and numbers for compiled code."""
         return Pairs(
             self.hamiltonian.address, address_of(self.gradient), address_of(self.hessian if self.is_implicit else None),
             0, address_of(self.slope), address_of(self.velocity), address_of(self.domain_margin), self.points,
@@ -115,7 +115,7 @@ class PairProblem:
 
     @cached_property
     def pairs_with_products(self):
-        """The Pairs of the problem, for compiled code that multiplies second derivatives by directions."""
+        """The Pairs with the address of `products`, for use without stored second derivatives."""
         return self.pairs._replace(products=self.products.address)
 
     @cached_property

@@ -12,7 +12,7 @@ from codegen.runtime.stepping.problem import StepProblem
 from codegen.runtime.stepping.steps import LEFT_TABLE, energies, largest_residual, make_step, memory_for
 from codegen.runtime.tabulated import table_numbers
 
-TOLERANCE, MOST = 1e-13, 50  # of Newton's method by default: relative correction, iterations of a step
+TOLERANCE, MOST = 1e-13, 50  # defaults of Newton's method: relative size of the last correction, number of iterations
 FAILURES = {
     -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
     -2: ("singular", "the equations of the step have no unique solution; use more steps, or check the parameters"),
@@ -113,7 +113,7 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     tolerance : float
         Size of a Newton correction, relative to each unknown, after which a step is accepted.
     max_iterations : int
-        Largest number of corrections of a step.
+        Largest number of Newton corrections of each part of a step.
 
     Raises
     ------

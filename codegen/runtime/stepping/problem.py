@@ -43,7 +43,8 @@ class StepProblem:
     fractions : array (parts, lengths)
         Lengths of all parts of a step, relative to the length of the step.
     inputs : Kernel or None
-        Fills the least and the greatest value (inputs, 2) of each input of a table in a part of a step.
+        Fills the least and the greatest value (inputs, 2) of each input in a part of a step. An input is the argument
+        of a tabulated function.
     ranges : array (inputs, 2)
         Indices of the parameters that are the first and the last breakpoint for each input.
     range_names : tuple of str
@@ -92,7 +93,7 @@ class StepProblem:
     def follow(self, start, steps, h, parameters, tolerance, most, every, path, before):
         """Make all steps from the state `start` (state,).
 
-        Arguments and results are those of `steps.follow`.
+        Arguments and results are as in `steps.follow`.
         """
         if self.all_steps is None or self.all_steps.is_interpreted:
             accuracy = tolerance, most

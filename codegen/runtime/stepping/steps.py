@@ -115,10 +115,11 @@ def work_in(scheme, memory, h, parameters_at):
 
 @njit(error_model="numpy", forceinline=True)
 def advance(scheme, work, t, tolerance, most, parameters_at):
-    """Make a step of the state at `work.begin`; return the number of iterations, or the negative outcome of a failure.
+    """Make a step: replace the state at the address `work.begin` by the state at the end of the step.
 
-    `t` is the time at the start. A part of a step is solved when the relative size of a correction is at most
-    `tolerance`. `most` is the largest number of iterations of a part.
+    Return the number of iterations, or the negative outcome of a failure. `t` is the time at the start. A part of a
+    step is solved when the relative size of a correction is at most `tolerance`. `most` is the largest number of
+    iterations of a part.
     """
     state, iterations = carray(reals_at(work.begin), (scheme.state,)), 0
     after = carray(reals_at(work.interval + 8 * scheme.stages), (scheme.state,))
@@ -350,7 +351,7 @@ def make_step(scheme, memory, start, t, h, parameters, tolerance, most, interval
 def part_of_step(scheme, start, t, lengths, parameters, tolerance, most, interval):
     """Make one part of a step from the state `start` (state,) at time t; `lengths` are its lengths.
 
-    Inputs of tables may leave their ranges. Other arguments and the result are those of `make_step`.
+    Inputs of tables may leave their ranges. Other arguments and the result are as in `make_step`.
     """
     lengths = np.ascontiguousarray(lengths, dtype=float)
     alone = scheme._replace(parts=1, fractions=lengths.ctypes.data, inputs=0)
