@@ -121,7 +121,7 @@ def stage_views(shape, tables, reals, integers, bodies, body, steps):
 
 
 def stage_sizes(shape, copied, bodies, steps):
-    """Return the numbers of floating-point numbers and of integers that `stage_views` needs.
+    """Return how many floating-point numbers and how many integers `stage_views` needs.
 
     `copied` is the number of entries of an interval in the table STAGED.
     """
@@ -179,14 +179,17 @@ def eliminate_stages(shape, tables, hessian, gradient, diagonal, k, kept, room, 
 
 @njit(error_model="numpy", forceinline=True)
 def crossings(tables):
-    """Return the index of the first entry of H_ys in `own`, and where the tables CROSS_ROWS and CROSS_COLUMNS begin."""
+    """Return the index of the first entry of H_ys in `own`, and where the tables CROSS_ROWS and CROSS_COLUMNS begin.
+
+    H_ys are the second derivatives with respect to another unknown and a stage.
+    """
     before = count_of(tables, SLOPE_ROWS) + count_of(tables, OUTER_ROWS) + count_of(tables, CURVED_ROWS)
     return before, place_of(tables, CROSS_ROWS), place_of(tables, CROSS_COLUMNS)
 
 
 @njit(error_model="numpy", forceinline=True)
 def put_outer(tables, own, reduced):
-    """Fill `reduced` (s, reach) with -B."""
+    """Fill `reduced` (s, reach) with -B, minus the Jacobian of the stage equations with respect to other unknowns."""
     rows, columns, at = place_of(tables, OUTER_ROWS), place_of(tables, OUTER_COLUMNS), count_of(tables, SLOPE_ROWS)
     clear(reduced)
     for j in range(count_of(tables, OUTER_ROWS)):
@@ -195,7 +198,7 @@ def put_outer(tables, own, reduced):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def solve_triangle(shape, tables, own, reduced):
-    """Fill `reduced` with S if A is a lower triangle; return True if A is regular.
+    """Fill `reduced` with S = -inverse(A) B if the stage Jacobian A is a lower triangle; return True if A is regular.
 
     The table of A must end each row with the diagonal.
     """
@@ -217,10 +220,10 @@ def solve_triangle(shape, tables, own, reduced):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def solve_by_factors(shape, tables, own, lower, upper, order, reduced):
-    """Factor A by Gaussian elimination with row exchanges, and fill `reduced` with S; return True if A is regular.
+    """Factor the stage Jacobian A, and fill `reduced` with S = -inverse(A) B; return True if A is regular.
 
-    `order` takes the row that is exchanged with each row. `lower` takes the factors left of the diagonal of L, and
-    `upper` takes U; all other entries are zero.
+    This is Gaussian elimination with row exchanges. `order` takes the row that is exchanged with each row. `lower`
+    takes the factors left of the diagonal of L, and `upper` takes U; all other entries are zero.
     """
     stages, width = shape.stages, padded(shape.stages)
     rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
@@ -265,7 +268,7 @@ def solve_by_factors(shape, tables, own, lower, upper, order, reduced):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def add_reduced(shape, tables, own, reduced, room, element):
-    """Add H_ys S + S' H_sy + S' H_ss S to `element` (rows, width)."""
+    """Add the effect of the eliminated stages, H_ys S + S' H_sy + S' H_ss S, to `element` (rows, width)."""
     weighted, products, crossed, _, _ = room
     stages, reach, count = shape.stages, shape.reach, count_of(tables, STAGED)
     for i in range(stages):
@@ -307,7 +310,7 @@ def add_reduced(shape, tables, own, reduced, room, element):
 
 @njit(error_model="numpy", forceinline=True)
 def solve_offsets(shape, tables, own, gradient, first, lower, upper, order, offsets):
-    """Fill `offsets` (s,) with s0 = -inverse(A) r."""
+    """Fill `offsets` (s,) with s0 = -inverse(A) r, the step of the stages if no other unknown changes."""
     stages = shape.stages
     for i in range(stages):
         offsets[i] = -gradient[first + stages + i]
@@ -337,7 +340,7 @@ def solve_offsets(shape, tables, own, gradient, first, lower, upper, order, offs
 
 @njit(error_model="numpy", forceinline=True)
 def solve_transposed(shape, tables, own, lower, upper, order, values):
-    """Replace `values` (s,) by inverse(A') times `values`."""
+    """Replace `values` (s,) by inverse(A') times `values`, where A is the Jacobian of the stage equations."""
     stages = shape.stages
     if shape.triangular:
         rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
@@ -362,7 +365,10 @@ def solve_transposed(shape, tables, own, lower, upper, order, values):
 
 @njit(error_model="numpy", forceinline=True)
 def forcing(shape, tables, own, gradient, first, moved, room):
-    """Return g_s + H_ss ds for the changes `moved` (s,) of the stages, as a view of work space."""
+    """Return g_s + H_ss ds, the gradient with respect to stages after the changes ds = `moved` (s,).
+
+    The result is a view of work space.
+    """
     values, stages, count = room[4], shape.stages, count_of(tables, STAGED)
     for i in range(stages):
         values[i] = gradient[first + i] + own[count + i] * moved[i]
@@ -378,7 +384,7 @@ def forcing(shape, tables, own, gradient, first, moved, room):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def reduced_forcing(shape, tables, own, gradient, first, offsets, reduced, room):
-    """Return S' (g_s + H_ss s0) as a view (reach,) of work space."""
+    """Return S' (g_s + H_ss s0), the part of the reduced gradient with H_ss, as a view (reach,) of work space."""
     values, totals = forcing(shape, tables, own, gradient, first, offsets, room), room[1][0]
     for c in range(shape.reach):
         totals[c] = 0.0
@@ -407,7 +413,7 @@ def right_index(shape, row, number, steps):
 def reduce_right(shape, tables, gradient, k, number, steps, kept, room, right):
     """Subtract the effect of the stages of interval k from `right`, the right-hand side of a body.
 
-    `number` is the block of the interval.
+    `number` is the number of the block to which the interval belongs.
     """
     entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
     stages, first, own, order = shape.stages, k * shape.stride + shape.node, entries[k], orders[k]
@@ -432,8 +438,8 @@ def reduce_right(shape, tables, gradient, k, number, steps, kept, room, right):
 def recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved, step):
     """Fill the entries of `step` (N stride + node,) for the stages and multipliers of interval k.
 
-    `solved` holds the other unknowns of the body in the order of its right-hand side. `number` is the block of the
-    interval.
+    `solved` holds the other unknowns of the body in the order of its right-hand side. `number` is the number of the
+    block to which the interval belongs.
     """
     entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
     stages, first, own, order = shape.stages, k * shape.stride + shape.node, entries[k], orders[k]
@@ -474,7 +480,7 @@ def recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved
 def eliminate_dense(shape, tables, own, gradient, diagonal, first, dense, pivots, order, room, element):
     """Eliminate stages and multipliers as a dense symmetric matrix; return the number of negative pivots.
 
-    The result is -1 if the matrix is singular.
+    `element` is reduced as in `eliminate_stages`. The result is -1 if the matrix is singular.
     """
     _, _, _, matrix, _ = room
     stages, size, width, rows = shape.stages, 2 * shape.stages, dense_width(shape), row_count(shape)

@@ -43,7 +43,10 @@ def trajectory(case, momenta):
 
 
 def residual(case, momenta):
-    """Return q_N + sigma^2 p_N - target (nd,) for initial momenta (nd,); NaN if a step fails."""
+    """Return the residual (nd,) of the end conditions for initial momenta (nd,); NaN if a step fails.
+
+    The residual is q_N + sigma^2 p_N - target.
+    """
     outcome, path, _ = trajectory(case, momenta)
     return end_residual(path[-1], case.target, case.sigma) if outcome >= 0 else np.full(case.start.size, np.nan)
 
@@ -57,7 +60,7 @@ def jacobian(case, momenta):
 
 
 def path_cost(case, path):
-    """Return the discrete cost of the states `path` (N + 1, 2, n, d), with a step made from each of them."""
+    """Return the discrete cost of the steps from all states of `path` (N + 1, 2, n, d) except the last."""
     h, pairs = case.duration / case.steps, case.problem.pairs
     points = stepped(case, path)[1]
     return discrete_cost(pairs, h, case.own, case.parameters, points, case.problem.costs)
@@ -75,9 +78,10 @@ def path_errors(case, path):
 
 
 def stepped(case, path):
-    """Make a step from each of the states `path` (N + 1, 2, n, d); return the outcome, the points, and the defects.
+    """Make a step from each state of `path` (N + 1, 2, n, d) except the last.
 
-    `path_errors` and `trajectory` explain these results.
+    Return the outcome, the points, and the defects. `trajectory` explains the outcome and the points, `path_errors` the
+    defects.
     """
     points = np.zeros((case.steps * case.problem.points, *path.shape[1:]))
     errors, h = np.zeros((case.steps, *path.shape[1:])), case.duration / case.steps
@@ -87,7 +91,10 @@ def stepped(case, path):
 
 
 def path_of(case, unknowns):
-    """Return the states (N + 1, 2, n, d) that correspond to the unknowns of `all_equations`."""
+    """Return the states (N + 1, 2, n, d) that correspond to the unknowns of `all_equations`.
+
+    The first positions are the start, the last positions target - sigma^2 p_N.
+    """
     path, size = np.empty((case.steps + 1, 2, *case.start.shape)), case.start.size
     inner = (case.steps - 1) * size
     path[1:-1, 0] = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)

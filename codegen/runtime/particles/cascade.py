@@ -115,9 +115,9 @@ def run_cascade(case, method, guess):
 def by_less_action(case, factor, path, points, log):
     """Shoot from a path of least action as well, and keep the path with the lower cost.
 
-    With a sigma, any stationary point of the cost solves the equations. Two points that should change positions may,
-    for example, end together half way. Return the number of iterations, the residual of a cheaper path or None, and a
-    note.
+    If points have sigma > 0, any stationary point of the cost solves the equations. Two points that should change
+    positions may, for example, end together half way. Return the number of iterations, the residual of a cheaper path
+    or None, and a note.
     """
     other, other_points = allocate_path(case)
     log[:] = 0.0
@@ -224,7 +224,7 @@ def allocate_path(case, start_momenta=None):
 def by_steps(case, factor, path, points, log):
     """Solve with two or four times as many steps, then with fewer and fewer steps.
 
-    The momenta are extrapolated in 1/N. For large motions, the equations of few explicit steps may have no solution.
+    The momenta are extrapolated in 1/N. With few explicit steps, the equations of large motions may have no solution.
     Then a note states the least number of steps with a solution.
     """
     total, outcome = 0, 0

@@ -223,7 +223,7 @@ class Linearised:
         return end_residual_change(self.tangents(directions), self.case.sigma)[:, 0]
 
     def matrix(self):
-        """Return the derivative as a matrix (nd, nd)."""
+        """Return the derivative of the residual with respect to the initial momenta as a matrix (nd, nd)."""
         size = self.case.start.size
         return end_residual_change(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
 

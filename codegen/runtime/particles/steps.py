@@ -11,7 +11,8 @@ An explicit Runge-Kutta method is
 
     k_i = F(z0 + h sum_j a_ij k_j),    z1 = z0 + h sum_i b_i k_i.
 
-States have shape (2, n, d), own parameters (n, k). The points of a step are the states at which the scheme evaluates H.
+The derivative of F is J H'' with J = (0 1; -1 0). States have shape (2, n, d), own parameters (n, k). The points of a
+step are the states at which the scheme evaluates H.
 """
 
 from typing import NamedTuple
@@ -51,7 +52,7 @@ class Pairs(NamedTuple):
 
 @njit(error_model="numpy", forceinline=True)
 def fill(kernel, z, own, parameters, filled):
-    """Call the kernel at the address `kernel` for a state z; the kernel fills the array `filled`."""
+    """Call the kernel at the address `kernel` for a state z and parameters; the kernel fills the array `filled`."""
     call(kernel, (data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(filled)))
 
 
@@ -269,7 +270,7 @@ def newton_substep(pairs, before, step, a, b, own, parameters, gradient, point, 
 
 @njit(error_model="numpy")
 def substep_matrix(hessian, step, a, b, matrix):
-    """Fill `matrix` (2nd, 2nd) with 1 - step J H'' diag(a, b).
+    """Fill `matrix` (2nd, 2nd) with the unit matrix minus step J H'' diag(a, b).
 
     This is the derivative of the equations of a substep with respect to the state at its end.
     """
@@ -307,7 +308,7 @@ def fill_curvature(hessian, points, own, parameters, hessians):
 
 @njit(error_model="numpy")
 def linearised_field(pairs, hessians, points, k, own, parameters, directions, products):
-    """Fill `products` (2nd, m) with J H'' times `directions` (2nd, m), with H'' at the k-th point.
+    """Fill `products` (2nd, m) with the derivative J H'' of the field at the k-th point times `directions` (2nd, m).
 
     H'' is read from `hessians` (P, 2nd, 2nd). If this array is empty, a kernel computes the products.
     """

@@ -242,7 +242,7 @@ def combined_positions(positions, h, velocities, weights, count, result):
 
 @njit(error_model="numpy")
 def unit_and_combined(d, block, h, slopes, weights, count, result):
-    """Fill `result` with 1 + h sum_r weights[r] slopes[r] over the first `count` stages.
+    """Fill `result` with the unit matrix plus h sum_r weights[r] slopes[r] over the first `count` stages.
 
     `slopes` has shape (points, d d block).
     """
@@ -311,7 +311,7 @@ def eliminated(d, block, matrices, right, columns):
 
 @njit(error_model="numpy")
 def shifted_unit(d, block, gradients, factor, matrices):
-    """Fill `matrices` with 1 + factor times `gradients`."""
+    """Fill `matrices` with the unit matrix plus factor times `gradients`."""
     for e in range(d * d):
         unit = 1.0 if e % (d + 1) == 0 else 0.0
         for m in range(e * block, (e + 1) * block):
@@ -320,7 +320,7 @@ def shifted_unit(d, block, gradients, factor, matrices):
 
 @njit(error_model="numpy")
 def times(d, block, matrices, tangents, products):
-    """Fill `products` with the matrix of each point times its tangent matrix."""
+    """Fill `products` with the matrix of each point times the tangent matrix of the point."""
     for a in range(d):
         for b in range(d):
             row = (a * d + b) * block

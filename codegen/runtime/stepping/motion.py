@@ -168,7 +168,7 @@ def step(grid, state, t=0.0):
 
 
 def range_left(grid, state, t):
-    """Return a text on the input that leaves the range of its table furthest in the step from `state` (size,).
+    """Return a text that names the input furthest outside the range of its table, in the step from `state` (size,).
 
     The text is "" if all inputs stay in their ranges.
     """
@@ -185,7 +185,8 @@ def range_left(grid, state, t):
 def first_outside(grid, path):
     """Return the number of the first step along consecutive states `path` (M, size) that leaves a table, and a text.
 
-    The result is 0 and "" if no step leaves a table. The inner stages are computed by the scheme from each state.
+    The text names the input. The result is 0 and "" if no step leaves a table. The inner stages are computed by the
+    scheme from each state.
     """
     for k in range(len(path) - 1 if grid.problem.inputs else 0):
         message = range_left(grid, path[k], k * grid.h)
@@ -195,7 +196,7 @@ def first_outside(grid, path):
 
 
 def _made(grid, state, t):
-    """Make a step from `state` at time t; return the outcome, the interval, and the ranges of the inputs of tables.
+    """Make a step from `state` at time t; return the outcome, the interval, and the extreme inputs of tables.
 
     The outcome is the number of iterations, or negative after a failure. `steps.make_step` explains the arrays.
     """
