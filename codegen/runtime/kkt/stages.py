@@ -70,7 +70,7 @@ HAS_STAGES = True
 """False in a system without stages, whose source has none of these functions."""
 NEGLIGIBLE = 1e-6
 """Bound below which diagonals of multipliers are ignored: the stage equations are regular without them."""
-SINGULAR_PIVOT = 1e-13  # relative to the largest entry of A
+SINGULAR_PIVOT = 1e-13  # least pivot of A, relative to its largest entry
 
 
 @njit(error_model="numpy")
