@@ -1,27 +1,41 @@
 """Elimination of the unknowns of a body interval by interval, and substitution with the factors.
 
-The matrix of a body is a sum over intervals of one small symmetric element matrix, as in finite elements. Its rows are
-those of block k (a node and its interval without condensed unknowns), of the next node, of block 0 if that stays to the
-end, and of the linking variables. One more column is the right-hand side, if it is carried along. Blocks are eliminated
-one after the other, with pivoting inside each: this is the sweep of a Riccati recursion. The pivots' signs give the
-inertia of the matrix, by Sylvester's law.
+The matrix of a body is a sum of one small symmetric element matrix for each interval, as in finite elements. The rows
+of the element matrix of block k are, in this order:
+
+- block k: a node and its interval, without stages and condensed unknowns;
+- the next node;
+- the border: unknowns of block 0, if block 0 is kept to the end;
+- the linking variables.
+
+One more column is the right-hand side, if it takes part in the elimination (`carried`). Blocks are eliminated one after
+the other, with pivoting inside each: this is the sweep of a Riccati recursion. The Schur complement on the rows after
+the block is the front; the front is added to the next element matrix. The signs of the pivots give the inertia of the
+matrix, by Sylvester's law.
 
 With `backward`, blocks are counted from the end, and each holds a node and the interval before it. The equations of an
 interval are then eliminated with the state at its end, which they determine. With the state at its start, rounding
-errors would grow as dissipative dynamics do backward in time. Block 0 is singular by itself if its node is prescribed,
-because later unknowns match its equations. Then it is `bordered`, and eliminated with the last node. Linking variables
-border all fronts of all bodies; elimination leaves their Schur complement, a dense matrix.
+errors would grow as dissipative dynamics do backward in time. If the node of block 0 is prescribed, block 0 is singular
+by itself, because its equations determine later unknowns. Then block 0 is `bordered`: it is eliminated with the last
+node. Linking variables border the fronts of all bodies. The elimination leaves their Schur complement, a dense matrix.
 
-Too many negative pivots show before the end. At a minimum, the eliminated rows and the multipliers of all equations
-that reach into them form a matrix with one negative eigenvalue for every multiplier. Without the multipliers still to
-come, it has at most as many (Cauchy's interlacing theorem).
+Too many negative pivots are detected before the elimination ends. Consider the eliminated rows and the multipliers of
+all equations that contain their unknowns. At a minimum, they form a matrix with one negative eigenvalue for every
+multiplier. Without the multipliers still to come, the matrix has at most this number of negative eigenvalues (Cauchy's
+interlacing theorem).
 
-Unknowns inside an interval are condensed first. With C their block in the Hessian of an interval and B their rows for
-all other unknowns, elimination leaves K - B' inverse(C) B. C is inverted on each interval, or once if it is the same on
-all of them.
+Unknowns inside an interval are condensed first. Let C be their block in the Hessian of an interval, and B their rows
+for all other unknowns. Their elimination leaves K - B' inverse(C) B. C is inverted on each interval, or once if it is
+the same on all intervals.
 
 A right-hand side that took part in the elimination needs no forward substitution. Its column in the factors acts in the
 backward substitution as one more unknown with the value -1.
+
+Arrays of a body with N intervals: `entries` (N, entries of an interval) holds second derivatives; `gradient` and
+`diagonal` are (N stride + node,), and `diagonal` is added to the diagonal of the matrix. The factors `upper`
+(R, width), `inverse` (R, 2) and `order` (R,) have R = N block + last rows, see `symmetric`. `inverses`
+(1 or N, condensed, condensed) holds inverse(C), and `couplings` (N, condensed, width) holds B. `stages` explains the
+tuples `kept` and `room`.
 
 Sources: Irons (1970), A frontal solution program for finite element analysis; Haynsworth (1968), Determination of the
 inertia of a partitioned Hermitian matrix; Rao, Wright and Rawlings (1998), Application of interior-point methods to
@@ -87,9 +101,10 @@ from codegen.runtime.kkt.symmetric import (
 
 @njit(error_model="numpy", forceinline=True)
 def scatter(shape, tables, hessian, k, element, couplings):
-    """Put the second derivatives of interval k into the element matrix, those with condensed unknowns into `couplings`.
+    """Write the second derivatives `hessian` (entries,) of interval k into `element` and `couplings`.
 
-    `hessian` (entries,), `element` (rows, width), `couplings` (N, condensed, width).
+    `element` (rows, width) takes the entries without condensed unknowns, `couplings` the entries with one condensed
+    unknown.
     """
     kept, rows, columns = place_of(tables, KEPT), place_of(tables, KEPT_ROWS), place_of(tables, KEPT_COLUMNS)
     for j in range(count_of(tables, KEPT)):
@@ -106,9 +121,9 @@ def scatter(shape, tables, hessian, k, element, couplings):
 
 @njit(error_model="numpy", forceinline=True)
 def invert_block(shape, tables, hessian, diagonal, k, block):
-    """Invert the block C of interval k; return False if it is not positive definite.
+    """Fill `block` (condensed, condensed) with inverse(C) of interval k; return False if C is not positive definite.
 
-    `diagonal` (N stride + node,) is added; `block` (condensed, condensed).
+    `hessian` (entries,) belongs to the interval. `diagonal` is added to the diagonal of C.
     """
     kept, rows, columns = place_of(tables, INSIDE), place_of(tables, INSIDE_ROWS), place_of(tables, INSIDE_COLUMNS)
     first = first_condensed(shape, k)
@@ -146,7 +161,10 @@ def invert_positive_definite(block, size):
 
 @njit(error_model="numpy", forceinline=True)
 def subtract_schur_complement(shape, tables, coupling, inverse, width, element):
-    """Subtract B' inverse(C) B from `element` (rows, width); B is `coupling` (condensed, width)."""
+    """Subtract B' inverse(C) B from `element` (rows, width).
+
+    `coupling` (condensed, width) is B, and `inverse` is inverse(C).
+    """
     touched = place_of(tables, TOUCHED)
     for j in range(count_of(tables, TOUCHED)):
         i = np.uint64(tables[touched + j])
@@ -159,10 +177,10 @@ def subtract_schur_complement(shape, tables, coupling, inverse, width, element):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def condense(shape, tables, gradient, inverses, couplings, kept, room, steps, right):
-    """Fill a body's `right` (N block + node + shared,) with -(g - B' inverse(C) g_u), and eliminate stages from it.
+    """Fill `right` (N block + node + shared,) with -(g - B' inverse(C) g_u), and subtract the effect of the stages.
 
-    `gradient` (N stride + node,), `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width); `kept`
-    and `room` are those of `stages`.
+    Here g_u is the gradient with respect to the condensed unknowns. `right` is the right-hand side of a body: all
+    blocks, the last node, and the linking variables.
     """
     block, tail = block_size(shape), tail_of(shape)
     for i in range(shape.shared):
@@ -191,9 +209,10 @@ def condense(shape, tables, gradient, inverses, couplings, kept, room, steps, ri
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def recover_condensed(shape, tables, gradient, inverses, couplings, kept, room, steps, solved, step):
-    """Fill a body's `step` (N stride + node,) with the `solved` unknowns, -inverse(C) (g_u + B d), and stages.
+    """Fill `step` (N stride + node,) from the solution `solved` of the condensed equations of a body.
 
-    Other arguments are those of `condense`.
+    The condensed unknowns are -inverse(C) (g_u + B d), where d are the other unknowns. `solved` has the order of
+    `right` in `condense`. The module `stages` computes the stages.
     """
     block, tail = block_size(shape), tail_of(shape)
     for i in range(shape.node):
@@ -219,19 +238,18 @@ def recover_condensed(shape, tables, gradient, inverses, couplings, kept, room, 
             recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved, step)
 
 
-# Sums may be taken in any order, so that the processor computes them in parallel.
+# Sums may be taken in any order ("reassoc"), so that the processor computes several numbers at once.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def eliminate_body(
     shape, tables, entries, at_start, at_end, gradient, diagonal, steps, upper, inverse, order, inverses, couplings,
     kept, room, element, rest, last,
 ):  # fmt: skip
-    """Run the front over all intervals of a body, then eliminate the last node and its border.
+    """Eliminate all blocks of a body one after the other, then the last node and its border.
 
-    `entries` (N, entries of an interval), `at_start` and `at_end` those of the ends, `gradient` and `diagonal`
-    (N stride + node,); the factors `upper` (R, width), `inverse` (R, 2), `order` (R,) have R = N block + last rows;
-    `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width); `kept` and `room` are those of
-    `stages`; `element` (rows, width), `rest` (rows - block, ..) and `last` (last + shared, ..) are work space. Return
-    True if the matrix is regular, the number of negative pivots, and its excess: with an excess the elimination stops.
+    `at_start` and `at_end` are the entries of the Hessians of the start and the end. `element` (rows, width), `rest`
+    (rows - block, ..) for the front, and `last` (last + shared, ..) are work space. Return three results: True if the
+    matrix is regular, the number of negative pivots, and its excess over the number at a minimum. A positive excess
+    stops the elimination.
     """
     block_rows, rows, counts = block_size(shape), row_count(shape), place_of(tables, COUNTS)
     remaining, negative = rows - block_rows, 0
@@ -275,7 +293,7 @@ def eliminate_body(
         if pivots < 0:
             return False, 0, 0
         negative += pivots
-        # As many multipliers remain in blocks 0 to k + 1 as in the last node and one block.
+        # The bound: multipliers of blocks 0 to `block`, of the next node, and among the linking variables.
         if negative > block * multipliers + ending:
             return True, negative, negative - (block * multipliers + ending)
         subtract_products(upper[first:behind], element, shape.inner, block_rows, remaining, padded(remaining), rest)
@@ -284,16 +302,18 @@ def eliminate_body(
     pivots = eliminate_once(last, size, last.shape[1], upper[first:], inverse[first:], order[first:])
     if pivots < 0:
         return False, 0, 0
-    # No multiplier of another body reaches into this one.
+    # The equations of other bodies do not contain unknowns of this body.
     negative += pivots
     return True, negative, negative - ((steps - 1) * multipliers + ending)
 
 
 @njit(error_model="numpy")
 def apply_boundary_conditions(shape, tables, at_start, at_end, k, steps, diagonal, element):
-    """Add the second derivatives of the ends to the first or last `element` (rows, width), and pin prescribed unknowns.
+    """Apply the boundary conditions to the first or the last `element` matrix (rows, width).
 
-    Rows and columns of unknowns that a boundary condition prescribes become those of the unit matrix.
+    The second derivatives of the start or the end are added, and the diagonal of the node that is eliminated last. Rows
+    of unknowns that equal linking variables are added to the rows of these variables. Rows and columns of prescribed
+    unknowns become rows and columns of the unit matrix.
     """
     block, tail = block_size(shape), tail_of(shape)
     left, right = (block, 0) if shape.backward else (0, block)
@@ -314,7 +334,7 @@ def apply_boundary_conditions(shape, tables, at_start, at_end, k, steps, diagona
 
 @njit(error_model="numpy")
 def add_entries(tables, of_rows, of_columns, entries, element):
-    """Add entries of an end's Hessian to an element matrix, mirrored."""
+    """Add the lower-triangle `entries` of the Hessian of the start or the end to `element`, in both triangles."""
     rows, columns = place_of(tables, of_rows), place_of(tables, of_columns)
     for j in range(count_of(tables, of_rows)):
         row, column = tables[rows + j], tables[columns + j]
@@ -325,7 +345,10 @@ def add_entries(tables, of_rows, of_columns, entries, element):
 
 @njit(error_model="numpy")
 def add_tied_rows(tables, of_tied, of_shared, first, tail, element):
-    """Add rows and columns of unknowns that equal linking variables to those of the latter, which begin at `tail`."""
+    """Add rows and columns of unknowns that equal linking variables to the rows and columns of these linking variables.
+
+    Unknowns of the node begin at row `first`, linking variables at row `tail`.
+    """
     tied, shared = place_of(tables, of_tied), place_of(tables, of_shared)
     for i in range(count_of(tables, of_tied)):
         index, to = first + tables[tied + i], tail + tables[shared + i]
@@ -337,7 +360,11 @@ def add_tied_rows(tables, of_tied, of_shared, first, tail, element):
 
 @njit(error_model="numpy")
 def pin(shape, tables, of_pinned, first, element):
-    """Make rows and columns of an element matrix those of the unit matrix, and their right-hand sides zero."""
+    """Replace rows and columns of prescribed unknowns by rows and columns of the unit matrix.
+
+    Their right-hand sides become zero. `of_pinned` is the number of the table of prescribed unknowns. The unknowns of
+    the node begin at row `first`.
+    """
     pinned = place_of(tables, of_pinned)
     for n in range(count_of(tables, of_pinned)):
         index = first + tables[pinned + n]
@@ -351,7 +378,7 @@ def pin(shape, tables, of_pinned, first, element):
 
 @njit(error_model="numpy")
 def begin_front(shape, tables, element, rest):
-    """Put the first `element` (rows, width) into `rest`, including block 0."""
+    """Fill the front `rest` from the `element` matrix (rows, width) of block 0, which is kept as the border."""
     block, rows, first = block_size(shape), row_count(shape), place_of(tables, FIRST)
     size = block + shape.node
     for i in range(shape.border):
@@ -367,10 +394,10 @@ def begin_front(shape, tables, element, rest):
 
 @njit(error_model="numpy", forceinline=True)
 def move_front(shape, element, rest):
-    """Add the front of block k - 1, whose node is now in block k, to the element matrix of the interval.
+    """Add the front of the previous block to the `element` matrix (rows, width), and start the front of this block.
 
-    Rows and columns of the next node and of the linking variables then go to the front of block k: `rest`, of which
-    only the upper triangle is used. `element` is (rows, width).
+    The node of the front is now part of the block. The new front `rest` takes the rows and columns of the next node and
+    of the linking variables. Only the upper triangle of `rest` is used.
     """
     block, tail, last, remaining = block_size(shape), tail_of(shape), last_size(shape), row_count(shape)
     remaining -= block
@@ -396,7 +423,10 @@ def move_front(shape, element, rest):
 
 @njit(error_model="numpy")
 def end_front(shape, rest, remaining, last):
-    """Fill `last` (last + shared, ..): last node and block 0 if it stays, both triangles; then linking variables."""
+    """Fill `last` (last + shared, ..) with the front `rest` that remains after all blocks.
+
+    Both triangles are filled for the last node and the border, and only the upper triangle for the linking variables.
+    """
     clear(last)
     for i in range(remaining):
         last[i, i] = rest[i, i]
@@ -408,9 +438,10 @@ def end_front(shape, rest, remaining, last):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def forward(shape, tables, upper, inverse, order, steps, right, front, last):
-    """Solve with a body's upper factor, transposed, and the pivots; the share of the last node goes to `last`.
+    """Multiply the right-hand side of a body by inverse(D) inverse(U'), block after block.
 
-    `upper` (R, width), `inverse` (R, 2), `order` (R,), `right` (N block + node + shared,), `front` (width,), `last`.
+    `right` (N block + node + shared,) is overwritten. `last` takes the results for the last node, the border and the
+    linking variables. `front` (width,) is work space.
     """
     block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
     for i in range(front.size):
@@ -448,9 +479,11 @@ def forward(shape, tables, upper, inverse, order, steps, right, front, last):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def backward(shape, tables, upper, order, steps, carried, last, front, right):
-    """Solve with a body's upper factor, backward from the last node, and block 0 if that stays to the end, in `last`.
+    """Substitute backward with U through a body, from the last node to the first block.
 
-    Arrays as in `forward`; `right` holds the result of `forward`, or zeros if the right-hand side was carried.
+    At the beginning `last` holds the result of `forward` for the last node and the border, then the solution of the
+    linking variables. `right` holds the result of `forward`, or zeros if the right-hand side took part in the
+    elimination (`carried`). The solution overwrites `right`.
     """
     block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
     first = steps * block

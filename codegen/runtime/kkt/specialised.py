@@ -1,11 +1,11 @@
-"""Compiled linear systems: one for each shape with its numbers as constants, and one for all shapes.
+"""Compiled linear systems: one for each Shape, with its numbers as constants, and one for all shapes.
 
-The text of a specialised system is that of the files of this folder, with the shape as a constant instead of an
-argument. Problems of one shape share it. The text is kept in the cache folder, with numba's machine code beside it.
+The source of a specialised system is made from the files of this folder: a constant `shape` replaces the argument.
+Problems of equal Shape share the system. The source is kept in the cache folder, next to numba's machine code.
 Constants halve the time of a factorisation.
 
-The system for all shapes reads the numbers at run time and needs no compilation for a new shape. It is faster for many
-small problems, such as tests.
+The system for all shapes reads the numbers at run time and needs no compilation for a new Shape. This takes less time
+for many small problems, such as tests.
 """
 
 import ast
@@ -25,7 +25,7 @@ from codegen.runtime.kkt.system import solve_system
 
 FILES = "shape", "symmetric", "stages", "elimination", "system"
 PARTS = ("eliminate_body", "forward", "backward", "condense", "recover_condensed")
-"""Functions whose intermediate code is kept, so that several processes can compile a system."""
+"""Functions whose intermediate code numba keeps, so that several processes can compile a system."""
 HEAD = '''"""The linear system of Newton's method for problems of one shape, made by codegen; do not edit.
 
 Numbers of unknowns: {fields}.
@@ -68,7 +68,7 @@ def system(
 
 
 def cache_folder():
-    """Return the folder of the build cache: $CODEGEN_CACHE_DIR, or one in the user's cache directory."""
+    """Return the path of the build cache: $CODEGEN_CACHE_DIR, or a folder in the user's cache directory."""
     folder = os.environ.get("CODEGEN_CACHE_DIR")
     if folder:
         return Path(folder)
@@ -76,7 +76,7 @@ def cache_folder():
 
 
 def text_of(shape):
-    """Return the text of the module with the linear system of a shape."""
+    """Return the source of the module with the linear system of a Shape."""
     fields = ", ".join(f"{name} {value}" for name, value in zip(Shape._fields, shape, strict=True))
     head = HEAD.format(fields=fields, values=", ".join(map(str, shape)))
     tail = TAIL.replace("{parts}", ", ".join(PARTS))
@@ -86,7 +86,10 @@ def text_of(shape):
 
 @lru_cache
 def body_of(name):
-    """Return the statements of a file of this folder without imports, docstring, Shape, and arguments `shape`."""
+    """Return the statements of the file `name` of this folder, without the arguments `shape`.
+
+    Imports, the module's docstring, the class Shape and functions that only Python calls are left out.
+    """
     text = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
     lines, kept = text.splitlines(), []
     for node in ast.parse(text).body:
@@ -103,13 +106,13 @@ def body_of(name):
 
 
 def without_shape(text):
-    """Return the text of functions without their arguments `shape`."""
+    """Return the source `text` of functions without the arguments `shape`."""
     return re.sub(r"\(shape\)", "()", re.sub(r"\bshape,\s+", "", text))
 
 
 @lru_cache(maxsize=256)
 def system_module(shape):
-    """Return the module with the linear system of a shape; write it if this machine has none."""
+    """Return the module with the linear system of a Shape; write it first if the cache has no complete file."""
     name = f"kkt_{hashlib.sha256(f'{shape} {fingerprint()}'.encode()).hexdigest()[:16]}"
     path = cache_folder() / "kkt" / f"{name}.py"
     if not is_whole(path):
@@ -126,7 +129,7 @@ def system_module(shape):
 
 
 def is_whole(path):
-    """Return True if a file is complete: the text begins with a digest of the rest."""
+    """Return True if the file is complete: its first line is the digest of the rest."""
     try:
         first, _, text = path.read_text(encoding="utf-8").partition("\n")
     except (OSError, UnicodeDecodeError):
@@ -135,31 +138,31 @@ def is_whole(path):
 
 
 def digest_of(text):
-    """Return the digest of a text."""
+    """Return the SHA-256 digest of a text, in hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 @lru_cache(maxsize=256)
 def compiled_system(shape):
-    """Return the compiled linear system of a shape, which has the attribute `address`."""
+    """Return the compiled linear system of a Shape; its attribute `address` is the address for calls."""
     with packed_operations():
         return entry_of(SYSTEM, system_module(shape).system)
 
 
 def system_address(shape):
-    """Return the address of the linear system of a shape; compile it if this machine has none."""
+    """Return the address of the linear system of a Shape; compile the system if the cache has none."""
     return compiled_system(shape).address
 
 
 @lru_cache(maxsize=1)
 def compiled_any_shape():
-    """Return the compiled linear system of all shapes, which has the attribute `address`."""
+    """Return the compiled linear system for all shapes; its attribute `address` is the address for calls."""
 
     def system(
         is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
         is_wanted,
     ):  # fmt: skip
-        """Factor the KKT matrix if it `is_new`, and solve for the step if it `is_wanted`; see `solve_system`."""
+        """Factor the KKT matrix if `is_new` is 1, and solve for `step` if `is_wanted` is 1; see `solve_system`."""
         p = place_of(tables, SHAPE)
         shape = Shape(
             tables[p], tables[p + 1], tables[p + 2], tables[p + 3], tables[p + 4], tables[p + 5], tables[p + 6],
@@ -174,5 +177,5 @@ def compiled_any_shape():
 
 
 def any_shape_address():
-    """Return the address of the linear system of any shape."""
+    """Return the address of the linear system for all shapes."""
     return compiled_any_shape().address

@@ -1,25 +1,37 @@
-"""Elimination of the stages of an interval, through the Jacobian of the equations that determine them.
+"""Elimination of the stages of an interval, through the Jacobian of the equations that determine the stages.
 
-With s the stages, m the multipliers of their equations, y all other unknowns, and A, B the Jacobians of these equations
-by s and by y, a Newton step satisfies
+Let s be the stages, m the multipliers of their equations, and y all other unknowns. A and B are the Jacobians of the
+stage equations with respect to s and y. A Newton step satisfies
 
     H_yy dy + H_ys ds + B' dm = -g_y,    H_sy dy + H_ss ds + A' dm = -g_s,    B dy + A ds = -r.
 
-A is square and regular: ds = S dy + s0 with S = -inverse(A) B and s0 = -inverse(A) r. The equations that remain are
+A is square and regular: ds = S dy + s0 with S = -inverse(A) B and s0 = -inverse(A) r. The remaining equations are
 
     (H_yy + H_ys S + S' H_sy + S' H_ss S) dy = -(g_y + H_ys s0 + S' (g_s + H_ss s0)).
 
 Stages and multipliers have as many negative as positive eigenvalues, and need no search for pivots. For explicit
-schemes A is a sparse lower triangle. Otherwise it is factored with row exchanges: P A = L U. In feasibility restoration
-multipliers have diagonals of their own. Then, and if A is singular, stages and multipliers are eliminated as a dense
-symmetric matrix.
+schemes A is a sparse lower triangle. Otherwise A is factored with row exchanges: P A = L U. In feasibility restoration
+the multipliers have entries on the diagonal of the KKT matrix. Then, and if A is singular, stages and multipliers are
+eliminated as a dense symmetric matrix.
 
-The tuple `kept` has the factors of the intervals of a body: entries and then diagonals of stages (N, entries + s), S
-(N, s, reach), s0 (N, s), L and U (N, s, padded s; no rows for explicit schemes), factors and pivots of dense matrices
-(N, 2 s, width) and (N, 2 s, 2), and integers (N, 2 s + 1): the order of pivots or rows, and last, 1 if A was solved
-and 0 if the matrix is dense. The tuple `room` is work space: W (s, reach), products (reach, reach), crossed rows
-(rows, reach), the dense matrix (2 s, width), and a vector (width,). The width of S is a multiple of four. The table
-REACH has the places of its columns in the element.
+The tuple `kept` holds the factors of the N intervals of a body; s is the number of stages.
+
+- entries (N, entries + s): entries of the Hessian of an interval in the order of the table STAGED, then the diagonals
+  of stages.
+- reduced (N, s, reach): S. Its width is a multiple of four. The table REACH lists the rows of an element matrix that
+  belong to its columns.
+- offsets (N, s): s0.
+- lower, upper (N, s, padded s): L and U; without rows for explicit schemes.
+- dense (N, 2 s, width), pivots (N, 2 s, 2): factors and inverse pivots of dense matrices.
+- orders (N, 2 s + 1), integers: the order of pivots or rows. The last number is 1 if A was solved, and 0 if the dense
+  matrix was eliminated.
+
+The tuple `room` holds work space: weighted (s, reach), products (reach, reach), crossed (rows, reach) for the rows of
+the table CROSSED, the dense matrix (2 s, width), and a vector (width,).
+
+Functions for one interval take its rows of these arrays; `own` is its row of `entries`. The argument `first` is the
+index of the first stage of the interval in the vector of unknowns of a body. `gradient` and `diagonal`
+(N stride + node,) belong to a body.
 """
 
 import numpy as np
@@ -55,21 +67,24 @@ from codegen.runtime.kkt.symmetric import (
 )
 
 HAS_STAGES = True
-"""False in a system without stages, whose text contains none of these functions."""
+"""False in a system without stages, whose source has none of these functions."""
 NEGLIGIBLE = 1e-6
-"""Smaller diagonals of multipliers are ignored: the equations of stages are regular by themselves."""
-SINGULAR_PIVOT = 1e-13  # relative to the largest entry of the Jacobian
+"""Bound below which diagonals of multipliers are ignored: the stage equations are regular without them."""
+SINGULAR_PIVOT = 1e-13  # least pivot of A, relative to its largest entry
 
 
 @njit(error_model="numpy")
 def dense_width(shape):
-    """Return the number of columns of the dense matrix of stages and multipliers."""
+    """Return the number of columns of the dense matrix of stages and multipliers, with padding."""
     return padded(2 * shape.stages + padded(row_count(shape)))
 
 
 @njit(error_model="numpy")
 def stage_views(shape, tables, reals, integers, bodies, body, steps):
-    """Return `kept` of a body and `room`, views of the storage that begins at two pointers."""
+    """Return the tuple `kept` of a body and the tuple `room`, as views of storage.
+
+    The storage begins at the pointers `reals` and `integers`.
+    """
     stages, reach, width = shape.stages, shape.reach, dense_width(shape)
     copied, solved = count_of(tables, STAGED) + stages, 0 if shape.triangular else stages
     of_body = steps * (copied + stages * (1 + reach) + 2 * solved * padded(stages) + 2 * stages * (width + 2))
@@ -106,7 +121,10 @@ def stage_views(shape, tables, reals, integers, bodies, body, steps):
 
 
 def stage_sizes(shape, copied, bodies, steps):
-    """Return the lengths of the storage of `stage_views`; `copied` entries of an interval are stored."""
+    """Return how many floating-point numbers and how many integers `stage_views` needs.
+
+    `copied` is the number of entries of an interval in the table STAGED.
+    """
 
     def fours(size):
         return -(-size // 4) * 4
@@ -123,8 +141,8 @@ def stage_sizes(shape, copied, bodies, steps):
 def eliminate_stages(shape, tables, hessian, gradient, diagonal, k, kept, room, element):
     """Eliminate the stages of interval k from its `element` matrix (rows, width); return the number of negative pivots.
 
-    The result is -1 if there is no solution. `hessian` (entries,) is that of the interval; `gradient` and `diagonal` (N
-    stride + node,). A right-hand side in the element matrix, if it is carried along, changes as well.
+    The result is -1 if the matrix of stages and multipliers is singular. `hessian` (entries,) belongs to the interval.
+    If the element matrix has a column for the right-hand side, that column is reduced as well.
     """
     entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
     stages, staged, count = shape.stages, place_of(tables, STAGED), count_of(tables, STAGED)
@@ -161,14 +179,17 @@ def eliminate_stages(shape, tables, hessian, gradient, diagonal, k, kept, room, 
 
 @njit(error_model="numpy", forceinline=True)
 def crossings(tables):
-    """Return the first index of the entries of H_ys in `kept`, and the tables of their crossed rows and stages."""
+    """Return the index of the first entry of H_ys in `own`, and where the tables CROSS_ROWS and CROSS_COLUMNS begin.
+
+    H_ys are the second derivatives with respect to another unknown and a stage.
+    """
     before = count_of(tables, SLOPE_ROWS) + count_of(tables, OUTER_ROWS) + count_of(tables, CURVED_ROWS)
     return before, place_of(tables, CROSS_ROWS), place_of(tables, CROSS_COLUMNS)
 
 
 @njit(error_model="numpy", forceinline=True)
 def put_outer(tables, own, reduced):
-    """Fill `reduced` (s, reach) with -B."""
+    """Fill `reduced` (s, reach) with -B, minus the Jacobian of the stage equations with respect to other unknowns."""
     rows, columns, at = place_of(tables, OUTER_ROWS), place_of(tables, OUTER_COLUMNS), count_of(tables, SLOPE_ROWS)
     clear(reduced)
     for j in range(count_of(tables, OUTER_ROWS)):
@@ -177,7 +198,10 @@ def put_outer(tables, own, reduced):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def solve_triangle(shape, tables, own, reduced):
-    """Fill S for a lower triangle A whose rows end with the diagonal; return True if A is regular."""
+    """Fill `reduced` with S = -inverse(A) B if the stage Jacobian A is a lower triangle; return True if A is regular.
+
+    The table of A must end each row with the diagonal.
+    """
     rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
     put_outer(tables, own, reduced)
     for j in range(count_of(tables, SLOPE_ROWS)):
@@ -196,9 +220,10 @@ def solve_triangle(shape, tables, own, reduced):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def solve_by_factors(shape, tables, own, lower, upper, order, reduced):
-    """Factor A by Gaussian elimination with row exchanges in `order`, and fill S; return True if A is regular.
+    """Factor the stage Jacobian A, and fill `reduced` with S = -inverse(A) B; return True if A is regular.
 
-    Row p of L has factors left of its diagonal, zeros elsewhere; U has zeros left of its own.
+    This is Gaussian elimination with row exchanges. `order` takes the row that is exchanged with each row. `lower`
+    takes the factors left of the diagonal of L, and `upper` takes U; all other entries are zero.
     """
     stages, width = shape.stages, padded(shape.stages)
     rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
@@ -243,7 +268,7 @@ def solve_by_factors(shape, tables, own, lower, upper, order, reduced):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def add_reduced(shape, tables, own, reduced, room, element):
-    """Add H_ys S + S' H_sy + S' H_ss S to `element` (rows, width)."""
+    """Add the effect of the eliminated stages, H_ys S + S' H_sy + S' H_ss S, to `element` (rows, width)."""
     weighted, products, crossed, _, _ = room
     stages, reach, count = shape.stages, shape.reach, count_of(tables, STAGED)
     for i in range(stages):
@@ -256,7 +281,7 @@ def add_reduced(shape, tables, own, reduced, room, element):
         subtract_row(own[at + j], reduced, column, reach, weighted, row)
         if row != column:
             subtract_row(own[at + j], reduced, row, reach, weighted, column)
-    # `weighted` is minus H_ss S, so that products are subtracted twice.
+    # `weighted` is -H_ss S, and `subtract_products` subtracts: the signs cancel.
     clear(products)
     subtract_products(reduced, weighted, stages, 0, reach, reach, products)
     places, size = place_of(tables, REACH), count_of(tables, REACH)
@@ -285,7 +310,7 @@ def add_reduced(shape, tables, own, reduced, room, element):
 
 @njit(error_model="numpy", forceinline=True)
 def solve_offsets(shape, tables, own, gradient, first, lower, upper, order, offsets):
-    """Fill `offsets` (s,) with s0 = -inverse(A) r."""
+    """Fill `offsets` (s,) with s0 = -inverse(A) r, the step of the stages if no other unknown changes."""
     stages = shape.stages
     for i in range(stages):
         offsets[i] = -gradient[first + stages + i]
@@ -315,7 +340,7 @@ def solve_offsets(shape, tables, own, gradient, first, lower, upper, order, offs
 
 @njit(error_model="numpy", forceinline=True)
 def solve_transposed(shape, tables, own, lower, upper, order, values):
-    """Overwrite `values` (s,) by inverse(A') times them."""
+    """Replace `values` (s,) by inverse(A') times `values`, where A is the Jacobian of the stage equations."""
     stages = shape.stages
     if shape.triangular:
         rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
@@ -340,7 +365,10 @@ def solve_transposed(shape, tables, own, lower, upper, order, values):
 
 @njit(error_model="numpy", forceinline=True)
 def forcing(shape, tables, own, gradient, first, moved, room):
-    """Return, in work space, g_s + H_ss times the changes `moved` (s,) of stages."""
+    """Return g_s + H_ss ds, the gradient with respect to stages after the changes ds = `moved` (s,).
+
+    The result is a view of work space.
+    """
     values, stages, count = room[4], shape.stages, count_of(tables, STAGED)
     for i in range(stages):
         values[i] = gradient[first + i] + own[count + i] * moved[i]
@@ -356,7 +384,7 @@ def forcing(shape, tables, own, gradient, first, moved, room):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def reduced_forcing(shape, tables, own, gradient, first, offsets, reduced, room):
-    """Return, in work space, S' (g_s + H_ss s0)."""
+    """Return S' (g_s + H_ss s0), the part of the reduced gradient with H_ss, as a view (reach,) of work space."""
     values, totals = forcing(shape, tables, own, gradient, first, offsets, room), room[1][0]
     for c in range(shape.reach):
         totals[c] = 0.0
@@ -373,14 +401,20 @@ def reduced_forcing(shape, tables, own, gradient, first, offsets, reduced, room)
 
 @njit(error_model="numpy", forceinline=True)
 def right_index(shape, row, number, steps):
-    """Return the index in a body's right-hand side of row `row` of the element matrix of block `number`."""
+    """Return the index in the right-hand side of a body that belongs to row `row` of the element matrix of a block.
+
+    The block has the number `number`.
+    """
     block = block_size(shape)
     return number * block + row if row < block + shape.node else steps * block + shape.node + row - tail_of(shape)
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def reduce_right(shape, tables, gradient, k, number, steps, kept, room, right):
-    """Subtract the effect of the stages of interval k, block `number`, from the `right`-hand side of a body."""
+    """Subtract the effect of the stages of interval k from `right`, the right-hand side of a body.
+
+    `number` is the number of the block to which the interval belongs.
+    """
     entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
     stages, first, own, order = shape.stages, k * shape.stride + shape.node, entries[k], orders[k]
     if not order[2 * stages]:
@@ -402,7 +436,11 @@ def reduce_right(shape, tables, gradient, k, number, steps, kept, room, right):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved, step):
-    """Fill a body's `step` (N stride + node,) with stages and multipliers of interval k, from the `solved` unknowns."""
+    """Fill the entries of `step` (N stride + node,) for the stages and multipliers of interval k.
+
+    `solved` holds the other unknowns of the body in the order of its right-hand side. `number` is the number of the
+    block to which the interval belongs.
+    """
     entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
     stages, first, own, order = shape.stages, k * shape.stride + shape.node, entries[k], orders[k]
     if not order[2 * stages]:
@@ -440,7 +478,10 @@ def recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved
 
 @njit(error_model="numpy")
 def eliminate_dense(shape, tables, own, gradient, diagonal, first, dense, pivots, order, room, element):
-    """Eliminate stages and multipliers as a dense symmetric matrix; return the negative pivots, or -1."""
+    """Eliminate stages and multipliers as a dense symmetric matrix; return the number of negative pivots.
+
+    `element` is reduced as in `eliminate_stages`. The result is -1 if the matrix is singular.
+    """
     _, _, _, matrix, _ = room
     stages, size, width, rows = shape.stages, 2 * shape.stages, dense_width(shape), row_count(shape)
     clear(matrix)
@@ -485,7 +526,11 @@ def eliminate_dense(shape, tables, own, gradient, diagonal, first, dense, pivots
 
 @njit(error_model="numpy")
 def solve_dense(shape, gradient, first, dense, pivots, order, room):
-    """Return, in work space, minus the gradient of stages and multipliers after forward substitution, and its rest."""
+    """Return the result (width,) of a forward substitution with the dense factors, as a view of work space.
+
+    The right-hand side is minus the gradient of stages and multipliers. From index 2 s on, the result is the change of
+    the right-hand side of an element matrix.
+    """
     values, size = room[4], 2 * shape.stages
     for i in range(values.size):
         values[i] = -gradient[first + i] if i < size else 0.0

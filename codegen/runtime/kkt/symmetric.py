@@ -1,10 +1,13 @@
-"""Symmetric elimination with pivots of one or two rows: factors, and the number of negative eigenvalues.
+"""Elimination of a symmetric matrix with pivots of one or two rows, which also counts the negative eigenvalues.
 
-Rows are eliminated one or two at a time, in an order that is chosen during the elimination and kept as a list: no row
-is moved. The factors are the rows of the unit factor U, strictly triangular when sorted by that order, and the inverse
-of the pivots D: K = U' D U. Rows are padded with zeros to a multiple of four. Entries are computed four at a time,
-which a compiler turns into one instruction each (see `packed_operations`). All functions are inlined, so that the
-compiler knows numbers of rows and columns as constants: this saves a quarter to a third of the time of a factorisation.
+Rows are eliminated one or two at a time. The order is chosen during the elimination and kept as a list: no row is
+moved. The factorisation is K = U' D U. If rows and columns are sorted by that order, U is upper triangular with a unit
+diagonal. D holds the pivots. The factors are stored as the rows of U without the diagonal, and the inverse of D.
+
+Rows are padded with zeros to a multiple of four. Entries are computed four at a time, which a compiler turns into one
+instruction each (see `packed_operations`). Most functions are inlined, so that the compiler knows the numbers of rows
+and columns as constants. This saves a quarter to a third of the time of a factorisation.
+
 Sources: Bunch and Kaufman (1977), Some stable methods for calculating inertia and solving symmetric linear systems;
 Higham (2002), Accuracy and stability of numerical algorithms, section 11.1.
 """
@@ -12,12 +15,12 @@ Higham (2002), Accuracy and stability of numerical algorithms, section 11.1.
 import numpy as np
 from numba import njit
 
-BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both kinds of pivots
+BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8: entries grow equally with pivots of one and of two rows
 
 
 @njit(error_model="numpy", forceinline=True)
 def clear(matrix):
-    """Make all entries of a matrix zero."""
+    """Set all entries of a matrix to zero."""
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
             matrix[i, j] = 0.0
@@ -25,11 +28,12 @@ def clear(matrix):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_rows(matrix, count, width, upper, inverse, order):
-    """Eliminate the first `count` unknowns; return the number of negative pivots, or -1 for a vanishing pivot.
+    """Eliminate `count` unknowns; return the number of negative pivots, or -1 if a pivot vanishes or is not finite.
 
-    The first `count` rows of `matrix` (.., width) are overwritten by D U. `upper` (count, width) takes U without its
-    unit diagonal. `order` (count,) has the row that is eliminated at each position. `inverse` (count, 2), in that
-    order, is the inverse of the pivots: its diagonal, and the entry between a row and the next one.
+    The first `count` rows of `matrix` (.., width) are overwritten by D U. Columns from `count` on belong to unknowns
+    that remain. `upper` (count, width) takes U without its unit diagonal. `order` (count,) takes the row that is
+    eliminated at each position. `inverse` (count, 2), in that order, takes the inverse of the pivots: the diagonal, and
+    the entry between a row and the next one.
     """
     for c in range(count):
         order[c] = c
@@ -65,7 +69,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def largest_beside(matrix, row, count):
-    """Return the largest modulus off the diagonal of a row, in `count` columns.
+    """Return the largest modulus of an entry off the diagonal in a row, within the first `count` columns.
 
     Columns of eliminated unknowns are zero. Reading all columns in the order of memory, with unsigned indices, takes
     half the time of reading only the columns that remain.
@@ -79,7 +83,10 @@ def largest_beside(matrix, row, count):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the row at position c; return True if its pivot is negative; arrays as in `eliminate_rows`."""
+    """Eliminate the row at position c; return True if its pivot is negative.
+
+    `eliminate_rows` explains the arrays.
+    """
     p = order[c]
     reciprocal = 1.0 / matrix[p, p]
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
@@ -101,7 +108,10 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the rows at positions c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
+    """Eliminate the rows at positions c and c + 1 together; one eigenvalue of their pivot is negative.
+
+    `eliminate_rows` explains the arrays.
+    """
     p, q = order[c], order[c + 1]
     a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
     determinant = a * d - b * b
@@ -129,7 +139,10 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_row(multiple, source, p, width, target, i):
-    """Subtract a multiple of row p of `source` (r, width) from row i of `target` (r, width), another or the same."""
+    """Subtract a multiple of row p of `source` (r, width) from row i of `target` (r, width).
+
+    Both arrays may be the same.
+    """
     for j in range(0, width, 4):
         one = target[i, j] - multiple * source[p, j]
         two = target[i, j + 1] - multiple * source[p, j + 1]
@@ -141,14 +154,15 @@ def subtract_row(multiple, source, p, width, target, i):
         target[i, j + 3] = four
 
 
-# Without a fixed order of sums, the loop over `count` would be vectorised, which takes longer.
+# Sums keep their order (no "reassoc"): otherwise numba vectorises the loop over `count`, which takes longer.
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_products(upper, matrix, count, first, rows, width, rest):
-    """Subtract what eliminating `count` rows leaves in the rows that border them, which begin at column `first`.
+    """Subtract `upper`' `matrix` from `rest` (rows, width): the effect of `count` eliminated rows on others.
 
-    The upper triangle of `rest` (rows, width) is right afterwards; `upper` and `matrix` have `count` rows.
+    `upper` and `matrix` have `count` rows. Their columns from `first` on belong to the rows and columns of `rest`.
+    Afterwards only the upper triangle of `rest` is valid.
     """
-    # Tiles of four rows and four columns: numbers that are read count for four products each.
+    # Compute tiles of four rows and four columns: each number that is read enters four products.
     for i in range(0, rows - 3, 4):
         for j in range(i, width, 4):
             a0 = a1 = a2 = a3 = 0.0
@@ -194,7 +208,7 @@ def subtract_products(upper, matrix, count, first, rows, width, rest):
 
 @njit(error_model="numpy", forceinline=True)
 def subtract_four(target, i, j, one, two, three, four):
-    """Subtract four numbers from those of a row of `target` from column j on."""
+    """Subtract the numbers `one` to `four` from row i of `target`, in the columns from j on."""
     one, two = target[i, j] - one, target[i, j + 1] - two
     three, four = target[i, j + 2] - three, target[i, j + 3] - four
     target[i, j] = one
@@ -205,7 +219,10 @@ def subtract_four(target, i, j, one, two, three, four):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_forward(upper, order, count, width, values):
-    """Overwrite the first `count` of `values` (width,) by inverse(U') times them, and reduce the rest."""
+    """Replace the first `count` of `values` by inverse(U') times these numbers.
+
+    The effect on the other values (width in all) is subtracted from them.
+    """
     for c in range(count):
         p = order[c]
         value = values[p]
@@ -232,10 +249,10 @@ def solve_pivots(inverse, order, count, values):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_backward(upper, order, count, width, values):
-    """Overwrite the first `count` of `values` (width,) by the solution with U for given other values.
+    """Replace the first `count` of `values` (width,) by the solution with U; the other values are known.
 
-    The given values go to the right-hand sides first, so that only the short sums over the unknowns depend on each
-    other. These sums begin with the values computed first, so that they wait only for one product.
+    The known values are first moved to the right-hand sides, so that only the short sums over the unknowns depend on
+    each other. These sums begin with the values that are computed first, so that they wait for one product only.
     """
     fours = (count + 3) // 4 * 4
     for p in range(count):
@@ -252,17 +269,17 @@ def solve_backward(upper, order, count, width, values):
         subtract_known(upper, order, c, count, values)
 
 
-# Without a fixed order of sums, the loop would be vectorised, which takes longer: its entries lie apart in memory.
+# Sums keep their order (no "reassoc"): otherwise numba vectorises the loop, whose entries lie apart in memory.
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_known(upper, order, c, count, values):
-    """Subtract from the value at position c its row of U times the values computed before."""
+    """Subtract from the value at position c its row of U times the values that are already computed."""
     value = values[order[c]]
     for k in range(count - 1, c, -1):
         value -= upper[order[c], order[k]] * values[order[k]]
     values[order[c]] = value
 
 
-# The same functions for matrices that are eliminated once in a factorisation: compiled once, without inlining.
+# The functions below are compiled once and not inlined. They serve matrices that a factorisation eliminates once.
 
 
 @njit(error_model="numpy")
@@ -273,7 +290,7 @@ def eliminate_once(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy")
 def forward_once(upper, inverse, order, count, width, values):
-    """Solve as `solve_forward` and `solve_pivots` do."""
+    """Solve as `solve_forward` and then `solve_pivots` do."""
     solve_forward(upper, order, count, width, values)
     solve_pivots(inverse, order, count, values)
 

@@ -1,6 +1,6 @@
 """The linear system of a Newton step: factor the KKT matrix of all bodies, and solve with the factors.
 
-Linking variables separate the bodies. They are eliminated last, from the Schur complement of all other unknowns.
+Linking variables couple the bodies. They are eliminated last, from the Schur complement of all other unknowns.
 """
 
 from numba import carray, njit
@@ -30,7 +30,7 @@ from codegen.runtime.kkt.stages import stage_sizes, stage_views
 from codegen.runtime.kkt.symmetric import backward_once, eliminate_once, forward_once, subtract_products
 
 SINGULAR = 1 << 40
-"""The result for a singular matrix, or for a condensed block that is not positive definite."""
+"""The result of `solve_system` if the matrix is singular or a condensed block is not positive definite."""
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
@@ -38,37 +38,39 @@ def solve_system(
     shape, is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
     is_wanted,
 ):  # fmt: skip
-    """Factor the matrix if it `is_new`, bodies and then linking variables, and solve for `step` if it `is_wanted`.
+    """Factor the KKT matrix if `is_new` is 1, and solve for `step` if `is_wanted` is 1.
+
+    All bodies are factored first, then the linking variables.
 
     Parameters
     ----------
     shape : Shape
-        Numbers of unknowns, constants in a compiled system.
+        Numbers of unknowns; constants in a specialised system.
     is_new : int
         1 to factor, 0 to solve with the factors of an earlier call.
     bodies, steps : int
         Numbers of bodies and of intervals.
     inverses : int
-        Number of condensed blocks stored for a body: 1 if they are equal on all intervals, else `steps`.
+        Number of inverted condensed blocks of a body: 1 if the blocks are equal on all intervals, else `steps`.
     tables : pointer
-        Index tables, see `shape`.
+        Index tables; see the module `shape`.
     entries : pointer
-        Entries of the lower triangle: (bodies, steps, entries of an interval), those of all starts, of all ends, and
-        the matrix (root, root) of coupling conditions, if there are linking variables.
+        Second derivatives, lower triangle: of intervals (bodies, steps, entries of an interval), then of the starts of
+        all bodies, then of their ends. With linking variables, the matrix (root, root) of coupling conditions follows.
     gradient, diagonal, step : pointer
-        Vectors (n,): the right-hand side is minus the gradient; the diagonal is added to that of the matrix.
+        Vectors (n,): the right-hand side is minus the gradient; `diagonal` is added to the diagonal of the matrix.
     equations : int
-        Negative eigenvalues at a minimum.
+        Number of negative eigenvalues of the KKT matrix at a minimum.
     factors, orders : pointer
-        Work space of the lengths from `factor_sizes`, kept between calls.
+        Work space with the lengths from `factor_sizes`. It keeps the factors between calls.
     is_wanted : int
         1 if `step` is to be filled, else 0.
 
     Returns
     -------
     int
-        Excess of negative pivots, 0 at a minimum. A positive excess may be too low, and there is no step. SINGULAR if
-        there are no factors.
+        Number of negative pivots minus `equations`, 0 at a minimum. With a positive number `step` is not filled, and
+        the true number may be larger. SINGULAR if the matrix has no factors.
     """
     node, block, width, root = shape.node, block_size(shape), row_width(shape), shape.root
     rows, end, end_width, shared_width = row_count(shape), last_size(shape), last_width(shape), padded(root)
@@ -76,7 +78,7 @@ def solve_system(
     counts, of_chains = place_of(tables, COUNTS), bodies * chain
     own, entry_count = tables[counts + OWN], tables[counts + ENTRIES]
     starts, ends = count_of(tables, START_ROWS), count_of(tables, END_COLUMNS)
-    # Beginnings of the parts of the work space.
+    # Indices at which the parts of the work space begin.
     at_right = bodies * (size * (width + 2) + inverses * shape.condensed**2 + steps * shape.condensed * width)
     at_last = at_right + bodies * length
     at_root = at_last + bodies * end_width
@@ -204,7 +206,10 @@ def solve_system(
 
 @njit(error_model="numpy", forceinline=True)
 def body_factors(shape, factors, orders, bodies, body, steps, inverses):
-    """Return the factors of a body in the work space: upper factor, inverse pivots, order, inverses, couplings."""
+    """Return the factors of a body as views of the work space: `upper`, `inverse`, `order`, `inverses` and `couplings`.
+
+    `elimination` explains these arrays.
+    """
     width, size, condensed = row_width(shape), steps * block_size(shape) + last_size(shape), shape.condensed
     at_inverse = bodies * size * width
     at_inverses = at_inverse + bodies * size * 2
@@ -220,13 +225,19 @@ def body_factors(shape, factors, orders, bodies, body, steps, inverses):
 
 @njit(error_model="numpy", forceinline=True)
 def root_index(own, bodies, body, j):
-    """Return the index among the linking variables of variable j of a body, of which `own` belong to the body alone."""
+    """Return the index among the linking variables of all bodies of linking variable j of one body.
+
+    The first `own` variables belong to the body alone, the others are common to all bodies.
+    """
     return body * own + j if j < own else (bodies - 1) * own + j
 
 
 @njit(error_model="numpy")
 def add_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
-    """Add right-hand sides of unknowns that equal linking variables to those of the linking variables."""
+    """Add the right-hand sides of unknowns that equal linking variables to the right-hand sides `shared` of the latter.
+
+    `of_tied` and `of_shared` are numbers of tables. The node of the unknowns begins at index `first` of `right`.
+    """
     tied, to = place_of(tables, of_tied), place_of(tables, of_shared)
     for i in range(count_of(tables, of_tied)):
         shared[root_index(own, bodies, body, tables[to + i])] += right[first + tables[tied + i]]
@@ -234,7 +245,7 @@ def add_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared
 
 @njit(error_model="numpy")
 def copy_to_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
-    """Copy the values of linking variables to the unknowns that equal them."""
+    """Copy the values of linking variables to the unknowns that equal them; arguments as in `add_tied`."""
     tied, to = place_of(tables, of_tied), place_of(tables, of_shared)
     for i in range(count_of(tables, of_tied)):
         right[first + tables[tied + i]] = shared[root_index(own, bodies, body, tables[to + i])]
@@ -243,7 +254,7 @@ def copy_to_tied(tables, of_tied, of_shared, own, bodies, body, first, right, sh
 def factor_sizes(shape, copied, bodies, steps, inverses):
     """Return the lengths of the work space of `solve_system`: of floating-point numbers, and of integers.
 
-    `copied` is the number of an interval's second derivatives by stages, which are copied.
+    `copied` is the number of entries of an interval in the table STAGED. `inverses` is explained in `solve_system`.
     """
 
     def fours(size):

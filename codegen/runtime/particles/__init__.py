@@ -1,1 +1,1 @@
-"""Particles that interact in pairs: motions, connections, tracer points."""
+"""Particles that interact in pairs: their motion, connections of given points, and tracer points."""

@@ -1,11 +1,20 @@
-"""Functions of a connect problem for external solvers: shooting, all states at once, and the discrete action.
+"""Functions of a connect problem for external solvers, in three formulations.
 
-Shooting solves for the initial momenta. The equations of all states contain every step from a state minus the next
-state; their unknowns are the positions at inner nodes, then the momenta at all nodes.
+A connect problem seeks a motion from given points, the start, to other points, the target. `case` is a `cascade.Case`
+with N steps, n particles and d coordinates.
 
-The discrete action is a minimisation: 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at
-q = (1 - c) q_k + c q_k+1 with the abscissa c. Unknowns are inner positions, then one momentum P_k of each interval. At
-a minimum the multipliers are 2 P_k, and the conditions for the positions are the scheme's equations for momenta.
+- Shooting: the unknowns are the initial momenta.
+- All states at once: the equations are each step from a state minus the next state. The unknowns are the positions at
+  inner nodes, then the momenta at all nodes.
+- The discrete action: minimise a cost subject to constraints. The unknowns are the positions at inner nodes, then one
+  momentum P_k of each interval.
+
+The discrete action, with the abscissa c of the scheme, is
+
+    minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c q_k+1.
+
+At a minimum the multipliers are 2 P_k. The conditions for the positions are then the equations of the scheme for the
+momenta.
 """
 
 import numpy as np
@@ -16,12 +25,16 @@ from codegen.runtime.particles.steps import defects, discrete_cost, follow
 
 
 def first_momenta(case):
-    """Return the momenta of the straight way, shape (n, d)."""
+    """Return the initial momenta (n, d) that correspond to the constant velocity of the straight way."""
     return momenta_of(case, case.start, (case.target - case.start) / case.duration)
 
 
 def trajectory(case, momenta):
-    """Return the outcome of all steps, the states, shape (N + 1, 2, n, d), and the points at which H is evaluated."""
+    """Make all steps from initial momenta (nd,); return the outcome, the states, and the points.
+
+    The outcome is negative if a step fails. H is evaluated at the points. States have shape (N + 1, 2, n, d), points
+    (N POINTS, 2, n, d).
+    """
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[0, 0], path[0, 1] = case.start, np.reshape(momenta, case.start.shape)
     points = np.zeros((case.steps * case.problem.points, *path.shape[1:]))
@@ -30,13 +43,16 @@ def trajectory(case, momenta):
 
 
 def residual(case, momenta):
-    """Return q_N + sigma^2 p_N - target for given initial momenta, (nd,); NaN if a step fails."""
+    """Return the residual (nd,) of the end conditions for initial momenta (nd,); NaN if a step fails.
+
+    The residual is q_N + sigma^2 p_N - target.
+    """
     outcome, path, _ = trajectory(case, momenta)
     return end_residual(path[-1], case.target, case.sigma) if outcome >= 0 else np.full(case.start.size, np.nan)
 
 
 def jacobian(case, momenta):
-    """Return the derivative of `residual` by the initial momenta, shape (nd, nd); NaN where a step fails."""
+    """Return the derivative (nd, nd) of `residual` with respect to the initial momenta; NaN if a step fails."""
     outcome, _, points = trajectory(case, momenta)
     if outcome < 0:
         return np.full((case.start.size, case.start.size), np.nan)
@@ -44,14 +60,17 @@ def jacobian(case, momenta):
 
 
 def path_cost(case, path):
-    """Return the discrete cost of states, shape (N + 1, 2, n, d), from each of which a step is made."""
+    """Return the discrete cost of the steps from all states of `path` (N + 1, 2, n, d) except the last."""
     h, pairs = case.duration / case.steps, case.problem.pairs
     points = stepped(case, path)[1]
     return discrete_cost(pairs, h, case.own, case.parameters, points, case.problem.costs)
 
 
 def path_errors(case, path):
-    """Return each step from a state minus the next state, (N, 2, n, d), and the residual of the end, (nd,)."""
+    """Return the defects (N, 2, n, d) of the states `path`, and the residual (nd,) of the end conditions.
+
+    A defect is the step from a state minus the next state. All defects are NaN if a step fails.
+    """
     outcome, _, errors = stepped(case, path)
     if outcome < 0:
         errors[:] = np.nan
@@ -59,7 +78,11 @@ def path_errors(case, path):
 
 
 def stepped(case, path):
-    """Make a step from each of the states, (N + 1, 2, n, d); return the outcome, the points, and the defects."""
+    """Make a step from each state of `path` (N + 1, 2, n, d) except the last.
+
+    Return the outcome, the points, and the defects. `trajectory` explains the outcome and the points, `path_errors` the
+    defects.
+    """
     points = np.zeros((case.steps * case.problem.points, *path.shape[1:]))
     errors, h = np.zeros((case.steps, *path.shape[1:])), case.duration / case.steps
     path = np.array(path, dtype=float)
@@ -68,7 +91,10 @@ def stepped(case, path):
 
 
 def path_of(case, unknowns):
-    """Return the states, shape (N + 1, 2, n, d), that belong to the unknowns of `all_equations`."""
+    """Return the states (N + 1, 2, n, d) that correspond to the unknowns of `all_equations`.
+
+    The first positions are the start, the last positions target - sigma^2 p_N.
+    """
     path, size = np.empty((case.steps + 1, 2, *case.start.shape)), case.start.size
     inner = (case.steps - 1) * size
     path[1:-1, 0] = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
@@ -79,21 +105,22 @@ def path_of(case, unknowns):
 
 
 def first_unknowns(case):
-    """Return inner positions and all momenta on the guessed path, shape (2ndN,)."""
+    """Return the initial guess (2ndN,) of the unknowns of `all_equations`, from the guessed path."""
     path = guessed_path(case)
     return np.concatenate([path[1:-1, 0].ravel(), path[:, 1].ravel()])
 
 
 def all_equations(case, unknowns):
-    """Return every step from a state minus the next state, (2ndN,).
+    """Return each step from a state minus the next state, as a vector (2ndN,).
 
-    Unknowns are the positions at inner nodes, then the momenta at all nodes; the last ones are target - sigma^2 p_N.
+    The unknowns are the positions at inner nodes, then the momenta at all nodes. The last positions are
+    target - sigma^2 p_N.
     """
     return path_errors(case, path_of(case, unknowns))[0].ravel()
 
 
 def all_equations_jacobian(case, unknowns):
-    """Return the derivative of `all_equations`, shape (2ndN, 2ndN)."""
+    """Return the derivative (2ndN, 2ndN) of `all_equations` with respect to the unknowns."""
     path, size, steps = path_of(case, unknowns), case.start.size, case.steps
     linear = Linearised(case, stepped(case, path)[1], None)
     matrix, inner = np.zeros((2 * size * steps, 2 * size * steps)), (steps - 1) * size
@@ -115,13 +142,13 @@ def all_equations_jacobian(case, unknowns):
 
 
 def action_start(case):
-    """Return the unknowns of the guessed path, shape (nd (2 N - 1),)."""
+    """Return the initial guess (nd (2 N - 1),) of the unknowns of the discrete action, from the guessed path."""
     path = guessed_path(case)
     return np.concatenate([path[1:-1, 0].ravel(), path[:-1, 1].ravel()])
 
 
 def action_states(case, unknowns):
-    """Return positions at all nodes, shape (N + 1, n, d), and the states (N, 2, n, d) at which H is evaluated."""
+    """Return the positions (N + 1, n, d) at all nodes, and the states (N, 2, n, d) at which H is evaluated."""
     inner = (case.steps - 1) * case.start.size
     between = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
     positions = np.concatenate([case.start[None], between, case.target[None]])
@@ -130,14 +157,14 @@ def action_states(case, unknowns):
 
 
 def action_cost(case, unknowns):
-    """Return the discrete cost."""
+    """Return the discrete cost 2 h sum_k H(q, P_k)."""
     _, states = action_states(case, unknowns)
     total = sum(case.problem.hamiltonian(z, case.own, case.parameters) for z in states)
     return 2.0 * case.duration / case.steps * total
 
 
 def action_gradients(case, states):
-    """Return H_q and H_p at every state, (N, 2, n, d)."""
+    """Return H_q and H_p (N, 2, n, d) at the states (N, 2, n, d)."""
     gradients = np.empty_like(states)
     for z, gradient in zip(states, gradients, strict=True):
         case.problem.gradient(z, case.own, case.parameters, gradient)
@@ -145,7 +172,7 @@ def action_gradients(case, states):
 
 
 def action_cost_gradient(case, unknowns):
-    """Return the gradient of the cost by the unknowns, with the same shape."""
+    """Return the gradient (nd (2 N - 1),) of the discrete cost with respect to the unknowns."""
     gradients = 2.0 * case.duration / case.steps * action_gradients(case, action_states(case, unknowns)[1])
     at_nodes, c = np.zeros((case.steps + 1, *case.start.shape)), case.problem.abscissa
     at_nodes[:-1] += (1.0 - c) * gradients[:, 0]
@@ -154,14 +181,14 @@ def action_cost_gradient(case, unknowns):
 
 
 def action_constraints(case, unknowns):
-    """Return q_k+1 - q_k - h H_p on every interval, (ndN,)."""
+    """Return q_k+1 - q_k - h H_p of all intervals, as a vector (ndN,)."""
     positions, states = action_states(case, unknowns)
     velocities = action_gradients(case, states)[:, 1]
     return (positions[1:] - positions[:-1] - case.duration / case.steps * velocities).ravel()
 
 
 def action_blocks(case, states):
-    """Return the second derivatives of H at every state, shape (N, 2nd, 2nd)."""
+    """Return the second derivatives (N, 2nd, 2nd) of H at the states (N, 2, n, d)."""
     hessians = np.empty((len(states), states[0].size, states[0].size))
     for z, hessian in zip(states, hessians, strict=True):
         case.problem.hessian(z, case.own, case.parameters, hessian)
@@ -169,7 +196,10 @@ def action_blocks(case, states):
 
 
 def action_columns(case, k):
-    """Return the indices of the positions at both ends of interval k, None for prescribed ones, and of its momenta."""
+    """Return slices of the unknowns: positions at the start and the end of interval k, and its momenta.
+
+    A slice of prescribed positions is None.
+    """
     size, inner = case.start.size, (case.steps - 1) * case.start.size
     left = slice(size * (k - 1), size * k) if k > 0 else None
     right = slice(size * k, size * (k + 1)) if k < case.steps - 1 else None
@@ -177,7 +207,7 @@ def action_columns(case, k):
 
 
 def action_jacobian(case, unknowns):
-    """Return the derivative of `action_constraints`, shape (ndN, nd (2 N - 1))."""
+    """Return the derivative (ndN, nd (2 N - 1)) of `action_constraints` with respect to the unknowns."""
     _, states = action_states(case, unknowns)
     size, h, c = case.start.size, case.duration / case.steps, case.problem.abscissa
     matrix = np.zeros((case.steps * size, unknowns.size))
@@ -193,9 +223,9 @@ def action_jacobian(case, unknowns):
 
 
 def action_hessian(case, unknowns, multipliers):
-    """Return the second derivatives of cost + multipliers . constraints, shape (nd (2 N - 1), nd (2 N - 1)).
+    """Return the second derivatives (nd (2 N - 1), nd (2 N - 1)) of cost + multipliers . constraints.
 
-    H is quadratic in momenta, so that v . H_p(q, P) = H(q, P + v) - H(q, P) - H(q, v) and no third derivatives are
+    H is quadratic in the momenta: v . H_p(q, P) = H(q, P + v) - H(q, P) - H(q, v). Therefore no third derivatives are
     needed.
     """
     _, states = action_states(case, unknowns)
@@ -225,7 +255,7 @@ def action_hessian(case, unknowns, multipliers):
 
 
 def action_path(case, unknowns):
-    """Return the states at the nodes, shape (N + 1, 2, n, d): p_k = P_k + (1 - c) h H_q and p_k+1 = P_k - c h H_q."""
+    """Return the states (N + 1, 2, n, d) at the nodes: p_k = P_k + (1 - c) h H_q and p_k+1 = P_k - c h H_q."""
     positions, states = action_states(case, unknowns)
     slopes, c = case.duration / case.steps * action_gradients(case, states)[:, 0], case.problem.abscissa
     momenta = np.concatenate([states[:1, 1] + (1.0 - c) * slopes[:1], states[:, 1] - c * slopes])

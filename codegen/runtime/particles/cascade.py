@@ -1,10 +1,18 @@
-"""The globalisation cascade of the boundary-value problem: attempts to connect given points, in turn.
+"""The globalisation cascade of the boundary-value problem: several attempts to connect given points, in turn.
 
-The attempts are shooting from the momenta H_pp^-1 (target - start); shooting from the momenta of a path of least
-action, for kinetic energy alone; shooting from rest; continuation in the target; Newton's method on all states at once
-from a guessed path; and continuation from more steps to fewer steps. Only an attempt whose residual is below the
-tolerance, or at the level of rounding errors, counts as a solution. All attempts fill `path`, shape (N + 1, 2, n, d),
-and `points`, shape (N POINTS, 2, n, d), from their initial contents, and `log`, see `shoot`.
+The attempts are:
+
+- shooting from the momenta H_pp^-1 (target - start)/duration;
+- shooting from the momenta of a path of least action, if H is kinetic energy alone;
+- shooting from rest;
+- continuation in the target;
+- Newton's method on all states at once, from a guessed path;
+- continuation from more steps to fewer steps.
+
+An attempt succeeds only if its residual is below the tolerance, or at the level of rounding errors. An attempt is a
+function of (case, factor, path, points, log). `factor` is the result of `preconditioner`. The attempt starts from
+`path` (N + 1, 2, n, d) and fills it, `points` (N POINTS, 2, n, d) and `log`, which `shoot` explains. The attempt
+returns a key of OUTCOMES, the number of iterations, the residual, and sometimes a note for the message.
 """
 
 from typing import NamedTuple
@@ -30,12 +38,15 @@ OUTCOMES = {
     -5: "no step along Newton's direction reduces the residual",
     -6: "no guessed path has a finite action, or there are too many particles to look for one",
 }
-MORE_STEPS = (2, 4)  # factors of the number of steps after all other attempts have failed
-LEAST_PART = 1.0 / 256.0  # least part of the way in one step of continuation
+MORE_STEPS = (2, 4)  # factors of the number of steps, tried after all other attempts
+LEAST_PART = 1.0 / 256.0  # least fraction of the way in one step of continuation
 
 
 def momenta_of(case, positions, velocity):
-    """Return the momenta (n, d) that move particles at given positions at given velocities: H_pp^-1 velocity."""
+    """Return the momenta (n, d) of particles with given positions and velocities (n, d): H_pp^-1 velocity.
+
+    If H_pp is not positive definite, the velocity itself is returned.
+    """
     state = np.stack([positions, np.zeros_like(positions)])
     size = positions.shape[0] if case.problem.blocks == 1 else positions.size
     matrix = np.empty((size, size))
@@ -47,7 +58,10 @@ def momenta_of(case, positions, velocity):
 
 
 def straight_momenta(case, factor, target):
-    """Return `momenta_of` for the velocity of the straight way to a target, (n, d), by the `preconditioner` factor."""
+    """Return the momenta (n, d) of the straight way to a target, as an initial guess of shooting.
+
+    `factor` is the result of `preconditioner`. If `factor` is None, the momenta are the velocity.
+    """
     moved = target - case.start
     if factor is None:
         return moved / case.duration
@@ -56,9 +70,9 @@ def straight_momenta(case, factor, target):
 
 
 def guessed_path(case, steps=None):
-    """Return states (N + 1, 2, n, d) on the guessed way, with momenta by the discrete Legendre transform H_pp^-1 dq/h.
+    """Return states (N + 1, 2, n, d) on the guessed way; the momenta are H_pp^-1 (q_k+1 - q_k)/h (Legendre transform).
 
-    N is the number of steps of the case, or `steps`.
+    N is `steps`, or the number of steps of the case if `steps` is None.
     """
     steps = case.steps if steps is None else steps
     path = np.zeros((steps + 1, 2, *case.start.shape))
@@ -71,7 +85,11 @@ def guessed_path(case, steps=None):
 
 
 def run_cascade(case, method, guess):
-    """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts)."""
+    """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts).
+
+    With a `guess` (n, d) of the momenta, the only attempt is shooting from the guess. `tangents` is the number of
+    linearised trajectories. `attempts` holds a sentence for each attempt.
+    """
     (path, points), factor = allocate_path(case), preconditioner(case)
     log = np.zeros((case.max_iterations + 1, 3))
     attempts, iterations, tangents = [], 0, 0
@@ -97,8 +115,9 @@ def run_cascade(case, method, guess):
 def by_less_action(case, factor, path, points, log):
     """Shoot from a path of least action as well, and keep the path with the lower cost.
 
-    With a sigma, any stationary point of the cost solves the equations. Two points that should change positions may,
-    for example, end together half way. Return iterations, the residual of a cheaper path or None, and a note.
+    If points have sigma > 0, any stationary point of the cost solves the equations. Two points that should change
+    positions may, for example, end together half way. Return the number of iterations, the residual of a cheaper path
+    or None, and a note.
     """
     other, other_points = allocate_path(case)
     log[:] = 0.0
@@ -118,19 +137,25 @@ def by_less_action(case, factor, path, points, log):
 
 
 def penalised(case, cost, end):
-    """Return half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points `end`, (n, d), with a sigma."""
+    """Return half the cost plus the sum of |q_N - target|^2/(2 sigma^2) over the points with sigma > 0.
+
+    `end` (n, d) holds the positions q_N.
+    """
     free = case.sigma > 0.0
     missed = ((end - case.target)[free] / case.sigma[free, None]) ** 2
     return 0.5 * (cost + missed.sum())
 
 
 def misses_by_far(case, end):
-    """Return True if any of the points `end`, shape (n, d), with a sigma misses its target by more than sigma."""
+    """Return True if a point with sigma > 0 misses its target by more than sigma.
+
+    `end` (n, d) holds the last positions.
+    """
     return (np.linalg.norm(end - case.target, axis=1) > case.sigma)[case.sigma > 0.0].any()
 
 
 def shoot_at(case, target, factor, path, points, log):
-    """Follow Newton's method on the initial momenta of `path` for some target."""
+    """Shoot from the initial momenta of `path` at the given target; see `shoot`."""
     return shoot(case._replace(target=target), factor, path, points, log)
 
 
@@ -141,7 +166,10 @@ def from_velocity(case, factor, path, points, log):
 
 
 def from_momenta(case, factor, path, points, log):
-    """Shoot from the momenta in `path`; from rest, the first step is shortened where straight momenta fail."""
+    """Shoot from the initial momenta in `path`.
+
+    If `path` starts from rest, the line search shortens the first step. This may succeed where straight momenta fail.
+    """
     return shoot_at(case, case.target, factor, path, points, log)
 
 
@@ -154,7 +182,10 @@ def from_least_action(case, factor, path, points, log):
 
 
 def by_continuation(case, factor, path, points, log):
-    """Move the target from the start to its final position, by parts that grow with success."""
+    """Move the target along the guessed way from the start to its final position, and shoot at each target.
+
+    The parts of the way grow after success and shrink after failure. The momenta are extrapolated.
+    """
     done, part, total = 0.0, 0.25, 0
     solved = [(0.0, path[0, 1].copy())]
     outcome, residual = 0, np.inf
@@ -181,7 +212,10 @@ def by_continuation(case, factor, path, points, log):
 
 
 def allocate_path(case, start_momenta=None):
-    """Return a `path` and `points` for the steps of a case, with points at the start and momenta (n, d)."""
+    """Return new arrays `path` and `points` for the steps of a case.
+
+    All states of `path` have the positions of the start. The momenta at the start are `start_momenta` (n, d), or zero.
+    """
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
     return path, np.zeros((case.steps * case.problem.points, *path.shape[1:]))
@@ -190,8 +224,8 @@ def allocate_path(case, start_momenta=None):
 def by_steps(case, factor, path, points, log):
     """Solve with two or four times as many steps, then with fewer and fewer steps.
 
-    Momenta are extrapolated in 1/N. If motions are large, a few explicit steps may have no solution at all. Then a note
-    states the least number of steps with a solution.
+    The momenta are extrapolated in 1/N. With few explicit steps, the equations of large motions may have no solution.
+    Then a note states the least number of steps with a solution.
     """
     total, outcome = 0, 0
     for multiple in MORE_STEPS:
@@ -227,7 +261,7 @@ def by_steps(case, factor, path, points, log):
 
 
 def on_all_states(case, factor, path, points, log):
-    """Follow Newton's method on all states from the guessed path."""
+    """Solve for all states at once by Newton's method, from the guessed path."""
     path[:] = guessed_path(case)
     return all_states(case, factor, path, points, log)
 
@@ -244,7 +278,11 @@ LAST = (("continuation in the number of steps", by_steps),)
 
 
 def attempts_of(case, method):
-    """Return the attempts of a method in turn; a path of least action needs kinetic energy alone."""
+    """Return the attempts of a method in turn, as pairs of a name and a function.
+
+    The method "stepping" begins with shooting, other methods with all states at once. The path of least action is left
+    out unless H is kinetic energy alone.
+    """
     shooting = tuple(attempt for attempt in SHOOTING if attempt is not LEAST_ACTION or case.problem.quadratic)
     first = (*shooting, *ALL_STATES) if method == "stepping" else (*ALL_STATES, *shooting)
     return (*first, *LAST)
@@ -255,14 +293,16 @@ class Solution(NamedTuple):
 
     Attributes
     ----------
-    status, message : str
-        "solved" or "not connected", and a sentence on the attempts, with a remedy.
+    status : str
+        "solved" or "not connected".
+    message : str
+        A sentence on the attempts, with a remedy after failure.
     cost : float
-        The sum of 2 h H at the scheme's points.
+        The sum of 2 h H at the points of the scheme, with the weights of the scheme.
     residual : float
         The largest error of an equation.
     iterations, tangents : int
-        Secant and Newton steps, and linearised trajectories, of all attempts.
+        Steps of Broyden's and Newton's method, and linearised trajectories, of all attempts.
     attempts : tuple of str
         A line for each attempt.
     t : array (N + 1,)
@@ -291,9 +331,10 @@ class Solution(NamedTuple):
 
 @packed_operations()
 def solve_case(case, guess=None, method=None):
-    """Connect the points of a case, from the momenta `guess` (n, d), if given; return a Solution.
+    """Connect the points of a case; return a Solution.
 
-    `method` chooses the order of attempts, by default that of the module. Numerical failures raise no error.
+    `guess` (n, d) holds initial momenta to shoot from. `method` chooses the order of the attempts; the default is the
+    method of the module. Numerical failures raise no error.
     """
     outcome, path, points, iterations, tangents, residual, attempts = run_cascade(
         case, method or case.problem.metadata.method, guess
@@ -317,7 +358,25 @@ def solve_case(case, guess=None, method=None):
 
 
 class Case(NamedTuple):
-    """Points to connect: start and target (n, d), sigma (n,), own parameters (n, k), settings, the `PairProblem`."""
+    """The points to connect, with all settings.
+
+    Attributes
+    ----------
+    start, target : array (n, d)
+        Positions at the start and the end.
+    sigma : array (n,)
+        Scale of the deviation from each target, as in |q_N - target|^2/(2 sigma^2); 0 if the target is met exactly.
+    own : array (n, k)
+        Own parameters of each particle.
+    parameters : array
+        Common parameters.
+    steps, duration : int, float
+        Number of steps, and the time of the motion.
+    tolerance, max_iterations : float, int
+        Tolerance of the residual, and largest number of Newton iterations of one search.
+    problem : PairProblem
+        The problem.
+    """
 
     start: np.ndarray
     target: np.ndarray
@@ -332,7 +391,10 @@ class Case(NamedTuple):
 
 
 def checked_case(problem, start, target, sigma, own, parameters, steps, duration, tolerance, max_iterations):
-    """Return a Case; ValueError names the unusable points or argument."""
+    """Return a Case; ValueError names an argument, or points, that cannot be used.
+
+    `own` holds a number or an array (n,) for each own parameter.
+    """
     start, target = np.array(start, dtype=float), np.array(target, dtype=float)
     if start.ndim != 2 or start.shape[1] != problem.dimension or start.shape[0] < 1:
         raise ValueError(f"start has shape {start.shape}, expected (n, {problem.dimension}) with at least one point")
@@ -358,7 +420,10 @@ def checked_case(problem, start, target, sigma, own, parameters, steps, duration
 
 
 def require_possible(problem, what, points):
-    """Raise ValueError for points, shape (n, d), that are not finite, outside their domain, or given twice."""
+    """Raise ValueError for points (n, d) that are not finite, outside their domain, or in the same place.
+
+    `what` names the points in messages.
+    """
     if not np.isfinite(points).all():
         row = int(np.argmin(np.isfinite(points).all(axis=1)))
         raise ValueError(f"{what} of point {row + 1} is {points[row]}, expected finite numbers")

@@ -1,28 +1,35 @@
-"""A path of nearly least action between given points: a start of shooting where the straight way misleads it.
+"""A path of nearly least action between given points: the initial guess of shooting where a straight way misleads.
 
-The action sum_k v.G(q)^-1 v/(2h), with v = q_k+1 - q_k, q midway and G = H_pp, is bounded below. It grows without bound
-as points approach each other, so that a descent method finds a minimum from any path. With a sigma,
-|q_N - target|^2/(2 sigma^2) is added and the last positions move as well. The method is BFGS with limited memory. It
-begins with the inverse of the second derivatives without the change of G, a block-tridiagonal matrix. Source: Nocedal
-and Wright (2006), Numerical optimization, algorithms 7.4 and 7.5.
+The action is sum_k v.G(q)^-1 v/(2h), with v = q_k+1 - q_k, q midway between the nodes, and G = H_pp. It is bounded
+below and grows without bound as points approach each other, so that a descent method finds a minimum from any path.
+Points with sigma > 0 may miss their targets: the action then contains |q_N - target|^2/(2 sigma^2), and the last
+positions are free.
+
+The method is BFGS with limited memory. It begins with the inverse of the second derivatives for constant G, a
+block-tridiagonal matrix. Source: Nocedal and Wright (2006), Numerical optimization, algorithms 7.4 and 7.5.
+
+Arrays: n particles with d coordinates, N intervals. G has m rows, where m is n if G acts on all coordinates alike, else
+n d. `case` is a `cascade.Case`.
 """
 
 import numpy as np
 
-INTERVALS = 20  # least number of intervals of the path; ten mislead where particles pass closely
-BENDS = (0.0, 0.1, -0.1, 0.3, -0.3)  # bends of the first paths: particles may collide on the guessed path
-DESCENTS = 300  # iterations at most
-REFRESHED = 5  # iterations after which second derivatives are evaluated again and the memory is cleared
-WORTHWHILE = 1e-6  # least relative decrease of the action in an iteration
-SUFFICIENT = 1e-4  # part of the decrease along the slope that a step has to reach
-SHORTEST = 2.0**-20  # least part of a step that is tried
+INTERVALS = 20  # least number of intervals of a path; ten are too few where particles pass closely
+BENDS = (0.0, 0.1, -0.1, 0.3, -0.3)  # bends of the paths to start from: particles may collide on the guessed path
+DESCENTS = 300  # largest number of iterations
+REFRESHED = 5  # number of iterations with the same second derivatives; then the memory is cleared
+WORTHWHILE = 1e-6  # least predicted decrease in an iteration, relative to the action
+SUFFICIENT = 1e-4  # a step must reach this fraction of the decrease along the slope
+SHORTEST = 2.0**-20  # least step length of the line search
 MOST_ENTRIES = 5_000_000  # largest number of entries of the matrices G of a path, with about 500 particles
 
 
 def action_of(case, positions):
-    """Return the action of positions (N + 1, n, d) at the nodes, its gradient, momenta (N, n, d), and all G^-1.
+    """Return the action of a path, its gradient, the momenta, and the inverses of G.
 
-    The action is infinite, and the rest None, if a path leaves the domain or G has no inverse.
+    `positions` and the gradient (N + 1, n, d) belong to the nodes, the momenta (N, n, d) and the inverses (N, m, m) to
+    the intervals. If the path leaves the domain or G is not positive definite, the action is infinite and the rest
+    None.
     """
     count, (n, d) = len(positions) - 1, case.start.shape
     h, size = case.duration / count, n if case.problem.blocks == 1 else n * d
@@ -54,7 +61,11 @@ def action_of(case, positions):
 
 
 def stiffness(case, inverses):
-    """Return pivots (N, m, m) and couplings (N - 1, m, m) of the block-tridiagonal Hessian at nodes 1 ... N."""
+    """Return the factors of the Hessian of the action at nodes 1 ... N, for constant G: a block-tridiagonal matrix.
+
+    The factors are the inverse pivots (N, m, m) and the couplings (N - 1, m, m) of neighbouring nodes. `inverses`
+    (N, m, m) holds the inverses of G.
+    """
     blocks = inverses * (len(inverses) / case.duration)
     size = blocks.shape[1]
     free = np.repeat(case.sigma > 0.0, size // len(case.sigma))
@@ -73,7 +84,10 @@ def stiffness(case, inverses):
 
 
 def relaxed(pivots, couplings, forces):
-    """Solve with the result of `stiffness`, for forces at the nodes 1 ... N, shape (N, n, d)."""
+    """Return the solution (N, n, d) of the block-tridiagonal equations for the right-hand side `forces` (N, n, d).
+
+    `pivots` and `couplings` are the results of `stiffness`.
+    """
     right = forces.reshape(*pivots.shape[:2], -1).copy()
     for k, coupling in enumerate(couplings):
         right[k + 1] -= coupling.T @ pivots[k] @ right[k]
@@ -84,7 +98,10 @@ def relaxed(pivots, couplings, forces):
 
 
 def direction(pivots, couplings, memory, gradient):
-    """Return the direction of descent for a gradient (N, n, d), by two loops over pairs (step, gradient change)."""
+    """Return the direction of descent (N, n, d) of limited-memory BFGS for a gradient (N, n, d).
+
+    `memory` is a list of pairs (step, change of the gradient), the latest pair last.
+    """
     forces, weights = -gradient, []
     for step, change in reversed(memory):
         weights.append((step * forces).sum() / (step * change).sum())
@@ -96,7 +113,10 @@ def direction(pivots, couplings, memory, gradient):
 
 
 def bent_path(case, count, bend):
-    """Return positions (count + 1, n, d) on the guessed way, moved aside in the middle by a part of its length."""
+    """Return positions (count + 1, n, d) on the guessed way, moved sideways in the middle.
+
+    The largest displacement is the way of each particle times `bend`, turned by 90 degrees if d is 2.
+    """
     positions, d = np.empty((count + 1, *case.start.shape)), case.start.shape[1]
     for k in range(count + 1):
         case.problem.guide(case.start, case.target, k / count, positions[k])
@@ -105,19 +125,19 @@ def bent_path(case, count, bend):
 
 
 def path_intervals(case):
-    """Return the number of intervals of a path, zero if its matrices would be too large."""
+    """Return the number of intervals of a path, or zero if its matrices would be too large."""
     size = case.start.shape[0] if case.problem.blocks == 1 else case.start.size
     most = MOST_ENTRIES // size**2
     return min(max(INTERVALS, case.steps), most) if most >= INTERVALS else 0
 
 
 def momenta_of_least_action(case):
-    """Return momenta (n, d) at the start of a path of nearly least action.
+    """Return the momenta (n, d) at the start of a path of nearly least action.
 
-    NaN if no guessed path has a finite action, and if there are too many particles for `path_intervals`.
+    The result is NaN if no guessed path has a finite action, or if `path_intervals` finds too many particles.
     """
     count = path_intervals(case)
-    with np.errstate(all="ignore"):  # non-finite numbers are tested where they matter
+    with np.errstate(all="ignore"):  # the code tests for non-finite numbers where they matter
         positions, momenta = descended(case, count) if count else (None, None)
     if momenta is None:
         return np.full(case.start.shape, np.nan)
@@ -127,7 +147,10 @@ def momenta_of_least_action(case):
 
 
 def descended(case, count):
-    """Return positions (N + 1, n, d) at the nodes and momenta of the intervals, or None if no guessed path has any."""
+    """Return the positions (N + 1, n, d) and the momenta (N, n, d) of a path of nearly least action.
+
+    The momenta are None if no guessed path has a finite action.
+    """
     memory, pivots, couplings = [], None, None
     positions = min((bent_path(case, count, bend) for bend in BENDS), key=lambda path: action_of(case, path)[0])
     action, gradient, momenta, inverses = action_of(case, positions)

@@ -1,4 +1,4 @@
-"""The motion of particles from initial states: checks of arguments, steps, and quantities along the motion."""
+"""The motion of particles from an initial state: checks of arguments, steps, and quantities along the motion."""
 
 from typing import NamedTuple
 
@@ -31,9 +31,9 @@ class Grid(NamedTuple):
 
 
 def checked_step_grid(problem, steps, duration, parameters, start, own):
-    """Return a Grid; ValueError when a number is not finite, a shape does not fit, or a number is not positive.
+    """Return a Grid; ValueError if a number is not finite or not positive, or a shape does not fit.
 
-    `own` holds a value, or values (n,), of each own parameter.
+    `own` holds a number or an array (n,) for each own parameter.
     """
     steps, duration = checked_times(steps, duration)
     parameters, start = np.array(parameters, dtype=float), np.array(start, dtype=float)
@@ -50,13 +50,14 @@ def checked_step_grid(problem, steps, duration, parameters, start, own):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def follow_particles(pairs, start, steps, h, own, parameters, every, path, before):
-    """Make all steps from a state, and store states in rows of `path` and `before` (M, 2 n d).
+    """Make all steps from the state `start` (2, n, d), and store states in rows of `path` and `before` (M, 2 n d).
 
-    A step that fails ends the motion; the last good state is then stored. Return the number of steps made, the rows of
-    `path` in use, the iterations and 0, or a negative number for the reason of the failure.
+    `stepping.steps.stored` explains `every`, `path` and `before`. A step that fails ends the motion; the last good
+    state is then stored. Return four numbers: the steps made, the rows of `path` in use, the iterations, and the
+    outcome. The outcome is 0, or a negative number for the reason of a failure.
     """
     state, end, rows, iterations, wait = start.copy(), np.empty(start.shape), 1, 0, every
-    points = np.full((pairs.points, *start.shape), np.nan)  # without an initial guess
+    points = np.full((pairs.points, *start.shape), np.nan)  # NaN: nothing is known from an earlier step
     now, after, size = reals_at(data_of(state)), reals_at(data_of(end)), start.size
     states, states_before = reals_at(data_of(path)), reals_at(data_of(before))
     for i in range(size):
@@ -76,7 +77,11 @@ def follow_particles(pairs, start, steps, h, own, parameters, every, path, befor
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def largest_difference(pairs, before, path, rows, h, own, parameters, shape):
-    """Return the max-norm of a step from the states in rows of `before` minus rows 1, 2, ... of `path` (M, 2 n d)."""
+    """Return the max-norm of the differences between repeated steps and stored states.
+
+    For i from 1 to `rows` - 1, a step from row i - 1 of `before` is compared with row i of `path` (M, 2 n d). `shape`
+    is the shape (2, n, d) of a state. The result is infinite if a step fails.
+    """
     state, after, largest = np.empty(shape), np.empty(shape), 0.0
     points = np.full((pairs.points, *shape), np.nan)
     start, end = state.reshape(-1), after.reshape(-1)
@@ -95,7 +100,7 @@ def largest_difference(pairs, before, path, rows, h, own, parameters, shape):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def energies_of(pairs, path, own, parameters, shape, values):
-    """Fill `values` (M,) with H at the states in the first rows of `path`, of shape (2 n d,)."""
+    """Fill `values` (M,) with H at the first M rows of `path` (.., 2 n d); a state has the shape `shape` (2, n, d)."""
     states = path.reshape((path.shape[0], *shape))
     for row in range(values.size):
         values[row] = energy_of(pairs.hamiltonian, states[row], own, parameters)
@@ -105,8 +110,9 @@ def energies_of(pairs, path, own, parameters, shape, values):
 def follow_motion(grid, every=1):
     """Make all steps and return a Solution; a step that fails ends the motion without an error.
 
-    Every `every`-th state is stored, and the first and the last. Columns are coordinates, particle after particle. The
-    residual is the max-norm of a repeated step minus the stored state. ValueError if `every` is unusable.
+    The first, every `every`-th and the last state are stored. Columns of positions and momenta are coordinates,
+    particle after particle. The residual is the max-norm of a repeated step minus the stored state. ValueError if
+    `every` is not a positive integer.
     """
     steps, h, parameters, start, own, problem = grid
     every, size, pairs = min(checked_count("every", every), steps), start.size, problem.pairs
@@ -123,14 +129,14 @@ def follow_motion(grid, every=1):
 
 
 def path_residual(grid, path):
-    """Return the max-norm of the steps from consecutive states (M, 2 n d) minus the next state."""
+    """Return the max-norm of the step from each state minus the next state, along `path` (M, 2 n d)."""
     path = np.array(path, dtype=float)
     arguments = grid.h, grid.own, grid.parameters, grid.start.shape
     return largest_difference(grid.problem.pairs, path, path, path.shape[0], *arguments)
 
 
 def step(grid, state, t=0.0):
-    """Return the state (2 n d,) a step of length grid.h after `state`; NaN if the step fails."""
+    """Return the state (2 n d,) one step after `state`; NaN if the step fails."""
     z, after = np.array(state, dtype=float).reshape(grid.start.shape), np.empty(grid.start.shape)
     points = np.full((grid.problem.points, *z.shape), np.nan)
     outcome = advance(grid.problem.pairs, z, grid.h, grid.own, grid.parameters, points, 0.0, after)

@@ -1,4 +1,4 @@
-"""The definition of a problem of particles that interact in pairs, as its generated module passes it."""
+"""The definition of a problem of particles that interact in pairs, filled in by its generated module."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,40 +13,53 @@ from codegen.runtime.record import ParticleRecord
 
 @dataclass(frozen=True, eq=False)
 class PairProblem:
-    """Particles that interact in pairs: loops over particles and pairs, the scheme of a step, names and numbers.
+    """Particles that interact in pairs: kernels with loops over particles and pairs, the scheme of a step, and names.
 
-    States z have shape (2, n, d): positions, then momenta. Kernels take a state, own parameters (n, k) and common
-    parameters, and fill their last argument.
+    States z have shape (2, n, d): positions, then momenta. Kernels take a state, own parameters (n, k) of the particles
+    and common parameters, and fill their last argument.
 
     Attributes
     ----------
-    metadata : Record
-        Names and meanings.
-    dimension, blocks : int
-        Coordinates of a particle, d, and rows of H_pp for each particle: 1 if it acts on all components alike, else d.
+    metadata : ParticleRecord
+        Names of the quantities, and their meanings.
+    dimension : int
+        Number d of coordinates of a particle.
+    blocks : int
+        Rows of H_pp for each particle: 1 if H_pp acts on all coordinates alike, else d.
     quadratic : bool
         True if H is kinetic energy alone.
     hamiltonian : Value
-        H.
-    gradient, hessian, products, momentum_matrix : Kernel or None
-        H_q and H_p (2, n, d); second derivatives (2 n d, 2 n d), by momenta alone (blocks n, blocks n), and times
-        directions (2 n d, m).
+        Returns H.
+    gradient : Kernel or None
+        Fills H_q and H_p (2, n, d).
+    hessian : Kernel or None
+        Fills the second derivatives (2 n d, 2 n d) of H.
+    products : Kernel or None
+        Fills the products (2 n d, m) of the second derivatives and directions (2 n d, m).
+    momentum_matrix : Kernel or None
+        Fills H_pp (blocks n, blocks n).
     slope, velocity : Kernel or None
-        H_q and H_p (n, d) by themselves, of a separable H whose positions and momenta take turns.
+        Fill H_q (n, d) and H_p (n, d) separately, for schemes that update positions and momenta of a separable H in
+        turn.
     domain_margin : Value or None
-        The least of the functions that must be positive at all particles.
+        Returns the least value, over all particles, of the functions that must be positive.
     guide : Kernel or None
-        Positions (n, d) after a part of the guessed way.
+        Fills the positions (n, d) after a fraction of the guessed way from start to target.
     tracer_velocity, tracer_gradient : Kernel or None
-        Velocities of points without momenta, and their derivatives, a `block` of points at once.
+        Fill the velocities of tracer points, and velocities with their derivatives. They take `block` points at once.
     substeps : tuple
-        Rows (fraction of the step, position and momentum between its ends) of a composition method; or
+        Rows (f, a, b) of a composition method: fraction of the step, and weights of the end of the substep in the
+        position and in the momentum at which H is evaluated.
     rows, weights : tuple
-        coefficients of an explicit Runge-Kutta method.
+        Coefficients a_ij and b_i of an explicit Runge-Kutta method; used if there are no substeps.
     cost_weights : tuple
         Weights of the points of a step in the discrete cost.
     abscissa : float
         Abscissa on an interval at which the discrete action evaluates H.
+    block : int
+        Number of tracer points that are computed at once.
+    coefficients : array
+        Coefficients of the scheme: substeps (s, 3), or rows and weights (s + 1, s).
     """
 
     metadata: ParticleRecord
@@ -78,22 +91,22 @@ class PairProblem:
         object.__setattr__(self, "coefficients", np.array(table, dtype=float))
 
     def __reduce__(self):
-        """Pickle the problem as the name of its module, which another process imports."""
+        """Pickle the problem as the name of its module; another process imports the module."""
         return problem_of, (self.hamiltonian.__module__,)
 
     @property
     def points(self):
-        """The number of points of a step at which H is evaluated."""
+        """The number of points of a step at which the scheme evaluates H."""
         return len(self.substeps or self.weights)
 
     @property
     def is_implicit(self):
-        """True if equations are solved inside a step."""
+        """True if the scheme solves equations in a step."""
         return self.gradient is not None and any(a != 0.0 or b != 0.0 for _, a, b in self.substeps)
 
     @cached_property
     def pairs(self):
-        """Addresses and numbers of the problem for compiled code."""
+        """The Pairs of the problem: addresses and numbers for compiled code."""
         return Pairs(
             self.hamiltonian.address, address_of(self.gradient), address_of(self.hessian if self.is_implicit else None),
             0, address_of(self.slope), address_of(self.velocity), address_of(self.domain_margin), self.points,
@@ -102,24 +115,24 @@ class PairProblem:
 
     @cached_property
     def pairs_with_products(self):
-        """The same, with products of second derivatives and directions instead of stored derivatives."""
+        """The Pairs with the address of `products`, for use without stored second derivatives."""
         return self.pairs._replace(products=self.products.address)
 
     @cached_property
     def costs(self):
-        """The weights of the points of a step in the discrete cost, as an array."""
+        """The weights (points,) of the points of a step in the discrete cost."""
         return np.array(self.cost_weights, dtype=float)
 
     @cached_property
     def tracers(self):
-        """Addresses and numbers of points without momenta for compiled code."""
+        """The Tracers of the problem: addresses and numbers for compiled code."""
         return Tracers(
             self.tracer_velocity.address, self.tracer_gradient.address, self.dimension, self.block, self.points,
             int(not self.substeps), self.coefficients.ctypes.data,
         )  # fmt: skip
 
     def kernels(self):
-        """The kernels that a solution calls, without the products with second derivatives."""
+        """Return the kernels that a solution calls, without `products`."""
         every = (
             self.gradient, self.hessian, self.momentum_matrix, self.slope, self.velocity, self.hamiltonian,
             self.domain_margin, self.guide, self.tracer_gradient, self.tracer_velocity,
@@ -133,5 +146,5 @@ class PairProblem:
 
 
 def address_of(kernel):
-    """Return the address of a kernel, or 0 for None."""
+    """Return the address of a kernel, or 0 if the kernel is None."""
     return 0 if kernel is None else kernel.address

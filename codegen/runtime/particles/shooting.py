@@ -1,19 +1,21 @@
-"""Newton's method on the initial momenta, by exact tangents of the trajectory, and Broyden's method before it.
+"""Shooting: Newton's method for the initial momenta with exact derivatives of the trajectory, after Broyden's method.
 
-The equations are r(p0) = q_N(p0) + sigma^2 p_N(p0) - target. With sigma = 0 points are met exactly. For sigma > 0 this
-is stationarity of the cost's half plus sum |q_N - target|^2/(2 sigma^2), since p_N is its gradient by q_N. The same
-method solves for all states at once (multiple shooting with one step for each interval). Then each step may have a
-defect, and states move along the linearised trajectory: this is elimination of the block-banded Jacobian.
+The equations are r(p0) = q_N(p0) + sigma^2 p_N(p0) - target. With sigma = 0, points meet their targets exactly. With
+sigma > 0, the equations state that half the cost plus sum |q_N - target|^2/(2 sigma^2) is stationary. This follows
+because p_N is the gradient of half the cost with respect to q_N. The same method solves for all states at once
+(multiple shooting with one step for each interval). Then each step may have a defect, the step from a state minus the
+next state. The states move along the linearised trajectory: this is elimination of the block-banded Jacobian.
 
-Few unknowns are solved for by tangents in all directions at once. Many unknowns are first improved by Broyden's method,
-then solved for by GMRES preconditioned with H_pp at the start, the derivative of r for vanishing motion. The forcing
-terms are those of Eisenstat and Walker (1996), SIAM Journal on Scientific Computing 17, choice 2. The line search
-halves steps until the residual decreases.
+A tangent is a linearised trajectory: the derivative of all states in one direction. With few unknowns, tangents in all
+directions give the Jacobian. Many unknowns are first improved by Broyden's method, then solved for by GMRES. Its
+preconditioner is duration times H_pp at the start plus sigma^2, the derivative of r for vanishing motion. The forcing
+terms are choice 2 of Eisenstat and Walker (1996), SIAM Journal on Scientific Computing 17. The line search halves steps
+until the residual decreases.
 
-An iteration of Broyden's method costs one trajectory and no derivative. The first approximation of the derivative is
-duration times H_pp at the start. Each step corrects the approximation by a matrix of rank one. Newton's method takes
-over when the residual no longer falls. Source: Kelley (1995), Iterative methods for linear and nonlinear equations,
-section 7.3 (the inverse as a product).
+An iteration of Broyden's method costs one trajectory and no derivative. The preconditioner is the first approximation
+of the derivative. Each step corrects the approximation by a matrix of rank one. Newton's method takes over when the
+residual no longer decreases. Source: Kelley (1995), Iterative methods for linear and nonlinear equations, section 7.3
+(the inverse as a product).
 """
 
 import numpy as np
@@ -22,14 +24,17 @@ from numba import njit
 from codegen.runtime.arithmetic import cholesky, factor_matrix, max_norm, solve_cholesky, solve_factored
 from codegen.runtime.particles.steps import advance_directions, curvature_at, defects, follow
 
-BROYDEN_STEPS = 40  # iterations, each of which keeps two vectors
-PATIENCE = 6  # iterations after which the residual must have halved
-ENOUGH = 1e-4  # relative accuracy of implicit steps, as a part of that of the arrival before
+BROYDEN_STEPS = 40  # largest number of iterations; each keeps two vectors
+PATIENCE = 6  # largest number of iterations in which the residual must be halved
+ENOUGH = 1e-4  # relative accuracy of implicit steps, divided by the last relative residual
 
 
 @njit(error_model="numpy")
 def fill_end_residual(state, target, sigma, residual):
-    """Fill `residual`, shape (nd,), with q_N + sigma^2 p_N - target; return its largest entry and its 2-norm."""
+    """Fill `residual` (nd,) with q_N + sigma^2 p_N - target, from the last state (2, n, d).
+
+    Return the largest modulus of an entry, and the 2-norm.
+    """
     size, total, k = 0.0, 0.0, 0
     for i in range(target.shape[0]):
         for a in range(target.shape[1]):
@@ -41,9 +46,10 @@ def fill_end_residual(state, target, sigma, residual):
 
 @njit(error_model="numpy")
 def approximate_inverse(factor, left, right, values, change):
-    """Fill `change`, shape (nd,), with the approximate inverse of the derivative times `values`.
+    """Fill `change` (nd,) with the approximate inverse of the derivative times `values` (nd,).
 
-    A row of `left` and `right`, shape (steps, nd), is the correction by a step.
+    `factor` is the result of `preconditioner`. Row i of `left` and of `right` (steps, nd) is the correction by step i
+    of Broyden's method: the inverse is multiplied by 1 + left[i] right[i]'.
     """
     for k in range(values.size):
         change[k] = values[k]
@@ -58,9 +64,10 @@ def approximate_inverse(factor, left, right, values, change):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def broyden_steps(pairs, h, own, parameters, target, sigma, factor, tolerance, path, points):
-    """Improve path[0, 1], shape (n, d), as long as the residual falls; return the number of steps.
+    """Improve the initial momenta path[0, 1] (n, d) while the residual decreases; return the number of steps.
 
-    At the end `path` and `points` belong to the best momenta. The caller has to evaluate the residual.
+    At the end `path` and `points` belong to the best momenta. The residual of `path` is not returned: the caller has to
+    evaluate it. `factor` is the result of `preconditioner`.
     """
     size = target.size
     left, right = np.empty((BROYDEN_STEPS, size)), np.empty((BROYDEN_STEPS, size))
@@ -98,24 +105,24 @@ def broyden_steps(pairs, h, own, parameters, target, sigma, factor, tolerance, p
         for k in range(size):
             step[k] = change[k] * (1.0 - product / along)
     if not is_kept:
-        for k in range(size):  # an assignment of arrays has numba compile text for errors: a tenth of all time
+        for k in range(size):  # assigning arrays would make numba compile error messages: a tenth of all time
             momenta[k] = kept[k]
         follow(pairs, h, own, parameters, path, points, 0.0)
     return made
 
 
-SOLVED, ROUNDED, LIMIT, STALLED, SINGULAR = 1, 2, 0, -5, -2  # how a Newton iteration ends; negative also: `follow`
-DENSE = 24  # unknowns up to which tangents in all directions are taken
-BASIS = 80  # directions that GMRES keeps
-HALVINGS = 14
+SOLVED, ROUNDED, LIMIT, STALLED, SINGULAR = 1, 2, 0, -5, -2  # outcomes of a search; `follow` has more negative ones
+DENSE = 24  # largest number of unknowns for which the whole Jacobian is computed
+BASIS = 80  # largest number of directions that GMRES keeps
+HALVINGS = 14  # largest number of step lengths that the line search tries
 UNIT = 2.0**-52  # a unit in the last place
-SAMPLES = 8  # how often numbers are moved by it to see what rounding does
-VISIBLE = 1e-8  # residuals above this are not put down to rounding
+SAMPLES = 8  # number of perturbed copies from which rounding errors are estimated
+VISIBLE = 1e-8  # residuals above this are not attributed to rounding errors
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def tangents(pairs, hessians, points, steps, h, own, parameters, directions):
-    """Propagate directions, shape (2nd, m), over all steps in place; return True if every step was solved."""
+    """Propagate `directions` (2nd, m) over all steps in place; return True if all linear equations were solved."""
     after = np.empty(directions.shape)
     for k in range(steps):
         if not advance_directions(pairs, hessians, points, k * pairs.points, h, own, parameters, directions, after):
@@ -127,23 +134,25 @@ def tangents(pairs, hessians, points, steps, h, own, parameters, directions):
 
 
 def end_residual_change(directions, sigma):
-    """Return the change of q_N + sigma^2 p_N along directions, shape (nd, m)."""
+    """Return the change (nd, m) of q_N + sigma^2 p_N for changes `directions` (2nd, m) of the last state."""
     half = directions.shape[0] // 2
     variances = np.repeat(sigma**2, half // sigma.size)
     return directions[:half] + variances[:, None] * directions[half:]
 
 
 def end_residual(state, target, sigma):
-    """Return q_N + sigma^2 p_N - target, (nd,)."""
+    """Return q_N + sigma^2 p_N - target (nd,) for the last state (2, n, d)."""
     return (state[0] + sigma[:, None] ** 2 * state[1] - target).ravel()
 
 
 @njit(cache=True, error_model="numpy")
 def extend_basis(k, basis, rotated, rotations, remainder):
-    """Make one step of GMRES: make row k + 1 of `basis`, (m + 1, nd), orthonormal; rotate its coefficients.
+    """Make step k of GMRES: orthonormalise row k + 1 of `basis` (m + 1, nd), and update the least-squares problem.
 
-    Row k of `rotated`, shape (m, m + 1), takes them as a column of a triangular matrix, `rotations`, shape (m, 2),
-    cosine and sine; the size of remainder[k + 1], shape (m + 1,), is the residual.
+    Before the call this row is the matrix times row k. Row k of `rotated` (m, m + 1) takes the coefficients of row
+    k + 1 before it is orthonormalised: a column of a triangular matrix. Row k of `rotations` (m, 2) takes the cosine
+    and sine of a rotation. The modulus of remainder[k + 1], shape (m + 1,), is then the norm of the residual.
+
     Source: Saad (2003), Iterative methods for sparse linear systems, algorithm 6.9 and section 6.5.3.
     """
     new, before = basis[k + 1], 0.0
@@ -171,22 +180,34 @@ def extend_basis(k, basis, rotated, rotations, remainder):
 
 
 class Linearised:
-    """The derivative of the residual by the initial momenta, about one trajectory or one sequence of states."""
+    """The derivative of the residual with respect to the initial momenta, at one trajectory or one sequence of states.
+
+    The attribute `count` is the number of tangents computed so far.
+    """
 
     def __init__(self, case, points, factor):
-        """Take second derivatives at all points, shape (N POINTS, 2, n, d); `factor` is that of `preconditioner`."""
+        """Evaluate the second derivatives at all `points` (N POINTS, 2, n, d), unless there are too many to store.
+
+        `factor` is the result of `preconditioner`.
+        """
         self.case, self.points, self.factor, self.count = case, points, factor, 0
         self.hessians = curvature_at(case.problem, points, case.own, case.parameters)
         self.pairs = case.problem.pairs if self.hessians.size else case.problem.pairs_with_products
 
     def advance(self, k, directions, after):
-        """Fill `after` (2nd, m) with the derivative of step k times directions; return False if that fails."""
+        """Fill `after` (2nd, m) with the derivative of step k times `directions` (2nd, m).
+
+        Return True if the linear equations of the step were solved.
+        """
         case, first = self.case, k * self.pairs.points
         arguments = self.pairs, self.hessians, self.points, first, case.duration / case.steps, case.own, case.parameters
         return advance_directions(*arguments, directions, after)
 
     def tangents(self, directions):
-        """Propagate directions, shape (2nd, m), over all steps in place; NaN where a step cannot be solved."""
+        """Propagate `directions` (2nd, m) over all steps in place, and return them.
+
+        The result is NaN if the linear equations of a step cannot be solved.
+        """
         case = self.case
         self.count += directions.shape[1]
         h = case.duration / case.steps
@@ -196,18 +217,21 @@ class Linearised:
         return directions
 
     def product(self, change):
-        """Return the change of the residual for a change of the initial momenta, shape (nd,)."""
+        """Return the change (nd,) of the residual for a `change` (nd,) of the initial momenta."""
         directions = np.zeros((2 * change.size, 1))
         directions[change.size :, 0] = change
         return end_residual_change(self.tangents(directions), self.case.sigma)[:, 0]
 
     def matrix(self):
-        """Return the derivative as a matrix, shape (nd, nd)."""
+        """Return the derivative of the residual with respect to the initial momenta as a matrix (nd, nd)."""
         size = self.case.start.size
         return end_residual_change(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
 
     def solved(self, right, forcing):
-        """Return the change of initial momenta that changes the residual by `right`, (nd,); NaN if there is none."""
+        """Return the change (nd,) of the initial momenta that changes the residual by `right` (nd,).
+
+        The result is NaN if the derivative is singular. GMRES stops at a residual of `forcing` relative to `right`.
+        """
         if right.size > DENSE:
             return self.gmres(right, forcing)
         matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right.copy()
@@ -217,7 +241,7 @@ class Linearised:
         return solution
 
     def preconditioned(self, vector):
-        """Return the preconditioner's inverse times a vector, shape (nd,)."""
+        """Return the inverse of the preconditioner times a vector (nd,)."""
         if self.factor is None:
             return vector
         result = vector.copy().reshape(self.factor.shape[0], -1)
@@ -225,7 +249,10 @@ class Linearised:
         return result.ravel()
 
     def gmres(self, right, forcing):
-        """Return the result of `solved` to a relative residual of `forcing`, as far as BASIS directions suffice."""
+        """Return an approximate result of `solved`, by GMRES.
+
+        The relative residual is at most `forcing`, unless more than BASIS directions would be needed.
+        """
         most, norm = min(BASIS, right.size), np.linalg.norm(right)
         basis, rotated = np.empty((most + 1, right.size)), np.zeros((most, most + 1))
         rotations, remainder = np.zeros((most, 2)), np.zeros(most + 1)
@@ -243,9 +270,10 @@ class Linearised:
 
 
 def preconditioner(case):
-    """Return the Cholesky factor of duration times H_pp at the start plus sigma^2, shape (n, n) or (nd, nd).
+    """Return the Cholesky factor of duration times H_pp at the start plus sigma^2.
 
-    The matrix is the derivative of `end_residual` for small momenta. None if it is not definite.
+    This matrix, (n, n) or (nd, nd), is the derivative of `end_residual` for small momenta. The result is None if the
+    matrix is not positive definite.
     """
     size = case.start.shape[0] if case.problem.blocks == 1 else case.start.size
     matrix = np.empty((size, size))
@@ -256,16 +284,20 @@ def preconditioner(case):
 
 
 def jittered(values):
-    """Return copies of an array whose entries are moved by a unit in the last place, in SAMPLES patterns of signs."""
+    """Return SAMPLES copies of an array, with each entry changed by a unit in the last place.
+
+    The signs of the changes are random.
+    """
     generator = np.random.default_rng(0)
     return [values * (1.0 + UNIT * generator.choice((-1.0, 1.0), values.shape)) for _ in range(SAMPLES)]
 
 
 def rounding(case, path):
-    """Return the change of the residual when the initial momenta change by a unit in the last place.
+    """Return the largest change of the residual when the initial momenta change by a unit in the last place.
 
-    Momenta cannot be more exact, and rounding errors of the trajectory add to this. No iteration can be expected to get
-    below. Source: More and Wild (2011), Estimating computational noise, SIAM Journal on Scientific Computing 33.
+    Momenta cannot be more exact than this, and rounding errors of the trajectory are added. No iteration can be
+    expected to reach a smaller residual. Source: More and Wild (2011), Estimating computational noise, SIAM Journal on
+    Scientific Computing 33.
     """
     h, residual, noise = case.duration / case.steps, end_residual(path[-1], case.target, case.sigma), 0.0
     trial, points = path.copy(), np.empty((case.steps * case.problem.points, *path.shape[1:]))
@@ -277,7 +309,10 @@ def rounding(case, path):
 
 
 def rounding_of_states(case, path, errors):
-    """Return the change of the defects (N, 2, n, d) of all steps when all states change by a unit in the last place."""
+    """Return the largest change of the defects `errors` when all states change by a unit in the last place.
+
+    Defects have shape (N, 2, n, d).
+    """
     h, noise = case.duration / case.steps, 0.0
     moved_errors, points = np.empty_like(errors), np.empty((case.steps * case.problem.points, *path.shape[1:]))
     for trial in jittered(path):
@@ -287,15 +322,18 @@ def rounding_of_states(case, path, errors):
 
 
 def without_progress(error, noise):
-    """Return the outcome when steps no longer reduce the residual; rounding errors are VISIBLE at most."""
+    """Return the outcome of an iteration whose steps no longer reduce the residual `error`: ROUNDED or STALLED.
+
+    `noise` estimates the effect of rounding errors; residuals above VISIBLE are not attributed to rounding.
+    """
     return ROUNDED if error <= min(noise, VISIBLE) else STALLED
 
 
 def shoot(case, factor, path, points, log):
-    """Improve the initial momenta path[0, 1] until the trajectory arrives; fill `path`, `points` and `log`.
+    """Improve the initial momenta path[0, 1] until the trajectory reaches the target; fill `path`, `points` and `log`.
 
-    `factor` is that of `preconditioner`. A row of `log`, one for each iteration, is (residual, tangents, step length).
-    Return the outcome, the iterations and the last residual.
+    `factor` is the result of `preconditioner`. Each row of `log` (max_iterations + 1, 3) describes one iteration:
+    residual, number of tangents, and step length. Return the outcome, the number of iterations, and the last residual.
     """
     h = case.duration / case.steps
     trial_path, trial_points = np.empty_like(path), np.empty_like(points)
@@ -336,9 +374,9 @@ def shoot(case, factor, path, points, log):
 
 
 def all_states(case, factor, path, points, log):
-    """Improve all states of `path` but the positions at the start; otherwise as `shoot`.
+    """Improve all states of `path`, with the positions at the start fixed; arguments and results as in `shoot`.
 
-    The residual is the largest of all defects of steps and of the end conditions.
+    The residual is the largest modulus of all defects and of the residual of the end conditions.
     """
     h = case.duration / case.steps
     errors, trial_errors = np.empty_like(path[1:]), np.empty_like(path[1:])
@@ -383,7 +421,11 @@ def all_states(case, factor, path, points, log):
 
 
 def shift_states(linear, errors, shifts):
-    """Fill shifts[1:], (N, 2nd, 1), with the linearised trajectory from shifts[0] that removes defects (N, 2, n, d)."""
+    """Fill shifts[1:] (N, 2nd, 1) with changes of the states that remove the defects of all steps.
+
+    `errors` (N, 2, n, d) holds the defects. The changes follow the linearised trajectory from shifts[0]. If the linear
+    equations of a step cannot be solved, later changes are NaN.
+    """
     for k, error in enumerate(errors):
         solved = linear.advance(k, shifts[k], shifts[k + 1])
         shifts[k + 1, :, 0] += error.ravel() if solved else np.nan

@@ -1,13 +1,18 @@
 """Steps of particles that interact in pairs, derivatives of steps, and sequences of steps.
 
 A composition method evaluates the field F = (H_p, -H_q) of each substep at one point between its ends:
-z1 = z0 + f h F(q, p) with q = (1 - a) q0 + a q1, p = (1 - b) p0 + b p1. Implicit substeps are solved by fixed-point
-iteration, which contracts by about h |H''|. Where that is slow, Newton's method takes over with the generated second
-derivatives. Its matrix is factored again only when the present factors no longer serve. If H is separable and a and b
-are zero or one, positions and momenta are updated in turn. An explicit Runge-Kutta method is
-k_i = F(z0 + h sum_j a_ij k_j), z1 = z0 + h sum_i b_i k_i.
 
-States have shape (2, n, d), own parameters (n, k).
+    z1 = z0 + f h F(q, p),    q = (1 - a) q0 + a q1,    p = (1 - b) p0 + b p1.
+
+Implicit substeps are solved by fixed-point iteration, which contracts by about h |H''|. If the contraction is slow,
+Newton's method takes over with the generated second derivatives. Its matrix is factored again only if convergence with
+the present factors is slow. If H is separable and a and b are zero or one, positions and momenta are updated in turn.
+An explicit Runge-Kutta method is
+
+    k_i = F(z0 + h sum_j a_ij k_j),    z1 = z0 + h sum_i b_i k_i.
+
+The derivative of F is J H'' with J = (0 1; -1 0). States have shape (2, n, d), own parameters (n, k). The points of a
+step are the states at which the scheme evaluates H.
 """
 
 from typing import NamedTuple
@@ -18,18 +23,19 @@ from numba import carray, njit
 from codegen.runtime.addresses import call, call_value, data_of, reals_at
 from codegen.runtime.arithmetic import copy_state, factor_matrix, solve_factored, symmetric_product
 
-NON_FINITE, NOT_CONVERGED = -1, -3  # outcomes of a step that fails
-OUTSIDE = -4  # outcome of `follow` when a particle leaves its domain
-PLAIN, NEWTON = 40, 25  # fixed-point iterations of a substep, and Newton iterations
+NON_FINITE, NOT_CONVERGED = -1, -3  # outcomes of a failed step
+OUTSIDE = -4  # outcome of `follow` if a particle leaves its domain
+PLAIN, NEWTON = 40, 25  # largest numbers of fixed-point and of Newton iterations of a substep
 ROUNDING = 1e-15  # smaller relative changes are rounding errors
-STORED = 3.0e7  # largest number of entries of all stored second derivatives (240 MB)
+STORED = 3.0e7  # largest number of entries of stored second derivatives (240 MB)
 
 
 class Pairs(NamedTuple):
-    """The data of a `PairProblem` for compiled code: integers, so that passing them counts no references.
+    """The data of a `PairProblem` for compiled code, all as integers, so that passing them counts no references.
 
-    Addresses of kernels, 0 for none; `points` of a step at which H is evaluated; 1 for Runge-Kutta methods; and the
-    address of the coefficients of the scheme.
+    The first seven fields are addresses of kernels, 0 for a missing kernel. `points` is the number of points of a step.
+    `is_runge_kutta` is 1 for Runge-Kutta methods, else 0. `coefficients` is the address of the coefficients of the
+    scheme.
     """
 
     hamiltonian: int
@@ -46,16 +52,17 @@ class Pairs(NamedTuple):
 
 @njit(error_model="numpy", forceinline=True)
 def fill(kernel, z, own, parameters, filled):
-    """Call a kernel of a state at its address."""
+    """Call the kernel at the address `kernel` for a state z and parameters; the kernel fills the array `filled`."""
     call(kernel, (data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(filled)))
 
 
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 def advance(pairs, z, h, own, parameters, points, near, after):
-    """Fill the state `after` a step from z; return the iterations, or the negative outcome of a failure.
+    """Fill `after` with the state one step after z; return the iterations, or the negative outcome of a failure.
 
-    `points` (points, 2, n, d) take the states at which H is evaluated. If they are those of a step from a nearby state,
-    `near` is the relative accuracy that suffices for implicit substeps, which then begin there; else it is zero.
+    `points` (points, 2, n, d) takes the states at which H is evaluated. If `near` is positive, `points` must hold the
+    points of a step from a nearby state. Implicit substeps then begin at these points and stop at the relative accuracy
+    `near`. Otherwise `near` is zero.
     """
     if pairs.slope:
         return take_turns(pairs, z, h, own, parameters, points, after)
@@ -66,7 +73,7 @@ def advance(pairs, z, h, own, parameters, points, near, after):
 
 @njit(error_model="numpy")
 def composed_step(pairs, z, h, own, parameters, points, near, after):
-    """Make a step by a composition method; otherwise as `advance`."""
+    """Make a step by a composition method; arguments and result as in `advance`."""
     before, gradient, iterations = np.empty(z.shape), np.empty(z.shape), 0
     table = carray(reals_at(pairs.coefficients), (pairs.points, 3))
     copy_state(z, before)
@@ -88,7 +95,7 @@ def composed_step(pairs, z, h, own, parameters, points, near, after):
 
 @njit(error_model="numpy")
 def runge_kutta_step(pairs, z, h, own, parameters, points, after):
-    """Make a step by an explicit Runge-Kutta method; otherwise as `advance`."""
+    """Make a step by an explicit Runge-Kutta method; arguments and result as in `advance`."""
     count = pairs.points
     table, gradients = carray(reals_at(pairs.coefficients), (count + 1, count)), np.empty((count, *z.shape))
     for s in range(count):
@@ -112,10 +119,10 @@ def combined(z, h, gradients, weights, count, result):
 
 @njit(error_model="numpy")
 def take_turns(pairs, z, h, own, parameters, points, after):
-    """Make a step of a separable Hamiltonian, in which nothing is solved; otherwise as `advance`.
+    """Make a step of a separable Hamiltonian without solving equations; arguments and result as in `advance`.
 
-    Neighbouring substeps share unchanged derivatives: H_q as long as positions stay, H_p as long as momenta stay.
-    `points[0]` keeps H_q and the positions to which it belongs, for the step that follows.
+    Neighbouring substeps share derivatives: H_q while the positions are unchanged, H_p while the momenta are unchanged.
+    `points[0]` keeps H_q and the positions at which H_q was evaluated, for the next step.
     """
     rates, slopes, positions = np.empty(z[0].shape), points[0, 0], points[0, 1]
     table = carray(reals_at(pairs.coefficients), (pairs.points, 3))
@@ -152,7 +159,7 @@ def take_turns(pairs, z, h, own, parameters, points, after):
 
 @njit(error_model="numpy")
 def shifted(z, part, step, rates):
-    """Add step times rates (n, d) to the positions (part 0) or momenta (part 1) of a state."""
+    """Add `step` times `rates` (n, d) to the positions (`part` 0) or to the momenta (`part` 1) of a state."""
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
             z[part, i, k] += step * rates[i, k]
@@ -160,7 +167,10 @@ def shifted(z, part, step, rates):
 
 @njit(error_model="numpy")
 def moved(before, step, gradient, after):
-    """Fill `after` (2, n, d) with before + step (H_p, -H_q); return the largest change and entry."""
+    """Fill `after` (2, n, d) with before + step (H_p, -H_q).
+
+    Return the largest change of a number in `after`, and the largest modulus in `after`.
+    """
     change, size = 0.0, 0.0
     for i in range(before.shape[1]):
         for k in range(before.shape[2]):
@@ -174,7 +184,10 @@ def moved(before, step, gradient, after):
 
 @njit(error_model="numpy")
 def between(before, after, a, b, point):
-    """Fill `point` (2, n, d) with the state at which a substep evaluates the field."""
+    """Fill `point` (2, n, d) with the state at which a substep evaluates the field.
+
+    This is q = (1 - a) q0 + a q1, p = (1 - b) p0 + b p1, from the states `before` and `after` the substep.
+    """
     for i in range(before.shape[1]):
         for k in range(before.shape[2]):
             point[0, i, k] = before[0, i, k] + a * (after[0, i, k] - before[0, i, k])
@@ -183,7 +196,10 @@ def between(before, after, a, b, point):
 
 @njit(error_model="numpy")
 def is_settled(change, previous, size, accuracy):
-    """Return True if an iteration has reached a relative accuracy, or only rounding errors change it."""
+    """Return True if an iteration has reached the relative accuracy, or if only rounding errors change its result.
+
+    `change` and `previous` are the largest changes in the last two iterations, and `size` is the largest modulus.
+    """
     return change <= accuracy * size or (change <= 1e-12 * size and change >= 0.5 * previous)
 
 
@@ -191,8 +207,8 @@ def is_settled(change, previous, size, accuracy):
 def implicit_substep(pairs, before, step, a, b, own, parameters, near, gradient, point, after):
     """Fill `after` (2, n, d) with the end of a substep; return the iterations, or the negative outcome of a failure.
 
-    If `point` is near the point of the solution, `near` is the relative accuracy that suffices, and the iteration
-    starts with the field at `point`. Else it is zero, and the start is an explicit Euler step.
+    If `near` is positive, `point` must be near the point of the solution. The iteration then starts with the field at
+    `point` and stops at the relative accuracy `near`. If `near` is zero, the initial guess is an explicit Euler step.
     """
     if not near > 0.0:
         copy_state(before, point)
@@ -205,7 +221,7 @@ def implicit_substep(pairs, before, step, a, b, own, parameters, near, gradient,
         change, size = moved(before, step, gradient, after)
         if is_settled(change, previous, size, max(near, ROUNDING)):
             return iteration + 1
-        # Positions and momenta change in turn, so that every second iteration is compared.
+        # Positions and momenta may change in turn: compare with the change two iterations before.
         if not change < np.inf or (iteration > 3 and change > 0.5 * earlier):
             break
         previous, earlier = change, previous
@@ -214,7 +230,10 @@ def implicit_substep(pairs, before, step, a, b, own, parameters, near, gradient,
 
 @njit(error_model="numpy")
 def newton_substep(pairs, before, step, a, b, own, parameters, gradient, point, after):
-    """Make a substep by Newton's method from an explicit Euler step; otherwise as `implicit_substep`."""
+    """Make a substep by Newton's method from an explicit Euler step.
+
+    Arguments and result are as in `implicit_substep`.
+    """
     size = before.size
     hessian, matrix, pivots = np.empty((size, size)), np.empty((size, size)), np.empty(size, np.int64)
     wanted, right = np.empty(before.shape), np.empty(size)
@@ -251,7 +270,10 @@ def newton_substep(pairs, before, step, a, b, own, parameters, gradient, point, 
 
 @njit(error_model="numpy")
 def substep_matrix(hessian, step, a, b, matrix):
-    """Fill `matrix` (2nd, 2nd) with 1 - step J H'' diag(a, b): the derivative of the equations by the end."""
+    """Fill `matrix` (2nd, 2nd) with the unit matrix minus step J H'' diag(a, b).
+
+    This is the derivative of the equations of a substep with respect to the state at its end.
+    """
     size, half = hessian.shape[0], hessian.shape[0] // 2
     for row in range(half):
         for column in range(size):
@@ -263,7 +285,10 @@ def substep_matrix(hessian, step, a, b, matrix):
 
 
 def curvature_at(problem, points, own, parameters):
-    """Return the second derivatives (P, 2nd, 2nd) at points (P, 2, n, d); an empty array if they exceed STORED."""
+    """Return the second derivatives (P, 2nd, 2nd) of H at points (P, 2, n, d).
+
+    The array is empty if there are more than STORED entries.
+    """
     are_too_many = float(points.shape[0]) * points[0].size ** 2 > STORED
     hessians = np.empty((0 if are_too_many else points.shape[0], points[0].size, points[0].size))
     if hessians.size:
@@ -273,16 +298,19 @@ def curvature_at(problem, points, own, parameters):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_curvature(hessian, points, own, parameters, hessians):
-    """Fill `hessians` (P, 2nd, 2nd) with the second derivatives at all points, by a kernel at an address."""
+    """Fill `hessians` (P, 2nd, 2nd) with the second derivatives of H at all points.
+
+    `hessian` is the address of the kernel.
+    """
     for k in range(points.shape[0]):
         fill(hessian, points[k], own, parameters, hessians[k])
 
 
 @njit(error_model="numpy")
 def linearised_field(pairs, hessians, points, k, own, parameters, directions, products):
-    """Fill `products` (2nd, m) with J H'' at the k-th point times directions.
+    """Fill `products` (2nd, m) with the derivative J H'' of the field at the k-th point times `directions` (2nd, m).
 
-    H'' is stored in `hessians`; if that is empty, a kernel computes products with it.
+    H'' is read from `hessians` (P, 2nd, 2nd). If this array is empty, a kernel computes the products.
     """
     if hessians.shape[0] > 0:
         symmetric_product(hessians[k], directions, products)
@@ -300,9 +328,10 @@ def linearised_field(pairs, hessians, points, k, own, parameters, directions, pr
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_directions(pairs, hessians, points, first, h, own, parameters, directions, after):
-    """Fill `after` (2nd, m) with the derivative of a step times directions.
+    """Fill `after` (2nd, m) with the derivative of a step times `directions`.
 
-    The step's points are those from number `first`. Return True if the linear equations of every substep were solved.
+    The points of the step begin at index `first` of `points`. Return True if the linear equations of all substeps were
+    solved.
     """
     products = np.empty(directions.shape)
     if pairs.is_runge_kutta:
@@ -345,7 +374,10 @@ def combined_directions(directions, h, rates, weights, count, result):
 
 @njit(error_model="numpy")
 def implicit_directions(pairs, hessians, points, k, step, a, b, own, parameters, before, products, after):
-    """Fill `after` with the derivative of a substep times the directions `before`, both (2nd, m), or return False."""
+    """Fill `after` (2nd, m) with the derivative of an implicit substep times the directions `before` (2nd, m).
+
+    Return True if the linear equations were solved. `k` is the index of the point of the substep.
+    """
     middle, half = np.empty(before.shape), before.shape[0] // 2
     for row in range(before.shape[0]):
         for c in range(before.shape[1]):
@@ -375,7 +407,10 @@ def implicit_directions(pairs, hessians, points, k, step, a, b, own, parameters,
 
 @njit(error_model="numpy")
 def direct_directions(hessian, step, a, b, before, after):
-    """Solve the linear equations of a substep by elimination; otherwise as `implicit_directions`."""
+    """Solve the linear equations of an implicit substep by elimination.
+
+    The results are as in `implicit_directions`. `hessian` (2nd, 2nd) holds the second derivatives at the point.
+    """
     size, half = hessian.shape[0], hessian.shape[0] // 2
     matrix, pivots, middle, right = np.empty((size, size)), np.empty(size, np.int64), np.empty(size), np.empty(size)
     substep_matrix(hessian, step, a, b, matrix)
@@ -398,17 +433,20 @@ def direct_directions(hessian, step, a, b, before, after):
 
 @njit(error_model="numpy", forceinline=True)
 def energy_of(hamiltonian, z, own, parameters):
-    """Return H at a state (2, n, d), by a Value at an address."""
+    """Return H at a state (2, n, d).
+
+    `hamiltonian` is the address of a compiled function that returns H.
+    """
     return call_value(hamiltonian, (data_of(z), z.shape[1], data_of(own), data_of(parameters)))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def follow(pairs, h, own, parameters, path, points, near):
-    """Fill `path` (N + 1, 2, n, d) from its first state, and `points` (N points, 2, n, d).
+    """Fill the states `path` (N + 1, 2, n, d) from the first state, and `points` (N points, 2, n, d).
 
-    If `points` are those of a nearby trajectory, `near` is the relative accuracy that suffices for implicit steps,
-    which then begin there; else it is zero. Return the iterations of all implicit steps, or the negative outcome of a
-    failure.
+    Return the number of iterations of all implicit steps, or the negative outcome of a failure. If `near` is positive,
+    `points` must hold the points of a nearby trajectory. Implicit steps then begin at these points and stop at the
+    relative accuracy `near`.
     """
     iterations, count = 0, pairs.points
     for k in range(path.shape[0] - 1):
@@ -424,7 +462,7 @@ def follow(pairs, h, own, parameters, path, points, near):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def discrete_cost(pairs, h, own, parameters, points, weights):
-    """Return the sum of 2 h H over the points (N points, 2, n, d), with the scheme's weights."""
+    """Return the sum of 2 h H over the points (N points, 2, n, d), with the `weights` (points,) of the scheme."""
     cost = 0.0
     for k in range(points.shape[0]):
         cost += 2.0 * h * weights[k % pairs.points] * energy_of(pairs.hamiltonian, points[k], own, parameters)
@@ -433,7 +471,10 @@ def discrete_cost(pairs, h, own, parameters, points, weights):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def defects(pairs, h, own, parameters, path, points, errors):
-    """Fill `errors` (N, 2, n, d) with a step from each state minus the next state; return as `follow` does."""
+    """Fill `errors` (N, 2, n, d) with the step from each state minus the next state, and `points` with the points.
+
+    Return the number of iterations of all implicit steps, or the negative outcome of a failure.
+    """
     after, iterations, count = np.empty(path[0].shape), 0, pairs.points
     for k in range(path.shape[0] - 1):
         outcome = advance(pairs, path[k], h, own, parameters, points[k * count : (k + 1) * count], 0.0, after)
@@ -449,9 +490,9 @@ def defects(pairs, h, own, parameters, path, points, errors):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def cost_and_energies(pairs, h, own, parameters, path, points, weights, energy):
-    """Fill `energy` (N + 1,) with H at every state; return the discrete cost, see `discrete_cost`.
+    """Fill `energy` (N + 1,) with H at every state of `path`; return the discrete cost, see `discrete_cost`.
 
-    H is evaluated once if the first point of a step is the state from which the step starts.
+    If the first point of a step is the state at its start, H is evaluated only once for both.
     """
     cost, count = 0.0, pairs.points
     for k in range(path.shape[0]):
@@ -467,7 +508,7 @@ def cost_and_energies(pairs, h, own, parameters, path, points, weights, energy):
 
 @njit(error_model="numpy")
 def same_state(one, other):
-    """Return True if two states (2, n, d) are equal in every number."""
+    """Return True if all numbers of two states (2, n, d) are equal."""
     for s in range(2):
         for i in range(one.shape[1]):
             for a in range(one.shape[2]):

@@ -1,13 +1,21 @@
-"""Points without momenta, carried along the motion of particles, forwards or backwards, a block of points at once.
+"""Tracer points: points without momenta that the motion of particles carries along, forward or backward.
 
-They make the same steps as the particles. A substep of a composition method is x1 = x0 + f h V(x) at
-x = (1 - a) x0 + a x1, where V belongs to the particles' position at which their field was evaluated. Its inverse is a
-substep of length -f h with 1 - a in place of a. An explicit Runge-Kutta method has V_i = V(x0 + h sum_j a_ij V_j) at
-the particles' stage i, and x1 = x0 + h sum_i b_i V_i. Its inverse solves this equation for x0. Equations are solved by
-Newton's method with the exact derivative.
+Tracer points make the same steps as the particles, a block of points at once. A substep of a composition method is
 
-Positions, velocities and their changes of a block have shape (d block,), coordinate after coordinate, each for all
-points. A matrix of each point, d rows of c columns, is stored in the same way, entry after entry: (d c block,).
+    x1 = x0 + f h V(x) at x = (1 - a) x0 + a x1.
+
+Here V is the velocity at the state at which the field of the particles was evaluated. The inverse is a substep of
+length -f h with 1 - a in place of a. An explicit Runge-Kutta method is
+
+    V_i = V(x0 + h sum_j a_ij V_j) at stage i of the particles,    x1 = x0 + h sum_i b_i V_i.
+
+Its inverse solves the last equation for x0. Equations are solved by Newton's method with the exact derivative.
+
+The positions, velocities and changes of a block have shape (d block,): one coordinate after the other, each for all
+points. Matrices of d rows and c columns, one for each point, are stored in the same way, entry after entry:
+(d c block,). Functions with `d` and `block` among their arguments take such arrays.
+
+`stages` (N points, 2, n, d) are the states of the particles at which the scheme evaluates H, from `stages_of`.
 """
 
 from typing import NamedTuple
@@ -19,12 +27,16 @@ from codegen.runtime.addresses import call, data_of, reals_at
 from codegen.runtime.particles.steps import defects
 
 MOST = 30  # largest number of iterations of Newton's method
-SETTLED = 1e-15  # negligible change of a position, in units of length
-NEAR = 3e-5  # smaller changes allow another iteration with the same derivative
+SETTLED = 1e-15  # changes of a position below this are negligible, in units of length
+NEAR = 3e-5  # after smaller changes, the next iteration uses the same derivative
 
 
 class Tracers(NamedTuple):
-    """The data of points without momenta for compiled code: integers, see `Pairs`."""
+    """The data of tracer points for compiled code, all as integers: addresses of two kernels, then numbers.
+
+    `points` is the number of points of a step at which H is evaluated. `is_runge_kutta` and `coefficients` are the
+    fields of `steps.Pairs`.
+    """
 
     velocity: int
     gradient: int
@@ -37,23 +49,23 @@ class Tracers(NamedTuple):
 
 @njit(error_model="numpy", forceinline=True)
 def velocity_at(tracers, positions, z, own, parameters, rates):
-    """Fill `rates` (d block,) with velocities."""
+    """Fill `rates` (d block,) with the velocities of tracer points for the state z of the particles."""
     arguments = data_of(positions), data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(rates)
     call(tracers.velocity, arguments)
 
 
 @njit(error_model="numpy", forceinline=True)
 def gradient_at(tracers, positions, z, own, parameters, rates, gradients):
-    """Fill `rates` (d block,) with velocities and `gradients` (d d block,) with their derivatives."""
+    """Fill `rates` (d block,) with velocities, and `gradients` (d d block,) with their Jacobians."""
     arguments = data_of(positions), data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(rates)
     call(tracers.gradient, (*arguments, data_of(gradients)))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def carry_points(tracers, points, h, first, last, stages, own, parameters, carried, jacobians):
-    """Fill `carried` (n, d) with `points` carried from time `first` to time `last`, block after block.
+    """Fill `carried` (n, d) with the positions of `points` (n, d) after the motion from time `first` to time `last`.
 
-    `jacobians` (n, d, d) gets the derivatives of that map, unless it is empty. Times are in steps.
+    `jacobians` (n, d, d) takes the derivatives of this map, unless the array is empty. Times are in steps.
     """
     d, block, count = tracers.dimension, tracers.block, points.shape[0]
     square = d * d
@@ -86,9 +98,11 @@ def carry_points(tracers, points, h, first, last, stages, own, parameters, carri
 
 @njit(error_model="numpy")
 def substeps(tracers, k, h, stages, own, parameters, positions, tangents, velocities, known):
-    """Move a block of points along step k, or backwards if h is negative; its `tangents` as well if there are any.
+    """Move a block of points along step k, or backward if h is negative.
 
-    `velocities` (4, d block) holds those of as many `known` steps before, and gets those of this one.
+    `tangents` (d d block,), unless empty, are multiplied by the derivative of the step. The rows of `velocities`
+    (4, d block) hold the velocities of earlier steps, the latest first; `known` of them are valid. The first row takes
+    the velocities of this step.
     """
     d, block = tracers.dimension, tracers.block
     backwards, size, count = h < 0.0, d * d * block, tracers.points
@@ -128,9 +142,9 @@ def substeps(tracers, k, h, stages, own, parameters, positions, tangents, veloci
 
 @njit(error_model="numpy")
 def implicit_positions(tracers, positions, step, z, own, parameters, middle, rates, gradients, matrices):
-    """Solve middle = positions + step V(middle) by Newton's method from the guess in `middle`.
+    """Solve middle = positions + step V(middle) by Newton's method from the initial guess in `middle`.
 
-    Close to the solution only velocities are evaluated, with the derivative of the iteration before.
+    Close to the solution only velocities are evaluated; the derivative of the iteration before is used again.
     """
     d, block = tracers.dimension, tracers.block
     changes, previous, is_chord = np.empty(d * block), np.inf, False
@@ -152,9 +166,9 @@ def implicit_positions(tracers, positions, step, z, own, parameters, middle, rat
 
 @njit(error_model="numpy")
 def runge_kutta_step(tracers, k, h, stages, own, parameters, positions, tangents, velocities, known):
-    """Move a block of points along step k of an explicit Runge-Kutta method; otherwise as `substeps`.
+    """Move a block of points along step k of an explicit Runge-Kutta method; arguments as in `substeps`.
 
-    `velocities` (4, d block) holds the means of as many `known` steps before, and gets that of this one.
+    `velocities` holds mean velocities of steps.
     """
     d, block = tracers.dimension, tracers.block
     size = d * d * block
@@ -184,7 +198,11 @@ def runge_kutta_step(tracers, k, h, stages, own, parameters, positions, tangents
 
 @njit(error_model="numpy")
 def explicit_step(tracers, positions, h, first, stages, own, parameters, rates, derivative):
-    """Fill `rates` with the mean velocity of a step, and `derivative` with that of the step unless it is empty."""
+    """Fill `rates` with the mean velocity of a step from `positions`.
+
+    `derivative` (d d block,) takes the derivative of the step, unless the array is empty. The stages of the step begin
+    at index `first`.
+    """
     d, block, points = tracers.dimension, tracers.block, tracers.points
     count, size = d * block, d * d * block
     table = carray(reals_at(tracers.coefficients), (points + 1, points))
@@ -210,7 +228,10 @@ def explicit_step(tracers, positions, h, first, stages, own, parameters, rates, 
 
 @njit(error_model="numpy")
 def combined_positions(positions, h, velocities, weights, count, result):
-    """Fill `result` with positions + h sum_r weights[r] velocities[r], shape (points, d block), over `count` stages."""
+    """Fill `result` with positions + h sum_r weights[r] velocities[r] over the first `count` stages.
+
+    `velocities` has shape (points, d block).
+    """
     for m in range(positions.size):
         result[m] = positions[m]
     for r in range(count):
@@ -221,7 +242,10 @@ def combined_positions(positions, h, velocities, weights, count, result):
 
 @njit(error_model="numpy")
 def unit_and_combined(d, block, h, slopes, weights, count, result):
-    """Fill `result` with 1 + h sum_r weights[r] slopes[r], shape (points, d d block), over the first `count` stages."""
+    """Fill `result` with the unit matrix plus h sum_r weights[r] slopes[r] over the first `count` stages.
+
+    `slopes` has shape (points, d d block).
+    """
     for a in range(d):
         for b in range(d):
             row = (a * d + b) * block
@@ -236,7 +260,10 @@ def unit_and_combined(d, block, h, slopes, weights, count, result):
 
 @njit(error_model="numpy")
 def inverse_positions(tracers, positions, h, first, stages, own, parameters, before, rates, derivative):
-    """Solve before + h (mean velocity from `before` on) = positions by Newton's method from the guess in `before`."""
+    """Solve before + h V = positions by Newton's method, where V is the mean velocity of the step from `before`.
+
+    The initial guess is in `before`. The stages of the step begin at index `first`.
+    """
     d, block = tracers.dimension, tracers.block
     changes, previous = np.empty(d * block), np.inf
     for _ in range(MOST):
@@ -253,7 +280,7 @@ def inverse_positions(tracers, positions, h, first, stages, own, parameters, bef
 
 @njit(error_model="numpy")
 def eliminated(d, block, matrices, right, columns):
-    """Solve the equations of each point, with a number of `columns` on the right, in place.
+    """Solve the linear equations of each point in place; `right` has `columns` columns for each point.
 
     There is no pivoting: the matrices are close to the unit matrix, unless steps are too long to be inverted.
     """
@@ -284,7 +311,7 @@ def eliminated(d, block, matrices, right, columns):
 
 @njit(error_model="numpy")
 def shifted_unit(d, block, gradients, factor, matrices):
-    """Fill `matrices` with 1 + factor times the gradients."""
+    """Fill `matrices` with the unit matrix plus factor times `gradients`."""
     for e in range(d * d):
         unit = 1.0 if e % (d + 1) == 0 else 0.0
         for m in range(e * block, (e + 1) * block):
@@ -293,7 +320,7 @@ def shifted_unit(d, block, gradients, factor, matrices):
 
 @njit(error_model="numpy")
 def times(d, block, matrices, tangents, products):
-    """Fill `products` with the matrix of each point times its tangent matrix."""
+    """Fill `products` with the matrix of each point times the tangent matrix of the point."""
     for a in range(d):
         for b in range(d):
             row = (a * d + b) * block
@@ -318,9 +345,9 @@ def moved_positions(positions, changes):
 
 @njit(error_model="numpy")
 def extrapolated(velocities, known, guess):
-    """Fill `guess` by extrapolation from the last `known` equally spaced velocities; the first row is the latest.
+    """Fill `guess` with the next velocity, extrapolated from the last `known` velocities at equally spaced times.
 
-    Then shift the rows to make room for the next velocity.
+    The first row of `velocities` is the latest. Then shift the rows down to make room for the next velocity.
     """
     for m in range(guess.size):
         a, b, c, d = velocities[0, m], velocities[1, m], velocities[2, m], velocities[3, m]
@@ -337,11 +364,12 @@ def extrapolated(velocities, known, guess):
 
 @njit(error_model="numpy")
 def has_settled(change, previous, is_chord):
-    """Return True if another iteration would change next to nothing.
+    """Return True if another iteration of Newton's method would hardly change the positions.
 
-    Changes decrease quadratically: the next one is about change^3/previous^2. After an iteration with the derivative of
-    the one before, it is 2 change^2/previous. The largest changes of a block may belong to different points, therefore
-    the factor of ten.
+    `change` and `previous` are the largest changes in the last two iterations. Changes decrease quadratically: the next
+    change is about change^3/previous^2. If the derivative of the iteration before was used (`is_chord`), the next
+    change is 2 change^2/previous. The largest changes of a block may belong to different points, hence the factor of
+    ten.
     """
     ratio = change / previous
     return change <= SETTLED or (previous < np.inf and 10.0 * change * (2.0 if is_chord else ratio) * ratio <= SETTLED)
@@ -349,7 +377,7 @@ def has_settled(change, previous, is_chord):
 
 @njit(error_model="numpy")
 def without_unsettled(d, block, positions, changes):
-    """Set the points of a block to NaN for which Newton's method has not converged."""
+    """Set points of a block to NaN if Newton's method has not converged for them."""
     for m in range(block):
         for a in range(d):
             if abs(changes[a * block + m]) > 1e-13:
@@ -358,7 +386,10 @@ def without_unsettled(d, block, positions, changes):
 
 
 def stages_of(case, path):
-    """Return the states (N points, 2, n, d) at which the scheme evaluates H along the states `path`."""
+    """Return the states (N points, 2, n, d) at which the scheme evaluates H, in the steps from the states `path`.
+
+    ValueError if no step can be made from a state.
+    """
     pairs, h = case.problem.pairs, case.duration / case.steps
     points, errors = np.zeros((case.steps * pairs.points, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
     path = np.array(path, dtype=float)
@@ -368,13 +399,15 @@ def stages_of(case, path):
 
 
 def carry(case, stages, points, first=0.0, last=None, derivative=False):
-    """Carry points (m, d) along the motion with the arguments `stages`, from one time to another.
+    """Carry tracer points (m, d) along the motion of the particles, from time `first` to time `last`.
 
-    Times are in steps, from 0 to the number of steps. By default points are carried from the first to the last node,
-    and from `first` back to an earlier `last` by the inverse of that map. A time between two nodes is reached by part
-    of a step. Return the positions (m, d), and the derivatives of the map (m, d, d) or None. A point outside the domain
-    of the particles stays; a point without a solution of an implicit step becomes NaN. ValueError if points or times
-    are unusable.
+    Times are in steps, from 0 to the number of steps; by default these are the first and the last node. If `last` is
+    earlier than `first`, the points are carried backward, by the inverse of the map from `last` to `first`. A time
+    between two nodes is reached by a part of a step. `stages` is the result of `stages_of`.
+
+    Return the positions (m, d), and the derivatives (m, d, d) of the map or, without `derivative`, None. A point
+    outside the domain of the particles keeps its position. A point becomes NaN if the equations of an implicit step
+    have no solution. ValueError if points or times are unusable.
     """
     tracers, d = case.problem.tracers, case.problem.dimension
     points = np.array(points, dtype=float)

@@ -1,1 +1,1 @@
-"""Initial value problems: one step of every kind, and step after step."""
+"""Initial value problems: the steps of all schemes, and the motion step after step."""

@@ -12,7 +12,7 @@ from codegen.runtime.stepping.problem import StepProblem
 from codegen.runtime.stepping.steps import LEFT_TABLE, energies, largest_residual, make_step, memory_for
 from codegen.runtime.tabulated import table_numbers
 
-TOLERANCE, MOST = 1e-13, 50  # defaults for Newton's method
+TOLERANCE, MOST = 1e-13, 50  # defaults of Newton's method: relative size of the last correction, number of iterations
 FAILURES = {
     -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
     -2: ("singular", "the equations of the step have no unique solution; use more steps, or check the parameters"),
@@ -22,7 +22,7 @@ FAILURES = {
 
 
 class Grid(NamedTuple):
-    """N steps of length h, the values of the parameters, the initial state, the accuracy of steps, and the problem."""
+    """N steps of length h, parameters, the initial state (state,), the accuracy of implicit steps, and the problem."""
 
     steps: int
     h: float
@@ -34,12 +34,14 @@ class Grid(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """The motion; arrays run over the M stored states: the first, every `every`-th, and the last.
+    """The motion; arrays have a row for each of the M stored states: the first, every `every`-th, and the last.
 
     Attributes
     ----------
-    status, message : str
-        "solved", or the reason of a failed step, and a sentence that names the step and a remedy.
+    status : str
+        "solved", or the reason why a step failed.
+    message : str
+        A sentence that names the failed step and a remedy, or the number of steps.
     steps : int
         Number of steps made.
     t : array (M,)
@@ -49,8 +51,8 @@ class Solution(NamedTuple):
     energy : array (M,)
         The Hamiltonian.
     residual : float
-        Max-norm of the scheme's equations, evaluated again for the step to each stored state. With `every` 1 these are
-        all steps. A last state that was stored because the next step failed is left out. NaN without a step.
+        Max-norm of the equations of the scheme, evaluated again for the step to each stored state. With `every` 1 these
+        are all steps. A last state that was stored because the next step failed is left out. NaN if no step was made.
     iterations : int
         Number of linear systems solved.
     """
@@ -67,9 +69,9 @@ class Solution(NamedTuple):
 
 
 def checked_step_grid(problem, steps, duration, parameters, start, tables=None):
-    """Return a Grid; ValueError when a number is not finite, a shape does not fit, or a number is not positive.
+    """Return a Grid; ValueError if a number is not finite or not positive, or a shape does not fit.
 
-    `tables` maps names of tables to other numbers, on as many breakpoints.
+    `tables` maps names of tables to new numbers, with as many breakpoints as before.
     """
     steps, duration = checked_times(steps, duration)
     numbers = table_numbers(problem, tables) if problem.tables else ()
@@ -81,14 +83,17 @@ def checked_step_grid(problem, steps, duration, parameters, start, tables=None):
 
 
 def require_finite(parameters, start):
-    """Raise ValueError when a parameter or a number of the initial state is not finite."""
+    """Raise ValueError if a parameter or a number of the initial state is not finite."""
     for name, values in (("parameters", parameters), ("start", start)):
         if not np.isfinite(values).all():
             raise ValueError(f"{name} must be finite, got {values}")
 
 
 def start_values(prescribed, start):
-    """Return the values prescribed at the start, by name, replaced by those in `start`; ValueError for other names."""
+    """Return the values at the start: those in `prescribed`, by name, replaced by those in `start`.
+
+    ValueError if `start` has a name that is not prescribed.
+    """
     for quantity, value in (start or {}).items():
         if quantity not in prescribed:
             raise ValueError(f"{quantity!r} is not prescribed at the start; prescribed: {', '.join(prescribed)}")
@@ -108,7 +113,7 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     tolerance : float
         Size of a Newton correction, relative to each unknown, after which a step is accepted.
     max_iterations : int
-        Largest number of corrections of a step.
+        Largest number of Newton corrections of each part of a step.
 
     Raises
     ------
@@ -136,7 +141,10 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
 
 
 def describe(grid, steps, iterations, outcome, failures=FAILURES):
-    """Return status and one sentence on how the motion ended, naming the step that failed and its time."""
+    """Return the status and a sentence on how the motion ended; it names a failed step and its time.
+
+    `steps` is the number of steps made. `failures` maps each negative outcome to a status and a remedy.
+    """
     if outcome == 0:
         effort = f" with {iterations / steps:.2f} iterations each" if iterations else ""
         return "solved", f"all {steps} steps were made{effort}"
@@ -146,7 +154,7 @@ def describe(grid, steps, iterations, outcome, failures=FAILURES):
 
 
 def path_residual(grid, path):
-    """Return the max-norm of the scheme's equations along consecutive states, shape (M, size)."""
+    """Return the max-norm of the equations of the scheme along consecutive states `path` (M, size)."""
     path, accuracy = np.array(path, dtype=float), (grid.tolerance, grid.max_iterations)
     count, scheme = path.shape[0], grid.problem.scheme
     memory = memory_for(scheme)
@@ -154,13 +162,16 @@ def path_residual(grid, path):
 
 
 def step(grid, state, t=0.0):
-    """Return the state (size,) a step of length grid.h after `state`; NaN if its equations are not solved."""
+    """Return the state (size,) one step after `state`; NaN if the equations of the step are not solved."""
     outcome, interval, _ = _made(grid, np.array(state, dtype=float), t)
     return interval[grid.problem.stages :] if outcome >= 0 else np.full(grid.problem.state, np.nan)
 
 
 def range_left(grid, state, t):
-    """Return a text on the input that leaves the range of its table in the step from `state` (size,), or ""."""
+    """Return a text that names the input furthest outside the range of its table, in the step from `state` (size,).
+
+    The text is "" if all inputs stay in their ranges.
+    """
     outcome, _, inputs = _made(grid, np.array(state, dtype=float), t)
     if outcome != LEFT_TABLE:
         return ""
@@ -172,9 +183,10 @@ def range_left(grid, state, t):
 
 
 def first_outside(grid, path):
-    """Return the number of the first step along consecutive states (M, size) that leaves a table, and a text.
+    """Return the number of the first step along consecutive states `path` (M, size) that leaves a table, and a text.
 
-    Zero and "" if no step does. Inner stages are those of the steps that the scheme itself makes.
+    The text names the input. The result is 0 and "" if no step leaves a table. The inner stages are computed by the
+    scheme from each state.
     """
     for k in range(len(path) - 1 if grid.problem.inputs else 0):
         message = range_left(grid, path[k], k * grid.h)
@@ -184,7 +196,10 @@ def first_outside(grid, path):
 
 
 def _made(grid, state, t):
-    """Make a step; return the iterations or a negative outcome, the interval, and the inputs of tables."""
+    """Make a step from `state` at time t; return the outcome, the interval, and the extreme inputs of tables.
+
+    The outcome is the number of iterations, or negative after a failure. `steps.make_step` explains the arrays.
+    """
     problem, interval = grid.problem, np.empty(grid.problem.stages + grid.problem.state)
     inputs, accuracy = np.empty((len(problem.ranges), 2)), (grid.tolerance, grid.max_iterations)
     outcome = make_step(
@@ -202,14 +217,17 @@ def predict(grid, state, t=0.0):
 
 
 def residual(grid, unknowns, state, t=0.0):
-    """Return the residual (unknowns,) of the equations that remain after explicit elimination."""
+    """Return the residual (unknowns,) of the equations of a step from `state` (size,).
+
+    Quantities that follow explicitly from the unknowns are eliminated from these equations.
+    """
     values, unknowns = np.empty(grid.problem.unknowns), np.array(unknowns, dtype=float)
     grid.problem.residual(unknowns, np.array(state, dtype=float), t, lengths(grid), grid.parameters, values)
     return values
 
 
 def jacobian(grid, unknowns, state, t=0.0):
-    """Return the Jacobian (unknowns, unknowns) of the residual."""
+    """Return the Jacobian (unknowns, unknowns) of `residual` with respect to the unknowns."""
     count, unknowns = grid.problem.unknowns, np.array(unknowns, dtype=float)
     values, matrix = np.empty(count), np.empty((count, count))
     grid.problem.jacobian(unknowns, np.array(state, dtype=float), t, lengths(grid), grid.parameters, values, matrix)
@@ -217,7 +235,7 @@ def jacobian(grid, unknowns, state, t=0.0):
 
 
 def complete(grid, unknowns, state, t=0.0):
-    """Return the state (size,) at the end of the step that belongs to a solution of its equations."""
+    """Return the state (size,) at the end of a step from `state`, for `unknowns` that solve its equations."""
     problem, unknowns = grid.problem, np.array(unknowns, dtype=float)
     interval = np.empty(problem.stages + problem.state)
     problem.complete(unknowns, np.array(state, dtype=float), t, lengths(grid), grid.parameters, interval)
@@ -225,5 +243,5 @@ def complete(grid, unknowns, state, t=0.0):
 
 
 def lengths(grid):
-    """Return the lengths of the first part of a step."""
+    """Return the lengths (lengths,) of the first part of a step, in units of time."""
     return grid.h * grid.problem.fractions[0]

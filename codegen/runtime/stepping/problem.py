@@ -1,4 +1,4 @@
-"""The definition of an initial value problem: the kernels of a step, names and numbers, from its generated module."""
+"""The definition of an initial value problem: the kernels of a step, names and numbers of a generated module."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,33 +13,44 @@ from codegen.runtime.stepping.steps import Scheme, follow, memory_for
 
 @dataclass(frozen=True, eq=False)
 class StepProblem:
-    """An initial value problem: the kernels of one step, and names and numbers.
+    """An initial value problem: the kernels of one step, with names and numbers.
 
-    A step has one part, or several parts that are steps of another scheme. Each part has as many lengths as
-    `fractions` has columns. All kernels take the state at the start of a part, the time there, and the lengths.
+    A step of a composition method has several parts, each a step of the base scheme. Other steps have one part. A part
+    has one or more lengths (durations), as many as `fractions` has columns. The interval of a part is the vector
+    (stages + state,) of the values inside the part, then the state at its end. All kernels of a step take the state at
+    the start of a part, the time there, the lengths of the part, and the parameters.
 
     Attributes
     ----------
-    metadata : Record
-        Names and meanings.
+    metadata : SimulationRecord
+        Names of the quantities, and their meanings.
     state, stages, unknowns : int
         Numbers of values of a state (q, p), of values inside a step, and of unknowns of the equations of a step.
     equations : Kernel
-        Fills the residual (stages + state,) of the scheme's equations: (state, interval, t, lengths, parameters).
+        Fills the residual (stages + state,) of the equations of the scheme. Its arguments are (state, interval, t,
+        lengths, parameters).
     energy : Value
-        The Hamiltonian: (state, t, parameters).
+        The Hamiltonian of (state, t, parameters).
     explicit : Kernel or None
-        Fills the interval (stages + state,), inner stages and the state at the end, of an explicit scheme.
+        Fills the interval of an explicit scheme.
     all_steps : Kernel or None
-        Makes all steps of an explicit scheme in one loop, into which a step is inlined; see `steps.follow_explicitly`.
+        Makes all steps of an explicit scheme in one loop, with the step inlined; see `steps.follow_explicitly`.
     predict, residual, jacobian, complete : Kernel or None
-        For implicit steps: fill the initial guess of unknowns, residual, residual and Jacobian, and the interval.
+        For implicit schemes. They fill the initial guess of the unknowns, the residual, the residual and its Jacobian,
+        and the interval that follows from the unknowns.
     is_linear, is_constant : bool
         True if the equations of a step are linear, and if their matrix is the same for all steps.
-    fractions : array
-        Lengths (parts, lengths) of all parts of a step, relative to the step.
+    fractions : array (parts, lengths)
+        Lengths of all parts of a step, relative to the length of the step.
     inputs : Kernel or None
-        Fills the least and greatest inputs (inputs, 2) of tables with the ranges `ranges`, named `range_names`.
+        Fills the least and the greatest value (inputs, 2) of each input in a part of a step. An input is the argument
+        of a tabulated function.
+    ranges : array (inputs, 2)
+        Indices of the parameters that are the first and the last breakpoint for each input.
+    range_names : tuple of str
+        Names of the inputs for messages.
+    tables : mapping
+        Breakpoints and values of each table, as one array for each name.
     """
 
     metadata: SimulationRecord
@@ -63,12 +74,12 @@ class StepProblem:
     tables: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __reduce__(self):
-        """Pickle the problem as the name of its module, which another process imports."""
+        """Pickle the problem as the name of its module; another process imports the module."""
         return problem_of, (self.energy.__module__,)
 
     @cached_property
     def scheme(self):
-        """Addresses, numbers and lengths of the problem for compiled code."""
+        """The Scheme of the problem: addresses, numbers and lengths for compiled code."""
         kernels = (
             self.explicit, self.predict, self.residual if self.is_constant else None, self.jacobian, self.complete,
             self.equations, self.inputs,
@@ -80,7 +91,10 @@ class StepProblem:
         )  # fmt: skip
 
     def follow(self, start, steps, h, parameters, tolerance, most, every, path, before):
-        """Make all steps from a state (state,); see `steps.follow`."""
+        """Make all steps from the state `start` (state,).
+
+        Arguments and results are as in `steps.follow`.
+        """
         if self.all_steps is None or self.all_steps.is_interpreted:
             accuracy = tolerance, most
             return follow(
@@ -92,7 +106,7 @@ class StepProblem:
         return tuple(map(int, outcome))
 
     def kernels(self):
-        """Return the kernels that a solution calls."""
+        """Return the kernels that a solution calls, as a tuple without None."""
         every = (
             self.all_steps, self.jacobian, self.explicit, self.predict, self.residual if self.is_constant else None,
             self.complete, self.equations, self.inputs, self.energy,

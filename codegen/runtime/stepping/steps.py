@@ -1,6 +1,6 @@
-"""Steps of an initial value problem, whose kernels are called by address.
+"""Steps of an initial value problem, in compiled code that calls the kernels of the problem by address.
 
-Implicit steps are solved by Newton's method, whose first correction is exact for linear equations.
+Implicit steps are solved by Newton's method. Its first correction is exact if the equations are linear.
 """
 
 from typing import Any, NamedTuple
@@ -12,19 +12,19 @@ from codegen.runtime.addresses import ahead, call, call_value, data_of, integers
 from codegen.runtime.arithmetic import factor_matrix, solve_factored
 from codegen.runtime.kernels import ONLY_COMPILED
 
-NON_FINITE, SINGULAR, NOT_CONVERGED, LEFT_TABLE = -1, -2, -3, -4  # outcomes of a step that fails
+NON_FINITE, SINGULAR, NOT_CONVERGED, LEFT_TABLE = -1, -2, -3, -4  # outcomes of a failed step
 LEAST = 1e-300  # smaller numbers are close to underflow and have no relative size
-ROUNDING = 1e-8  # corrections that no longer shrink, and are smaller relative to all unknowns, are rounding errors
-TABLE_MARGIN = 1e-8  # excess of an input, relative to the range of a table, that is a rounding error
+ROUNDING = 1e-8  # corrections below this, relative to all unknowns, are rounding errors if they no longer shrink
+TABLE_MARGIN = 1e-8  # an input may exceed the range of a table by this rounding error, relative to the range
 
 INLINED: Any = njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)
 
 
 class Scheme(NamedTuple):
-    """The data of a `StepProblem` for compiled code: integers, so that passing them counts no references.
+    """The data of a `StepProblem` for compiled code, all as integers, so that passing them counts no references.
 
-    Addresses of kernels, 0 for none; numbers; and the addresses of `fractions` (parts, lengths) and `ranges`
-    (inputs, 2), arrays of the problem.
+    The first seven fields are addresses of kernels, 0 for a missing kernel. Then follow numbers. `fractions` and
+    `ranges` are the addresses of the arrays (parts, lengths) and (inputs, 2) of the problem.
     """
 
     explicit: int
@@ -47,12 +47,22 @@ class Scheme(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Addresses of the arrays of a step, which the caller keeps alive.
+    """Addresses of the work arrays of a step; the caller keeps the memory alive.
 
-    `lengths` (parts, lengths) are those of all parts. `now` (state,) is the state before a step, `begin` the state at
-    the start of a part. `interval` (stages + state,) holds the inner stages and the state at the end of a part, `seen`
-    (inputs, 2) inputs of tables. For Newton's method: unknowns, residual, Jacobian, pivots, sizes of unknowns, last
-    corrections.
+    Attributes
+    ----------
+    lengths : int
+        Lengths (parts, lengths) of all parts of a step.
+    now, begin : int
+        The state (state,) before a step, and at the start of a part.
+    interval : int
+        Values inside a part, then the state at its end, (stages + state,).
+    seen : int
+        The least and the greatest value (inputs, 2) of each input of a table.
+    unknowns, residual, jacobian, pivots : int
+        Work space of Newton's method.
+    sizes, last : int
+        Magnitudes of the unknowns, and the last corrections, for the convergence test.
     """
 
     lengths: int
@@ -69,7 +79,7 @@ class Work(NamedTuple):
 
 
 def memory_for(scheme):
-    """Return memory for the arrays of a step."""
+    """Return zeroed memory for the work arrays of a step."""
     count = scheme.unknowns
     size = scheme.parts * scheme.lengths + 4 * (scheme.stages + scheme.state) + 2 * scheme.inputs + count * (count + 5)
     return np.zeros(size)
@@ -77,7 +87,10 @@ def memory_for(scheme):
 
 @njit(error_model="numpy")
 def work_in(scheme, memory, h, parameters_at):
-    """Return the addresses of the arrays of steps of length h in memory; a constant matrix is factored."""
+    """Return the addresses of the work arrays in `memory`, for steps of length h.
+
+    A matrix that is the same for all steps is factored here. If it is singular, the first pivot is set to -1.
+    """
     count, size = scheme.unknowns, scheme.state
     lengths = memory.ctypes.data
     now = lengths + 8 * scheme.parts * scheme.lengths
@@ -102,10 +115,11 @@ def work_in(scheme, memory, h, parameters_at):
 
 @njit(error_model="numpy", forceinline=True)
 def advance(scheme, work, t, tolerance, most, parameters_at):
-    """Make a step of the state in work.begin; return the iterations, or the negative outcome of a failure.
+    """Make a step: replace the state at the address `work.begin` by the state at the end of the step.
 
-    `t` is the time at the start. `tolerance` is the relative size of a correction after which a part of a step is
-    solved, in at most `most` iterations.
+    Return the number of iterations, or the negative outcome of a failure. `t` is the time at the start. A part of a
+    step is solved when the relative size of a correction is at most `tolerance`. `most` is the largest number of
+    iterations of a part.
     """
     state, iterations = carray(reals_at(work.begin), (scheme.state,)), 0
     after = carray(reals_at(work.interval + 8 * scheme.stages), (scheme.state,))
@@ -130,10 +144,10 @@ def advance(scheme, work, t, tolerance, most, parameters_at):
 
 @njit(error_model="numpy")
 def solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at):
-    """Solve the equations of a part of a step from work.begin; return the iterations, or the outcome of a failure.
+    """Solve the equations of a part of a step from `work.begin`; return the iterations, or a negative outcome.
 
-    Corrections are taken in full. If they do not converge the step is too long for the scheme. Shortened corrections
-    ended in spurious minima of the residual as often as in a solution.
+    Corrections are taken in full. If they do not converge, the step is too long for the scheme. A line search is no
+    help: shortened corrections ended in spurious minima of the residual as often as in a solution.
     """
     count, magnitude = scheme.unknowns, 0.0
     unknowns, residual = carray(reals_at(work.unknowns), (count,)), carray(reals_at(work.residual), (count,))
@@ -177,11 +191,12 @@ def solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at):
 
 @njit(error_model="numpy", forceinline=True)
 def has_converged(unknowns, corrections, tolerance, rounding, sizes, last):
-    """Return True if each correction (unknowns,) is small, or a rounding error that no longer shrinks.
+    """Return True if each correction (unknowns,) is small, or is a rounding error that no longer shrinks.
 
     Newton's method squares the error: after a correction of relative size 1e-13 only rounding errors remain. Each
-    correction is relative to its own unknown, also to its size a few steps ago. A sum over unknowns would depend on
-    their units. `sizes` and `last` keep data for the next call.
+    correction is relative to its own unknown, also to the magnitude of this unknown a few steps ago. A sum over
+    unknowns would depend on their units. `rounding` bounds corrections that may be rounding errors. `sizes` and `last`
+    keep data for the next call.
     """
     settled = True
     for i in range(unknowns.size):
@@ -195,7 +210,7 @@ def has_converged(unknowns, corrections, tolerance, rounding, sizes, last):
 
 @njit(error_model="numpy")
 def first_left(scheme, work, t, lengths_at, parameters_at):
-    """Return the number of the first input of a table that leaves its range in a part of a step, or -1.
+    """Return the index of the first input of a table that leaves its range in a part of a step, or -1.
 
     `work.seen` takes the least and the greatest value of each input.
     """
@@ -214,7 +229,10 @@ def first_left(scheme, work, t, lengths_at, parameters_at):
 
 @INLINED
 def checked(outcome, size, after):
-    """Return the outcome of a step, or NON_FINITE if the state (size,) after it, at a pointer, is not finite."""
+    """Return the outcome of a step, or NON_FINITE if a number of the state after the step is not finite.
+
+    `after` is a pointer to this state (size,).
+    """
     total = 0.0
     for i in range(size):
         total += abs(after[i])
@@ -223,10 +241,11 @@ def checked(outcome, size, after):
 
 @INLINED
 def stored(made, steps, every, wait, rows, size, now, after, path, before):
-    """Store the state (size,) `after` a step if it is due; return the number of steps to wait, and the rows in use.
+    """Store the state (size,) `after` a step if it is due; return the steps until the next storage and the rows in use.
 
-    `made` steps are made; every `every`-th state and the last are stored in `path` (M, size). Row i of `before` takes
-    the state one step before that of row i + 1 of `path`; with `every` 1 nothing is written there. All are pointers.
+    `made` is the number of steps made, and `wait` counts the steps until the next storage. The rows of `path` (M, size)
+    take every `every`-th state and the last state. Row i of `before` takes the state one step before row i + 1 of
+    `path`. With `every` 1 nothing is written to `before`. Then `after` is copied to `now`. All arrays are pointers.
     """
     wait -= 1
     if wait == 0 or made == steps:
@@ -243,7 +262,7 @@ def stored(made, steps, every, wait, rows, size, now, after, path, before):
 
 @INLINED
 def stored_last(wait, every, rows, size, now, path):
-    """Store the last good state (size,) if it has not been stored; return the rows in use."""
+    """Store the last good state `now` (size,) in `path` unless it is already stored; return the rows in use."""
     if wait < every:
         for i in range(size):
             path[rows * size + i] = now[i]
@@ -253,10 +272,11 @@ def stored_last(wait, every, rows, size, now, path):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def follow(scheme, memory, start, steps, h, parameters, tolerance, most, every, path, before):
-    """Make all steps from a state (state,), and store states in `path` and `before` (M, state); see `stored`.
+    """Make all steps from the state `start` (state,), and store states in `path` and `before` (M, state).
 
-    A step that fails ends the motion; the last good state is then stored. Return the number of steps made, the rows of
-    `path` in use, the iterations and 0, or a negative number for the reason of the failure.
+    `stored` explains `every`, `path` and `before`. A step that fails ends the motion; the last good state is then
+    stored. Return four numbers: the steps made, the rows of `path` in use, the iterations, and the outcome. The outcome
+    is 0, or a negative number for the reason of a failure.
     """
     parameters_at, size = parameters.ctypes.data, scheme.state
     work = work_in(scheme, memory, h, parameters_at)
@@ -281,10 +301,10 @@ def follow(scheme, memory, start, steps, h, parameters, tolerance, most, every, 
 def follow_explicitly(
     step, size, stages, parts, count, state, now, interval, lengths, numbers, parameters, path, before, outcome
 ):  # fmt: skip
-    """Make all steps of an explicit scheme by a function that is inlined; otherwise as `follow`.
+    """Make all steps of an explicit scheme, by a function `step` that is inlined; store states as `follow` does.
 
-    A step has `parts` parts, each of `count` lengths. All arrays are pointers: `state` and `now` hold the
-    first state, `numbers` the number of steps, their length and `every`; `outcome` takes the results of `follow`.
+    A step has `parts` parts, each with `count` lengths. All arrays are pointers. `state` and `now` hold the first
+    state. `numbers` holds the number of steps, their length and `every`. `outcome` takes the results of `follow`.
     """
     steps, h, every = int(numbers[0]), numbers[1], int(numbers[2])
     rows, wait, made, reason = 1, every, 0, 0
@@ -309,10 +329,10 @@ def follow_explicitly(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def make_step(scheme, memory, start, t, h, parameters, tolerance, most, interval, seen):
-    """Make one step from a state (state,); return the iterations, or the negative outcome of a failure.
+    """Make one step from the state `start` (state,); return the iterations, or the negative outcome of a failure.
 
-    `interval` (stages + state,) takes the inner stages and the end of the last part, `seen` (inputs, 2) the inputs of
-    tables.
+    `interval` (stages + state,) takes the inner stages and the end of the last part. `seen` (inputs, 2) takes the least
+    and the greatest value of each input of a table in that part.
     """
     parameters_at = parameters.ctypes.data
     work = work_in(scheme, memory, h, parameters_at)
@@ -329,9 +349,9 @@ def make_step(scheme, memory, start, t, h, parameters, tolerance, most, interval
 
 
 def part_of_step(scheme, start, t, lengths, parameters, tolerance, most, interval):
-    """Make a part of a step, of given lengths, from a state (state,) at time t; otherwise as `make_step`.
+    """Make one part of a step from the state `start` (state,) at time t; `lengths` are its lengths.
 
-    Inputs of tables may leave their ranges.
+    Inputs of tables may leave their ranges. Other arguments and the result are as in `make_step`.
     """
     lengths = np.ascontiguousarray(lengths, dtype=float)
     alone = scheme._replace(parts=1, fractions=lengths.ctypes.data, inputs=0)
@@ -341,9 +361,11 @@ def part_of_step(scheme, start, t, lengths, parameters, tolerance, most, interva
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, tolerance, most, every):
-    """Return the max-norm of the scheme's equations over steps from `before` to rows 1, 2, ... of `path` (M, state).
+    """Return the max-norm of the equations of the scheme, over the steps from `before` to `path`.
 
-    Inner stages, and states between the parts of a step, are not stored, but computed again from the state before.
+    For i from 1 to `rows` - 1, one step goes from row i - 1 of `before` to row i of `path` (M, state). `steps` is the
+    number of steps of the motion. Inner stages and states between the parts of a step are not stored. They are computed
+    again from the state before the step.
     """
     size, stages, parameters_at, largest = scheme.state, scheme.stages, parameters.ctypes.data, 0.0
     work, residual = work_in(scheme, memory, h, parameters_at), np.empty(scheme.stages + scheme.state)
@@ -377,7 +399,10 @@ def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, t
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def energies(energy, path, times, parameters, values):
-    """Fill `values` (M,) with the Hamiltonian, a Value at an address, along the path (M or more, size) at `times`."""
+    """Fill `values` (M,) with the Hamiltonian along the first M rows of `path` (.., size) at `times`.
+
+    `energy` is the address of a compiled function that returns the Hamiltonian.
+    """
     for row in range(values.size):
         state_at = path.ctypes.data + 8 * row * path.shape[1]
         values[row] = call_value(energy, (state_at, times[row], parameters.ctypes.data))
