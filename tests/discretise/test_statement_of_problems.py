@@ -62,7 +62,7 @@ def test_the_greatest_value_is_minus_the_least_cost():
 
 @pytest.mark.parametrize("other", ["cost", "terminal_cost"])
 def test_greatest_and_least_at_once_are_refused(other):
-    with pytest.raises(errors.ExpressionError, match=f"maximise beside {other}"):
+    with pytest.raises(errors.ExpressionError, match=f"maximise and {other} in one problem"):
         normalise(pushed(maximise=lambda x, v, u: -(u**2), **{other: lambda x, v, u: x**2}))
 
 

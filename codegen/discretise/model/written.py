@@ -144,8 +144,9 @@ def maximises(control: Control) -> bool:
 
     minimised, maximised = nonzero("cost", "terminal_cost"), nonzero("maximise", "terminal_maximise")
     if minimised and maximised:
-        finding = f"{maximised[0]} beside {minimised[0]}"
-        raise ExpressionError(finding, f"write all in one of them, with {minimised[0]} negated")
+        finding = f"{maximised[0]} and {minimised[0]} in one problem"
+        name = maximised[0].replace("terminal_maximise", "terminal_cost").replace("maximise", "cost")
+        raise ExpressionError(finding, f"write {name}=-(...) in place of {maximised[0]}=...")
     return bool(maximised)
 
 
