@@ -74,7 +74,7 @@ def require_stamp(folder):
 
 
 def remove_invalid(folder, start, identity=""):
-    """Remove invalid machine code from files in a folder whose names begin with `start`.
+    """Remove invalid files of machine code in a folder, of those whose names begin with `start`.
 
     Damaged files are removed with a note on stderr. Files of machine code without the text `identity` are removed, too.
     numba writes an index before the code. If the process is killed in between, the index may name the machine code of
@@ -101,7 +101,8 @@ def remove_invalid(folder, start, identity=""):
 def is_whole(data, pickles):
     """Return True if the bytes `data` of a file are complete.
 
-    If they end with a checksum, the checksum must be right. Otherwise, as many pickles as given must be readable.
+    If they end with a checksum, the checksum must be right. Otherwise, as many complete pickles as `pickles` must be
+    readable.
     """
     body, mark, digest = data[:-SEALED], data[-SEALED : len(SEAL) - SEALED], data[len(SEAL) - SEALED :]
     if mark == SEAL:

@@ -11,7 +11,10 @@ from fractions import Fraction
 
 
 class Task(StrEnum):
-    """The task of a problem."""
+    """The task of a generated module.
+
+    The tasks are optimal control, the simulation of motions, and the connection of points by motions.
+    """
 
     CONTROL = "control"
     SIMULATE = "simulate"
@@ -320,7 +323,7 @@ class Record:
     observations : ObservationRecord or None
         Measurements.
     segments : SegmentRecord or None
-        The segments into which delays cut the motion.
+        The segments into which delays divide the motion.
     sensitivities : tuple of str or None
         Quantities with respect to which the module differentiates solutions; None for a module without sensitivities.
     conservative : bool
@@ -448,7 +451,7 @@ class ControlRecord(Record):
 
     @property
     def slack_meanings(self) -> tuple[Mapping[str, Meaning], ...]:
-        """The meanings of slacks in each phase."""
+        """The meanings of slacks, one mapping for each phase."""
         return self.slacks or (self.meanings,)
 
     def kind(self, name: str) -> Kind | None:

@@ -20,7 +20,7 @@ FARTHEST = -1e4  # least argument of the polygamma functions: the recurrence tak
 
 @njit(cache=True, error_model="numpy")
 def polygamma(n, x):
-    """Return the derivative number n >= 0 of the digamma function.
+    """Return the derivative of order n >= 0 of the digamma function at x.
 
     The value is infinite at the poles 0, -1, ..., and NaN below FARTHEST.
     """
@@ -48,7 +48,7 @@ def asymptotic_sum(n, x):
 
 @njit(cache=True, error_model="numpy")
 def sinc_derivative(n, x):
-    """Return the derivative number n >= 0 of sin(x)/x, which is one at x = 0."""
+    """Return the derivative of order n >= 0 of sin(x)/x at x, with sin(0)/0 = 1."""
     if abs(x) < 2.0 + 0.5 * n:
         return sinc_series(n, x)
     value = math.sin(x) / x
@@ -60,7 +60,10 @@ def sinc_derivative(n, x):
 
 @njit(cache=True, error_model="numpy")
 def sinc_series(n, x):
-    """Return the sum of (-1)^j x^(2j - n)/((2j + 1) (2j - n)!) over 2j >= n."""
+    """Return the derivative of order n of sin(x)/x by its power series.
+
+    The series is the sum of (-1)^j x^(2j - n)/((2j + 1) (2j - n)!) over 2j >= n.
+    """
     j = (n + 1) // 2
     power, total, before = x if n % 2 else 1.0, 0.0, 1.0
     sign = -1.0 if j % 2 else 1.0

@@ -55,7 +55,10 @@ def line(f, f1, x, length):
 
 @njit(error_model="numpy", forceinline=True)
 def within(numbers, first, count, x):
-    """Return x moved into the range of the breakpoints, and 1.0 if x is in the range, otherwise 0.0."""
+    """Return x, moved to the nearest breakpoint if outside, and 1.0 if x is inside, otherwise 0.0.
+
+    The `count` ascending breakpoints are in `numbers` and begin at index `first`.
+    """
     least, greatest = numbers[first], numbers[first + count - 1]
     if x < least:
         return least, 0.0
@@ -68,7 +71,8 @@ def within(numbers, first, count, x):
 def cubic_curve(numbers, first, count, x):
     """Return the value and three derivatives of a table with cubics at x.
 
-    The outermost cubics continue outside the breakpoints.
+    The table has `count` breakpoints and begins at index `first` of `numbers`. The outermost cubics continue outside
+    the breakpoints.
     """
     i = cell_of(numbers, first, count, x)
     left, at = numbers[first + i], first + count + 2 * i
@@ -81,7 +85,8 @@ def cubic_curve(numbers, first, count, x):
 def linear_curve(numbers, first, count, x):
     """Return the value and three derivatives of a table with straight lines at x.
 
-    The outermost lines continue outside the breakpoints.
+    The table has `count` breakpoints and begins at index `first` of `numbers`. The outermost lines continue outside the
+    breakpoints.
     """
     i = cell_of(numbers, first, count, x)
     left, at = numbers[first + i], first + count + i
@@ -91,9 +96,10 @@ def linear_curve(numbers, first, count, x):
 
 @njit(error_model="numpy", forceinline=True)
 def steps_curve(numbers, first, count, x):
-    """Return the value of a step function at x, and three zeros for its derivatives.
+    """Return the value of a table of a step function at x, and three zeros for its derivatives.
 
-    The value is that at the last breakpoint up to x, or at the first breakpoint if x is below all breakpoints.
+    The table has `count` breakpoints and begins at index `first` of `numbers`. Its value at x belongs to the last
+    breakpoint up to x, or to the first breakpoint if x is below all breakpoints.
     """
     i = cell_of(numbers, first, count, x) if x < numbers[first + count - 1] else count - 1
     return numbers[first + count + i], 0.0, 0.0, 0.0
@@ -112,7 +118,8 @@ def clamped_curve(inside, f, f_1, f_11, f_111):
 def cubic_surface(numbers, first, rows, columns, x, y):
     """Return the value and nine derivatives of a table with products of cubics at (x, y).
 
-    The outermost cubics continue outside the grid of breakpoints.
+    The table has `rows` breakpoints of x and `columns` of y, and begins at index `first` of `numbers`. The outermost
+    cubics continue outside the grid of breakpoints.
     """
     i, j = cell_of(numbers, first, rows, x), cell_of(numbers, first + rows, columns, y)
     left, below = numbers[first + i], numbers[first + rows + j]
@@ -139,7 +146,8 @@ def cubic_surface(numbers, first, rows, columns, x, y):
 def linear_surface(numbers, first, rows, columns, x, y):
     """Return the value and nine derivatives of a table with products of straight lines at (x, y).
 
-    The outermost lines continue outside the grid of breakpoints.
+    The table has `rows` breakpoints of x and `columns` of y, and begins at index `first` of `numbers`. The outermost
+    lines continue outside the grid of breakpoints.
     """
     i, j = cell_of(numbers, first, rows, x), cell_of(numbers, first + rows, columns, y)
     left, below = numbers[first + i], numbers[first + rows + j]

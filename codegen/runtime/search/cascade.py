@@ -167,8 +167,8 @@ def violating_starts(search, iterate, guess):
     """Yield pairs (iterate, slice of unknowns that stay fixed) from which the constraint violation is minimised.
 
     Linking variables, such as a duration, may fall to values without a feasible motion before the motion itself changes
-    much. One start therefore keeps these fixed. At a symmetric guess, the violation may be stationary but not minimal.
-    The last start is therefore bent.
+    much. One start therefore keeps the linking variables fixed. At a symmetric guess, the violation may be stationary
+    but not minimal. The last start is therefore bent.
     """
     grid = search.grid
     yield iterate, NONE_HELD
@@ -215,16 +215,17 @@ def varied_guess(grid, unknowns, seed):
 
 
 def leave_saddles(search, start, attempt, tolerance, max_iterations, log, **how):
-    """Search; from a saddle point, search again on both sides, each time farther away from the saddle point.
+    """Search for a minimum; from a saddle point, search again on both sides, each time farther away.
 
-    The arguments and the result are those of `newton.descend`. If no search leads to a lower cost, the point does not
-    count as a saddle point: if multipliers are not unique, the Hessian at a minimum may be indefinite.
+    Arguments and result are the same as for `newton.descend`. If no search leads to a lower cost, the point does not
+    count as a saddle point. The reason may be multipliers that are not unique: the Hessian at a minimum may then be
+    indefinite.
     """
     status, saddle, total = descend(search, start, attempt, tolerance, max_iterations, log, **how)
     grid, has_failed, escapes = search.grid, False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
         saddle_cost, unknowns = predicted_cost(search, saddle), saddle.point.unknowns
-        curvature = np.zeros(unknowns.size)  # of the barrier
+        curvature = np.zeros(unknowns.size)  # second derivatives of the barrier
         np.add.at(curvature, search.bounds.indices, saddle.duals / saddle.distance)
         for step in escape_steps(grid, unknowns, curvature, escapes):
             beside = begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
@@ -251,7 +252,8 @@ def escape_steps(grid, unknowns, curvature, escapes):
     """Return two opposite steps (n,) along the direction of most negative curvature, longer after more `escapes`.
 
     The first steps change each quantity by at most a tenth of max(1, its largest value). Each quantity has its own
-    limit, because the magnitude of one quantity says nothing about others. `curvature` (n,) is that of the barrier.
+    limit, because the magnitude of one quantity says nothing about others. `curvature` (n,) are the second derivatives
+    of the barrier.
     """
     direction, sizes = negative_curvature_direction(grid, unknowns, curvature), np.maximum(1.0, np.abs(unknowns))
     for values in views(grid, sizes):
@@ -294,9 +296,9 @@ def least_delta_w(grid, unknowns, system, curvature=0.0):
 
 
 def begin_nearby(search, unknowns, tolerance):
-    """Return the warm start at the unknowns of a neighbour, or None if its multipliers are unusable.
+    """Return the warm start at `unknowns` (n,), the solution of a similar problem; see `descent.begin_beside`.
 
-    See `descent.begin_beside`.
+    Return None if the multipliers of that solution are unusable.
     """
     work, (problem, data, _, bounds) = search.work, search.arguments
     work.vectors[X], work.reals[LEAST_RELAXATION] = unknowns, search.least
@@ -305,11 +307,11 @@ def begin_nearby(search, unknowns, tolerance):
 
 
 def factor_nearby(grid, unknowns, tolerance, search):
-    """Factor the linear system of the first step from the unknowns of a neighbour, before the search begins.
+    """Factor the linear system of the first step from the solution of a similar problem, before the search begins.
 
-    `search` is the result of `search_on` for a grid with as many bounds; its storage takes the factors. Return True if
-    a first step from these or from similar unknowns can use the factors, because the reduced Hessian is positive
-    definite.
+    `unknowns` (n,) is this solution. `search` is the result of `search_on` for a grid with as many bounds; its storage
+    takes the factors. Return True if a first step from these or from similar unknowns can use the factors, because the
+    reduced Hessian is positive definite.
     """
     search = on_grid(search, grid)
     iterate = begin_nearby(search, unknowns, tolerance)

@@ -67,7 +67,7 @@ INTEGERS = 25
 # neighbour. A neighbour is the solution of a similar problem; `begin_beside` makes an iterate of its unknowns.
 GO_ON, WITH_ITERATE, WITH_UNKNOWNS, WITH_NEIGHBOUR = range(4)
 
-# The start.
+# The start of a search.
 AT_GUESS, BESIDE, FROM_AFAR = (0.1, 1e-2), (1e-5, 1e-4), (0.1, 0.1)
 """The first weight of the barrier, and the push inside the bounds, for a search from a guess (AT_GUESS), for a warm
 start without multipliers (BESIDE), and for a warm start with multipliers whose residual exceeds NEAR (FROM_AFAR).
@@ -116,7 +116,7 @@ LEAST_DAMPING = 1e-5  # least damping of the Hessian after several much shortene
 
 # Refinement.
 ACCURATE = 1e-10  # largest residual, relative to right-hand side and solution, of a step that is not refined
-NEARLY_ACCURATE = 1e-6  # a smaller residual that two corrections do not halve is a rounding error of a large solution
+NEARLY_ACCURATE = 1e-6  # if two corrections do not halve a smaller residual, it is a rounding error of a large solution
 LARGE_STEP = 1e6  # residuals are compared with a solution up to this size, relative to the right-hand side
 SOLVED_AGAIN = 10  # largest number of corrections, as in IPOPT
 UNSOLVED = 0.1  # if a full step leaves a larger part of the residual, its linear system may be solved inaccurately
@@ -149,7 +149,7 @@ def sum_of_logarithms(distance):
 
 @njit(cache=True, error_model="numpy")
 def relaxation(mu, least):
-    """Return the relaxation of bounds for the weight mu, relative to the magnitudes of bounds.
+    """Return the relaxation of bounds for the barrier's weight mu, relative to the magnitudes of bounds.
 
     `least` is the least relaxation.
     """
@@ -271,7 +271,7 @@ def terms(problem, grid, system, x, is_costless, vectors):
         sums[i] = 0.0
     multiply_entries(entries, rows, columns, steps, counts, unknowns, sums, True)
     for j in range(fillings.shape[0]):
-        # Intervals put a one on the diagonal for an unknown that only the start has. The one is no term of an equation:
+        # Intervals put a one on the diagonal for an unknown that only the ends have. The one is no term of an equation:
         # the entry of the start subtracts it.
         value, row = entries[fillings[j, 0]], fillings[j, 1]
         sums[row] += (abs(value + 1.0) - 1.0 - abs(value)) * abs(unknowns[row])
@@ -498,7 +498,10 @@ def accepts(pairs, integers, violation, objective, trial_violation, trial_object
 
 @njit(error_model="numpy")
 def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight_of_right, vectors, remainder):
-    """Fill `remainder` (n,) with KKT matrix . step + weight_of_right . right; return the result of `inaccuracy`."""
+    """Fill `remainder` (n,) with the residual KKT matrix . step + weight_of_right . right of a linear system.
+
+    Return the `inaccuracy` of the step. `diagonal` (n,) is added to the diagonal of the matrix.
+    """
     steps, h, nodes, parameters, is_multiplier, sizes, forces, _, ties, is_free, _ = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
     unknowns, vector = x, step
@@ -703,7 +706,7 @@ def log_row(grid, g, cost, residual, stationarity, row):
 
 @njit(error_model="numpy")
 def copy(source, target):
-    """Copy a vector."""
+    """Copy the vector `source` to `target`."""
     for i in range(source.size):
         target[i] = source[i]
 
@@ -761,7 +764,7 @@ def begin(problem, grid, bounds, reals, integers, vectors, barriers):
 
 @njit(error_model="numpy")
 def begin_at(start, problem, grid, bounds, reals, integers, vectors, barriers):
-    """Do the same as `begin`, with duals on the central path; `start` is a pair (weight, push)."""
+    """Do the same as `begin`, with duals on the central path; `start` is a pair (weight of the barrier, push)."""
     reals[MU] = start[0] if bounds[0].size else 0.0
     reals[PUSH], integers[ON_PATH], integers[IS_FACTORED] = start[1], 1, 0
     begin(problem, grid, bounds, reals, integers, vectors, barriers)
@@ -769,10 +772,10 @@ def begin_at(start, problem, grid, bounds, reals, integers, vectors, barriers):
 
 @njit(cache=True, error_model="numpy")
 def begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, barriers):
-    """Make the iterate of a warm start at the unknowns X of a neighbour, in the work space.
+    """Make the iterate of a warm start at the unknowns X in the work space, the solution of a similar problem.
 
-    IS_BESIDE is set if the iterate has the neighbour's multipliers. The multipliers are dropped if all are zero, if the
-    iterate is not finite, or, without bounds, if the residual exceeds NEAR. The duals of bounds follow from the
+    IS_BESIDE is set if the iterate has the multipliers of this solution. The multipliers are dropped if all are zero,
+    if the iterate is not finite, or, without bounds, if the residual exceeds NEAR. The duals of bounds follow from the
     multipliers. If the Lagrangian decreases towards a bound with a slope larger than the distance to the bound, the
     bound is active. Its dual is then this slope. Other duals are on the central path. The barrier's weight begins at
     its final value, and unknowns may stay close to their bounds.
@@ -851,7 +854,7 @@ def estimate_multipliers(problem, grid, system, bounds, reals, vectors, barriers
 def enter(problem, grid, system, bounds, reals, integers, vectors, barriers, pairs):
     """Prepare the state of a search that begins with the iterate in the work space.
 
-    Multipliers that are all zero are estimated. Other multipliers come from a neighbour and are kept.
+    Multipliers that are all zero are estimated. Otherwise the start is warm, and its multipliers are kept.
     """
     integers[IS_WARM] = has_multipliers(vectors[X], grid[4])
     if not integers[IS_WARM]:

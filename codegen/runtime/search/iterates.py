@@ -218,9 +218,9 @@ def arguments_of(grid, system):
 
 
 def begin(search, unknowns, attempt):
-    """Return the iterate at primal `unknowns` (n,), pushed inside their bounds.
+    """Return the iterate at primal `unknowns` (n,), pushed inside their bounds by `attempt.push`.
 
-    The duals are one, or on the central path if the attempt says so.
+    The duals are one, or on the central path with `attempt.on_path`.
     """
     work = search.work
     work.vectors[X] = unknowns

@@ -82,7 +82,7 @@ def with_entry_factors(grid, system):
 def global_index(local, first, element, own, bodies, body, linking):
     """Return the index, among all unknowns, of the local unknown `local` of an interval.
 
-    `first` is the index of the first unknown of the interval, and `linking` that of the first linking variable.
+    `first` is the index of the first unknown of the interval, and `linking` the index of the first linking variable.
     """
     return first + local if local < element else linking + root_index(own, bodies, body, local - element)
 
@@ -154,8 +154,9 @@ def factor_at(
 ):  # fmt: skip
     """Factor the linear system at `address` with the second derivatives from `loop`; return the excess or SINGULAR.
 
+    The excess is the number of negative eigenvalues minus the number of equations, see `factor_kkt`.
     `factors_of_entries` are the scaling factors of the second derivatives. If `is_wanted`, `step` (n,) is filled with
-    the solution for the right-hand side -`right` (n,). The other arguments are those of a grid and of a System.
+    the solution for the right-hand side -`right` (n,). The other arguments come from a Grid and a System.
     """
     fill_entries(
         loop, unknowns, sizes, scaled, factors_of_entries, steps, h, nodes, parameters, counts, entries

@@ -28,11 +28,12 @@ def descend(
 ):
     """Follow Newton's steps from `start`; return (status, iterate, iterations).
 
-    The `stage` says what the start is: an iterate, primal unknowns (n,) with zeros for multipliers, or the unknowns of
-    a neighbour (the solution of a similar problem). `is_factored` is True if the linear system of a neighbour's first
-    step is factored already. Multipliers that are all zero are estimated. Without bounds, a search from unknowns that
-    grossly violate the equations ends as "gross" without an iteration. `saddle_cost` is the cost at the saddle point
-    next to which the search starts. The search then ends as "saddle point" as soon as it clearly reaches no lower cost.
+    The `stage` says what the start is: an iterate, primal unknowns (n,) with zeros for multipliers, or the solution of
+    a similar problem. `attempt` has the settings of the start. `is_factored` is True if the linear system of a warm
+    start's first step is factored already. Multipliers that are all zero are estimated. Without bounds, a search from
+    unknowns that grossly violate the equations ends as "gross" without an iteration. `saddle_cost` is the cost at the
+    saddle point next to which the search starts. The search then ends as "saddle point" as soon as it clearly reaches
+    no lower cost.
     """
     work = search.work
     reals, integers = work.reals, work.integers

@@ -91,7 +91,7 @@ class NonlinearProgram:
     def names(self):
         """The names of the unknowns x, with node or interval and time, as in `r at node 3 (t = 1.2)`.
 
-        The times are those of the initial guess.
+        The times belong to the initial guess.
         """
         return tuple(unknown_name(self.grid, self.guess, index) for index in self.primal)
 

@@ -56,8 +56,9 @@ class DataDerivatives:
     acting, bounding : array of int
         Indices of the parameters on which intervals depend, and of the parameters that move bounds.
     rows, columns : array of int
-        For each mixed second derivative of an interval, the local unknown (row) and the datum (column). `start_rows`
-        and so on are those of both ends.
+        For each mixed second derivative of an interval, the local unknown (row) and the datum (column).
+    start_rows, start_columns, end_rows, end_columns : array of int
+        The same for both ends.
     loop : Loop
         Fills the gradient (n,) of both ends and of conditions between linking variables. Then follow, for all
         intervals, all starts and all ends, the first derivatives with respect to data, and the mixed derivatives. Last
@@ -94,10 +95,11 @@ class DataDerivatives:
     clock: int | None = None
 
     def tables(self, structure):
-        """Return (rows, columns, counts, lengths) for `sensitivities`; rows and columns are numbered as in an element.
+        """Return (rows, columns, counts, lengths) for the functions in `sensitivities`.
 
-        `counts` are the numbers that `sensitivities.change_along` reads. `lengths` are the number of values that the
-        loop fills for each interval, and the number of all other values.
+        `rows` and `columns` (k,) belong to the mixed second derivatives of an interval and of both ends. Rows are local
+        indices of an element. `counts` are the numbers that `sensitivities.change_along` reads. `lengths` are the
+        number of values that the loop fills for each interval, and the number of all other values.
         """
         s, sizes = structure, [part.size for part in (self.rows, self.start_rows, self.end_rows)]
         counts = np.array([self.count, self.parametric, s.shared, s.inner_first, s.inner_times, *sizes])
@@ -119,7 +121,10 @@ class Storage:
         self.kept = []
 
     def take(self, key):
-        """Remove and return the arrays that were kept last, or return None if their key differs or none are kept."""
+        """Remove the arrays that were kept last, and return them if their key is `key`.
+
+        Return None if the key differs, or if no arrays are kept.
+        """
         try:
             kept, arrays = self.kept.pop()
         except IndexError:
@@ -216,7 +221,7 @@ class ControlProblem:
         return system_address(self.structure.shape)
 
     def kernels(self):
-        """Return the loops of the problem, the loops that take longest to compile first."""
+        """Return the loops of the problem, beginning with the loops that take longest to compile."""
         of_data = self.data.loop if self.data else None
         loops = self.hessians, of_data, self.gradient, self.parts, self.inputs
         return tuple(loop for loop in loops if loop is not None)

@@ -28,8 +28,8 @@ def restore(search, iterate, reduction, pairs, is_late):
 
     The filter accepts a restored iterate. Its violation is at most `reduction` times the first violation. `pairs` (k,
     2) are the pairs (violation, objective) of the filter. `is_late` is a function that returns True once the time limit
-    has passed. With bounds, the duals are those of the restoration, and so is the weight of an iterate that is not
-    restored.
+    has passed. With bounds, the iterate has the duals of the restoration's barrier, and the weight of this barrier if
+    it is not restored.
     """
     grid, damping = search.grid, 0.0
     largest = LARGEST_DAMPING * max(1.0, WEIGHT * iterate.point.residual**2)

@@ -344,7 +344,7 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
             add_entry(q, q.end_rows[j], q.end_columns[j], value, terms, effect, curvature)
         for sample in range(places.size):
             k = places[sample]
-            place, part = (body * steps + k) * count, nodes[k + 1] - nodes[k]  # of a mean length
+            place, part = (body * steps + k) * count, nodes[k + 1] - nodes[k]  # length in mean lengths
             for i in range(5):  # abscissae are multiples of a half
                 growth[i] = np.exp((0.5 * i - 1.0) * part / intervals)
             for i in range(moduli.shape[0]):

@@ -110,10 +110,10 @@ def sensitivities(grid, unknowns, given=()):
 
 
 def active_bounds(grid, scaled, unknowns):
-    """Return three masks (n,): unknowns with bounds, unknowns held by an active bound, and unknowns at a lower bound.
+    """Return masks (n,) of unknowns with bounds, of unknowns at active bounds, and of unknowns at lower bounds.
 
-    The last result are the indices of unknowns whose bound may or may not be active. A bound is active if its
-    multiplier exceeds the distance to the bound, both scaled. The scaling factors are those of the grid `scaled`.
+    The fourth result is an array of indices of unknowns whose bound may or may not be active. A bound is active if its
+    multiplier exceeds the distance to the bound, both scaled with the factors of the grid `scaled`.
     """
     sizes, forces = (scaled.sizes, scaled.forces) if scaled.sizes.size else (1.0, 1.0)
     is_primal, (lower, upper) = free_unknowns(grid) & ~grid.is_multiplier, bounds_of(grid)
@@ -354,8 +354,8 @@ def add_changes(
 ):  # fmt: skip
     """Add the change of an element's gradient to `part`.
 
-    The change is second derivatives times the changes `moved` of unknowns, plus mixed derivatives times the changes
-    `data`. `place` and `at_mixed` are the indices of the first of both among `entries` and `filled`.
+    The change is the sum of second derivatives times the changes `moved` of unknowns, and mixed derivatives times the
+    changes `data`. In `entries` and `filled`, both kinds of derivatives begin at `place` and `at_mixed`.
     """
     for j in range(width):
         row, column, value = entry_rows[first_entry + j], entry_columns[first_entry + j], entries[place + j]
@@ -367,11 +367,11 @@ def add_changes(
 
 
 def solved_along(case, system, roots, offsets, directions, changes):
-    """Return the derivatives of unknowns (m, n) for which the gradient does not change, and the residual.
+    """Return the derivatives of unknowns (m, n) for which the gradient does not change, and the relative residual.
 
-    Substitutions are repeated until the change of the gradient vanishes, relative to its terms. `directions` are
-    initial derivatives of the unknowns (m, n), rates and times. `changes` (m, n) are the changes of the gradient in
-    these directions.
+    Substitutions are repeated until the change of the gradient is small relative to its terms. `directions` is a tuple
+    of initial derivatives of the unknowns (m, n), of parameters and of times. `changes` (m, n) are the changes of the
+    gradient for these. `offsets` see `follow_ties`; `roots` (n,) are the scaling factors of all unknowns.
     """
     moves, rates, times = directions
     s, steps, is_multiplier, inaccuracy = case.grid.problem.structure, case.grid.steps, case.grid.is_multiplier, np.inf

@@ -130,7 +130,8 @@ def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log):
     """Search from a guess, then from a motion if that takes long or fails; return (status, grid, point, iterations).
 
     The motion under the controls of the guess `unknowns` (n,) is another guess, with its own scaling factors. If the
-    search from the motion finds no optimum, the first search is repeated without its limit.
+    search from the motion finds no optimum, and the first search has only reached its limit, the first search is
+    repeated without limit.
     """
     start = scaled_unknowns(grid, unknowns)
     status, point, total = minimise(grid, start, tolerance, min(max_iterations, SLOW), False, log)
@@ -156,7 +157,7 @@ def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log):
 def corrected_status(grid, guess, point, status):
     """Return the status of a search on a grid, or a more precise status.
 
-    "solved" becomes "stalled" if multipliers are so huge that any slope looks like a rounding error. "solved" becomes
+    "solved" becomes "stalled" if multipliers are so huge that any slope looks like a rounding error. It becomes
     "unbounded" if unknowns are so far from the guess that any residual may be a rounding error. The guess (n,) is in
     the problem's own units.
     """
@@ -176,7 +177,7 @@ def has_run_away(scaled, guess, unknowns):
     """Return True if unknowns are so far from the guess that any residual may be a rounding error.
 
     Guess and unknowns are in the problem's own units. They must be far apart both in these units and with the scaling
-    factors of the grid `scaled`, since either alone may mean little.
+    factors of the grid `scaled`, because one of both tests alone may mean little.
     """
     is_primal = ~scaled.is_multiplier
     size, guess_size = np.abs(unknowns[is_primal]).max(), np.abs(guess[is_primal]).max()
@@ -305,7 +306,7 @@ def solve_linear_quadratic(grid, unknowns, tolerance, log, system=None):
 
 
 def without_minimum(grid, point, system):
-    """Return (status, point) if the KKT matrix is singular, or does not have the inertia of a minimum.
+    """Return (status, point) for a problem whose KKT matrix is singular, or has not the inertia of a minimum.
 
     The point is the nearest point where the equations hold, or where their violation is least.
     """

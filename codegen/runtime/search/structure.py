@@ -54,8 +54,9 @@ class Structure:
     phases : int
         Number of phases, 0 for a single phase.
     rows, columns : array of int
-        Local rows and columns of the entries of an interval's Hessian, lower triangle. `start_rows` and so on are those
-        of the Hessians of both ends.
+        Local rows and columns of the entries of an interval's Hessian, lower triangle.
+    start_rows, start_columns, end_rows, end_columns : array of int
+        The same for the Hessians of both ends, with the unknowns of the node first, then the linking variables.
     is_multiplier, shared_is_multiplier : array of bool
         Masks of the multipliers among the unknowns of a node and an interval, and among the linking variables.
     start_pinned, end_pinned : array of int
@@ -198,7 +199,7 @@ class Structure:
         """The entries of an interval's Hessian that belong to stages: four tuples (entries, rows, columns).
 
         The tuples are the kinds slopes, outer, curved and cross, which `kkt.shape` defines. Rows and columns of stages
-        and of their equations are numbered from zero, those of other unknowns are local indices.
+        and of their equations are numbered from zero. For other unknowns, rows and columns are local indices.
         """
         node, stages = self.node, self.stages
         local = np.arange(self.element + self.shared)
