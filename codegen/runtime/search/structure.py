@@ -86,12 +86,14 @@ class Structure:
         Masks of the unknowns that the intervals of each phase lack, and that the first interval after each switch
         lacks.
     tabled : int
-        Number of the numbers of tables, which follow the parameters.
+        Total length of all tables, whose numbers follow the parameters.
     sample, first_sample : int
-        Number of the numbers of a measurement sample, and the index of the first sample behind the parameters.
-    inequalities, linear_quadratic, costless, forward : bool
-        True if unknowns have bounds; if one Newton step suffices; if the cost is zero, so that any feasible motion is
-        optimal; if a motion follows from the start and the controls.
+        Length of the sample of one measurement, and index of the first sample in the array of parameters.
+    inequalities, linear_quadratic : bool
+        True if unknowns have bounds; True if one Newton step suffices.
+    costless, forward : bool
+        True if the cost is zero, so that any feasible motion is optimal; True if a motion follows from the start and
+        the controls.
     """
 
     node: int
