@@ -1,10 +1,11 @@
-"""Calls of functions by their address, from compiled code.
+"""Calls of compiled functions by their address, from compiled code.
 
-Code that is common to all problems is compiled once. It calls the loops over intervals and the linear system of a
-problem by address. An address is an integer, which does not take part in numba's cache on disk. Arrays are passed by
-the address of their data, `array.ctypes.data`.
+The compiled code of a search is the same for all problems. It calls the loops over intervals and the linear system of a
+problem by their addresses. An address is an integer and does not become part of numba's cache on disk. Arrays are
+passed by the address of their first number, `array.ctypes.data`.
 
-If numba is switched off by NUMBA_DISABLE_JIT, the same names are functions of Python, which call by ctypes.
+If the environment variable NUMBA_DISABLE_JIT switches numba off, the functions of this module are plain Python
+functions that call through ctypes.
 """
 
 import ctypes
@@ -18,22 +19,29 @@ from numba.extending import intrinsic
 
 REALS, INTEGERS = types.CPointer(types.float64), types.CPointer(types.int64)
 LOOP = types.float64(REALS, types.int64, types.float64, REALS, REALS, types.int64, REALS)
-"""A loop over intervals: unknowns, steps, h, nodes, parameters, parameters of each body, the array to fill."""
+"""The signature of a compiled function that loops over all intervals and returns a number.
+
+The arguments are the unknowns, the number of intervals, their mean length h, the nodes, the parameters of all bodies,
+the number of parameters of each body, and the array to fill.
+"""
 SYSTEM = types.int64(
     types.int64, types.int64, types.int64, types.int64, INTEGERS, REALS, REALS, REALS, types.int64, REALS, INTEGERS,
     REALS, types.int64,
 )  # fmt: skip
-"""A linear system, as `kkt.system.solve_system`: is_new, bodies, steps, inverses, tables, entries, gradient, diagonal,
-equations, factors, order, step, is_wanted."""
+"""The signature of a compiled function that factors and solves the linear system of a Newton step.
+
+The arguments are those of `kkt.system.solve_system` without the shape: is_new, bodies, steps, inverses, tables,
+entries, gradient, diagonal, equations, factors, order, step, is_wanted.
+"""
 
 
 class Reals(ctypes.POINTER(ctypes.c_double)):  # type: ignore[misc]
-    """A pointer to numbers, which the interpreter reads as numbers of numpy's type."""
+    """A ctypes pointer to floating-point numbers whose items are numbers of numpy."""
 
     _type_ = ctypes.c_double
 
     def __getitem__(self, index):
-        """Return a number."""
+        """Return the number at `index` as a float64 of numpy."""
         return np.float64(super().__getitem__(index))
 
 
@@ -44,9 +52,10 @@ CTYPES: dict[Any, Any] = {
 
 
 def callback(signature, function):
-    """Return the entry by which compiled code calls a function of Python; `address` is its address.
+    """Return a ctypes function by which compiled code calls a Python function; its attribute `address` is the address.
 
-    The function gets numbers of numpy's type, which divide by zero as numbers in machine code do.
+    `signature` is the numba signature. The Python function receives numbers of numpy, which divide by zero as numbers
+    in machine code do.
     """
 
     def interpreted(*values):
@@ -59,7 +68,7 @@ def callback(signature, function):
 
 
 def entry_of(signature, function):
-    """Return a function compiled for calls by address, or a callback if numba is switched off."""
+    """Return a function compiled for calls by address, or its `callback` if numba is switched off."""
     if config.DISABLE_JIT:
         return callback(signature, function)
     return cfunc(signature, cache=True, error_model="numpy")(function)
@@ -70,7 +79,11 @@ _KINDS = {types.int64: _INTEGER, types.float64: _REAL}
 
 
 def _calling(signature):
-    """Return signature and generator of an intrinsic that calls the address in its first argument with the others."""
+    """Return the signature and the code generator of an intrinsic that calls a function by its address.
+
+    The first argument of the intrinsic is the address. The function at the address has the `signature` and receives the
+    other arguments.
+    """
 
     def generate(context, builder, _, values):
         kinds = [_KINDS[kind] for kind in signature.args]
@@ -80,7 +93,10 @@ def _calling(signature):
 
 
 def _call(builder, returned, kinds, address, values):
-    """Call a function of some kinds of arguments at an address."""
+    """Emit the LLVM call of the function at `address` and return its result.
+
+    `returned` and `kinds` are the LLVM types of the result and of the arguments.
+    """
     function = ir.FunctionType(returned, kinds).as_pointer()
     return builder.call(builder.inttoptr(address, function), values)
 
@@ -90,7 +106,7 @@ _SYSTEM_BY_NUMBERS = types.int64(*[types.int64] * 13)
 
 
 def _run(signature, address, values):
-    """Call the function at an address from Python, with numbers and addresses of arrays."""
+    """Call the function at `address` from Python; `values` are numbers and addresses of arrays."""
     kinds = [CTYPES[kind] for kind in signature.args]
     numbers = [float(v) if kind is types.float64 else int(v) for v, kind in zip(values, signature.args, strict=True)]
     result = ctypes.CFUNCTYPE(CTYPES[signature.return_type], *kinds)(int(address))(*numbers)
@@ -98,26 +114,26 @@ def _run(signature, address, values):
 
 
 def _run_with_tuple(returned, address, values):
-    """Call the function at an address from Python, with a tuple of numbers and addresses of arrays."""
+    """Call the function at `address` from Python; `values` are floats, and integers such as addresses of arrays."""
     kinds = [types.float64 if isinstance(value, float) else types.int64 for value in values]
     return _run(returned(*kinds), address, values)
 
 
 def _ahead(pointer, count):
-    """Return the pointer, or the rest of the array, `count` entries behind another one, in Python."""
+    """Return, in Python, a pointer moved forward by `count` numbers, or an array without its first `count` numbers."""
     if isinstance(pointer, np.ndarray):
         return pointer[count:]
     return ctypes.cast(ctypes.cast(pointer, ctypes.c_void_p).value + 8 * int(count), type(pointer))
 
 
 def compiled_or(interpreted):
-    """Return a decorator that makes an intrinsic, or returns `interpreted` if numba is switched off."""
+    """Return a decorator that makes an intrinsic, or that returns `interpreted` if numba is switched off."""
     return lambda generator: interpreted if config.DISABLE_JIT else intrinsic(generator)
 
 
 @compiled_or(lambda address, *values: _run(_LOOP_BY_NUMBERS, address, values))
 def call_loop(typingctx, address, unknowns, steps, h, nodes, parameters, width, filled):
-    """Call the LOOP at an address."""
+    """Call the loop over intervals at `address`; the other arguments are those of LOOP, with arrays as addresses."""
     return _calling(_LOOP_BY_NUMBERS)
 
 
@@ -126,24 +142,28 @@ def call_system(
     typingctx, address, is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, order,
     step, is_wanted,
 ):  # fmt: skip
-    """Call the SYSTEM at an address."""
+    """Call the linear system at `address`; the other arguments are those of SYSTEM, with arrays as addresses."""
     return _calling(_SYSTEM_BY_NUMBERS)
 
 
 @compiled_or(lambda address, values: _run_with_tuple(types.void, address, values))
 def call(typingctx, address, values):
-    """Call the function at an address, which returns nothing, with a tuple of numbers and addresses of arrays."""
+    """Call the function at `address`, which returns nothing; `values` is a tuple of numbers and addresses of arrays."""
     return _calling_with_tuple(types.void, address, values)
 
 
 @compiled_or(lambda address, values: _run_with_tuple(types.float64, address, values))
 def call_value(typingctx, address, values):
-    """Call the function at an address with a tuple of numbers and addresses of arrays; return its number."""
+    """Return the number that the function at `address` returns; `values` is a tuple of numbers and array addresses."""
     return _calling_with_tuple(types.float64, address, values)
 
 
 def _calling_with_tuple(returned, address, values):
-    """Return what `_calling` does for an intrinsic whose second argument is a tuple of numbers."""
+    """Return the signature and the code generator of an intrinsic that calls a function by its address.
+
+    The first argument of the intrinsic is the address. The function at the address receives the entries of the second
+    argument, a tuple, as its arguments.
+    """
     kinds = [_REAL if isinstance(kind, types.Float) else _INTEGER for kind in values.types]
     result = _REAL if returned is types.float64 else ir.IntType(8).as_pointer()  # an empty pointer for no result
 
@@ -156,7 +176,7 @@ def _calling_with_tuple(returned, address, values):
 
 @compiled_or(lambda array: array.ctypes.data)
 def data_of(typingctx, array):
-    """Return the address of the first number of an array, without counting a reference."""
+    """Return the address of the first number of an array; the reference count of the array stays the same."""
 
     def generate(context, builder, signature, values):
         data = context.make_array(signature.args[0])(context, builder, values[0]).data
@@ -167,18 +187,18 @@ def data_of(typingctx, array):
 
 @compiled_or(lambda address: ctypes.cast(int(address), Reals))
 def reals_at(typingctx, address):
-    """Return the pointer to floating-point numbers at an address, for `carray`."""
+    """Return a pointer to the floating-point numbers at an address, as `carray` of numba takes it."""
     return REALS(types.int64), lambda context, builder, _, values: builder.inttoptr(values[0], _REAL.as_pointer())
 
 
 @compiled_or(lambda address: ctypes.cast(int(address), CTYPES[INTEGERS]))
 def integers_at(typingctx, address):
-    """Return the pointer to integers at an address, for `carray`."""
+    """Return a pointer to the integers at an address, as `carray` of numba takes it."""
     return INTEGERS(types.int64), lambda context, builder, _, values: builder.inttoptr(values[0], _INTEGER.as_pointer())
 
 
 @compiled_or(_ahead)
 def ahead(typingctx, pointer, count):
-    """Return the pointer to the number that is `count` entries behind another."""
+    """Return the pointer moved forward by `count` numbers."""
     signature = pointer(pointer, types.int64)
     return signature, lambda context, builder, _, values: builder.gep(values[0], [values[1]])

@@ -1,23 +1,24 @@
-"""Arithmetic of steps and kernels: factorisations of small dense matrices, accurate sums, accurate logarithms.
+"""Arithmetic of time steps and kernels: factorisations of small dense matrices, accurate sums, accurate logarithms.
 
-Inner loops of matrices run along rows, so that they are vectorised. Sources: Golub and Van Loan (2013), Matrix
-computations, algorithms 3.4.1 (LU with partial pivoting) and 4.2.2 (Cholesky).
+The innermost loops over matrices run along rows, so that the compiler vectorises them. Sources: Golub and Van Loan
+(2013), Matrix computations, algorithms 3.4.1 (LU with partial pivoting) and 4.2.2 (Cholesky).
 
 `accurate_dot` sums products to the last digit. Distances from a boundary are small differences of large numbers.
 Source: Ogita, Rump and Oishi (2005), Accurate sum and dot product, SIAM Journal on Scientific Computing 26, algorithm
-5.3 (Dot2) with Veltkamp's and Dekker's product.
+5.3 (Dot2) with the products of Veltkamp and Dekker.
 
 x - log(1 + x) and log(1 + x) - x/(1 + x) are computed without cancellation. With r = x/(2 + x) the logarithm is
-log(1 + x) = 2 (r + r^3/3 + r^5/5 + ...), so that both differences are sums of terms of one sign for small positive x.
+log(1 + x) = 2 (r + r^3/3 + r^5/5 + ...). Both differences are then sums of terms of one sign for small positive x.
 
-The packed versions have no branches and no calls, so that several numbers are computed at once. With k such that
-1 + x = 2^k (1 + f) and 1 + f is between 1/sqrt(2) and sqrt(2), and with r = f/(2 + f),
+The functions `packed_...` have no branches and no calls, so that one instruction computes several numbers at once.
+The integer k is such that 1 + x = 2^k (1 + f), with 1 + f between 1/sqrt(2) and sqrt(2). With r = f/(2 + f),
 
-    log(1 + f) = 2 atanh(r) = 2 r + 2 r S = f - f r + 2 r S,   S = r^2/3 + r^4/5 + ...,
+    log(1 + f) = 2 atanh(r) = 2 r + 2 r S = f - f r + 2 r S,   S = r^2/3 + r^4/5 + ...
 
-where S/r^2 is a polynomial that interpolates the series in r^2 at Chebyshev points, with a relative error of 5e-16
-(1.3e-17 of the logarithm). For k = 0, f is x itself, and terms that would cancel are left out exactly. Packed versions
-are for numbers below 1e300, and return NaN up to -1. Source: Muller (2016), Elementary functions, chapters 4 and 11.
+A polynomial replaces S/r^2: it interpolates the series in r^2 at Chebyshev points, with a relative error of 5e-16
+(1.3e-17 of the logarithm). For k = 0, f is x itself, and terms that would cancel are left out exactly. The packed
+functions take arguments below 1e300, and return NaN for arguments up to -1. Source: Muller (2016), Elementary
+functions, chapters 4 and 11.
 """
 
 import numpy as np
@@ -26,7 +27,7 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def mirror_lower_triangle(matrix):
-    """Copy the entries below the diagonal of a matrix, shape (n, n), to above it."""
+    """Copy the lower triangle of a `matrix` (n, n) to its upper triangle."""
     for row in range(matrix.shape[0]):
         for column in range(row):
             matrix[column, row] = matrix[row, column]
@@ -34,7 +35,7 @@ def mirror_lower_triangle(matrix):
 
 @njit(cache=True, error_model="numpy")
 def symmetric_product(matrix, vectors, products):
-    """Fill `products` with a symmetric matrix, shape (n, n), times vectors, both of shape (n, m)."""
+    """Fill `products` (n, m) with the product of a symmetric `matrix` (n, n) and `vectors` (n, m)."""
     size, columns = vectors.shape
     for row in range(size):
         for c in range(columns):
@@ -57,7 +58,10 @@ def symmetric_product(matrix, vectors, products):
 
 @njit(cache=True, error_model="numpy")
 def cholesky(matrix):
-    """Replace a symmetric matrix, shape (n, n), by the upper factor L' of L L'; return False if there is none."""
+    """Overwrite the upper triangle of a symmetric `matrix` (n, n) by L', with L L' = matrix.
+
+    Return False if the matrix is not positive definite.
+    """
     size = matrix.shape[0]
     for k in range(size):
         if not matrix[k, k] > 0.0:
@@ -74,7 +78,7 @@ def cholesky(matrix):
 
 @njit(cache=True, error_model="numpy")
 def solve_cholesky(factor, vectors):
-    """Solve in place for several right-hand sides, shape (n, m), with the factor from `cholesky`."""
+    """Overwrite right-hand sides `vectors` (n, m) by the solutions, with the `factor` (n, n) from `cholesky`."""
     size, columns = vectors.shape
     for k in range(size):
         for c in range(columns):
@@ -92,7 +96,7 @@ def solve_cholesky(factor, vectors):
 
 @njit(cache=True, error_model="numpy")
 def max_norm(values):
-    """Return the max-norm of a vector, shape (n,); infinite if an entry is not a number."""
+    """Return the max-norm of `values` (n,), or infinity if an entry is not finite."""
     size = 0.0
     for k in range(values.size):
         if not abs(values[k]) < np.inf:
@@ -103,7 +107,7 @@ def max_norm(values):
 
 @njit(cache=True, error_model="numpy")
 def copy_state(source, target):
-    """Copy a state of shape (2, n, d); return True if it is finite."""
+    """Copy a state of shape (2, n, d); return True if all its numbers are finite."""
     finite = True
     for s in range(2):
         for i in range(source.shape[1]):
@@ -115,7 +119,10 @@ def copy_state(source, target):
 
 @njit(cache=True, error_model="numpy")
 def factor_matrix(matrix, pivots):
-    """Factor `matrix` (m, m) in place, fill `pivots` (m,); return -1, or the first column with a zero or NaN pivot."""
+    """Factor `matrix` (m, m) into L U in place, and fill `pivots` (m,) with the row exchanges.
+
+    Return -1, or the first column with a zero or NaN pivot.
+    """
     size = matrix.shape[0]
     for i in range(size):
         pivot = i
@@ -140,7 +147,7 @@ def factor_matrix(matrix, pivots):
 
 @njit(cache=True, error_model="numpy")
 def solve_factored(matrix, pivots, right_hand_side):
-    """Overwrite a right-hand side, shape (n,), by the solution, with the factors from `factor_matrix`."""
+    """Overwrite a right-hand side (n,) by the solution, with `matrix` and `pivots` from `factor_matrix`."""
     size = matrix.shape[0]
     for i in range(size):
         pivot = pivots[i]
@@ -158,7 +165,7 @@ def solve_factored(matrix, pivots, right_hand_side):
 
 @njit(cache=True, error_model="numpy")
 def accurate_dot(first, second):
-    """Return the sum of first[k]*second[k], as if computed with twice the digits."""
+    """Return the sum of first[k] second[k] over k, as if computed with twice the digits."""
     total, lost = 0.0, 0.0
     for k in range(len(first)):
         a, b = first[k], second[k]
@@ -175,7 +182,7 @@ def accurate_dot(first, second):
 
 @njit(cache=True, error_model="numpy")
 def upper_half(x):
-    """Return the leading 26 bits of a number."""
+    """Return x rounded to its leading 26 bits."""
     shifted = 134217729.0 * x
     return shifted - (shifted - x)
 
@@ -211,14 +218,14 @@ ODD_SERIES = (
     0.3333333333333335, 0.1999999999994962, 0.14285714313047945, 0.1111110555757208, 0.09091445278347801,
     0.0766583701508393, 0.07308518774395825,
 )  # fmt: skip
-LOG_2_HIGH, LOG_2_LOW = 0.6931471803691238, 1.9082149292705877e-10  # k times the first, with few digits, is exact
+LOG_2_HIGH, LOG_2_LOW = 0.6931471803691238, 1.9082149292705877e-10  # k LOG_2_HIGH is exact: the factor has few digits
 ROOT_HALF, ONE = 0x3FE6A09E667F3BCD, 0x3FF0000000000000  # the bits of sqrt(1/2) and of 1.0
-HUGE, HUGE_BITS = 4503599627370496.0, 0x4330000000000000  # 2^52 and its bits, to which smaller integers add
+HUGE, HUGE_BITS = 4503599627370496.0, 0x4330000000000000  # 2^52 and its bits; adding an integer gives 2^52 + n
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def logarithm_parts(x):
-    """Return the numbers k, f, r and S of 1 + x."""
+    """Return the numbers k, f, r and S of 1 + x, as defined in the docstring of this module."""
     total = np.float64(1.0 + x if x > -1.0 else np.nan)
     bits = np.uint64(total.view(np.int64) + np.int64(ONE - ROOT_HALF)) >> np.uint64(52)  # k + 1023
     k = np.uint64(bits | np.uint64(HUGE_BITS)).view(np.float64) - (HUGE + 1023.0)
@@ -238,21 +245,21 @@ def logarithm_parts(x):
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def packed_log1p(x):
-    """Return log(1 + x)."""
+    """Return log(1 + x), without branches."""
     k, f, r, series = logarithm_parts(x)
     return k * LOG_2_HIGH + (f - (f * r - 2.0 * r * series - k * LOG_2_LOW))
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def packed_x_minus_log1p(x, log):
-    """Return x - log(1 + x); `log`, which is log(1 + x), is not needed."""
+    """Return x - log(1 + x), without branches; `log`, which is log(1 + x), is not used."""
     k, f, r, series = logarithm_parts(x)
     return ((x - f) - k * LOG_2_HIGH) + (f * r - 2.0 * r * series - k * LOG_2_LOW)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def packed_log1p_minus_ratio(x, log):
-    """Return log(1 + x) - x/(1 + x); `log`, which is log(1 + x), is not needed."""
+    """Return log(1 + x) - x/(1 + x), without branches; `log`, which is log(1 + x), is not used."""
     k, f, r, series = logarithm_parts(x)
     rest = ((f - x) + r * f * (1.0 + x)) / ((1.0 + f) * (1.0 + x))
     return k * LOG_2_HIGH + (rest + 2.0 * r * series + k * LOG_2_LOW)

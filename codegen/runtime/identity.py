@@ -1,9 +1,9 @@
 """Module names of functions of generated modules, under which numba stores and links their machine code.
 
-numba uses the name of the module that a function states, and imports that module when it reads the code back. A copy of
-a module, or a module imported from another folder, has another name and would end in a ModuleNotFoundError. The name
-from this module is a digest of the text of the file. It does not depend on the folder or on the import, and no other
-module has it. Functions of the same name in different modules are therefore never confused.
+numba stores the module name of a function, and imports that module when it reads the machine code again. A copy of a
+module, or a module imported from another folder, has another name. The import would then end in a ModuleNotFoundError.
+The name from this module is a digest of the text of the file. It does not depend on the folder or on the import, and no
+other text has it. Functions of the same name in different modules are therefore never confused.
 """
 
 import hashlib
@@ -17,9 +17,9 @@ PREFIX = "codegen_text_"
 
 
 def name_by_text(function):
-    """Give a function of Python, and all compiled functions in its file, the name of their text; return the name.
+    """Set `__module__` of a Python function, and of all compiled functions in its file, to a name from the file's text.
 
-    The name is empty if there is no file.
+    Return the name. The name is empty, and nothing is set, if there is no file.
     """
     name = identity_of(function)
     if not name and os.path.isfile(file := function.__code__.co_filename):
@@ -36,13 +36,13 @@ def name_by_text(function):
 
 
 def identity_of(function):
-    """Return the name that a function has from its text, or ""."""
+    """Return the name that `name_by_text` has given to a function, or "" if there is no such name."""
     name = function.__module__ or ""
     return name if name.startswith(PREFIX) else ""
 
 
 @lru_cache
 def digest_of(file, _changed):
-    """Return the name of the text of a file."""
+    """Return the name that follows from the text of a file; `_changed`, its time of change, is a key of the cache."""
     digest = hashlib.sha256(Path(file).read_bytes()).hexdigest()
     return f"{PREFIX}{digest[:24]}"

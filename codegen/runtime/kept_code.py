@@ -1,8 +1,8 @@
 """Machine code that numba keeps on disk: its folders, and the removal of code made with another runtime.
 
-numba notices changes in the file of a function, and in no other file. Functions of the runtime become part of functions
-in other files: of the runtime, of generated modules, of linear systems. A stamp in every folder of machine code
-therefore identifies the files of the runtime, and the version of numba, with which the code was made.
+numba notices changes in the file of a function, and in no other file. Functions of the runtime are inlined into
+functions of other files: of the runtime, of generated modules and of linear systems. Every folder of machine code
+therefore has a stamp. The stamp identifies the runtime files and the version of numba with which the code was made.
 """
 
 import hashlib
@@ -24,13 +24,13 @@ from codegen.runtime.identity import identity_of
 STAMP = "codegen-runtime"
 RUNTIME = Path(__file__).parent
 PICKLES = {".nbi": 2, ".nbc": 1}
-"""Numbers of pickles in an index of numba, and in a file of machine code."""
+"""The numbers of pickles in an index file of numba (.nbi), and in a file of machine code (.nbc)."""
 SEAL = b"\nsha256 of all before: "
 SEALED = len(SEAL) + hashlib.sha256().digest_size
 
 
 class Statistics(NamedTuple):
-    """The folder of the machine code of a function, and the numbers of reads and compilations by signature."""
+    """The folder of the machine code of a function, and counts of reads and of compilations."""
 
     cache_path: str | None
     cache_hits: Counter[Any]
@@ -38,7 +38,7 @@ class Statistics(NamedTuple):
 
 
 def statistics_of(function, compiled):
-    """Return the statistics of a function and of the result of `cfunc`; without counts if it was not compiled."""
+    """Return the Statistics of a Python function; `compiled` is the result of `cfunc`, None if not compiled."""
     read, made = Counter(), Counter()
     if hasattr(compiled, "cache_hits"):
         (read if compiled.cache_hits else made)[str(compiled.native_name)] += 1
@@ -47,10 +47,10 @@ def statistics_of(function, compiled):
 
 @lru_cache
 def fresh_folder(file, identity=""):
-    """Return the folder in which numba keeps machine code of a file, None if numba is switched off.
+    """Return the folder in which numba keeps machine code of a file, or None if numba is switched off.
 
-    Machine code that was made with another runtime, or is damaged, is removed. So is machine code of the file without
-    the `identity`, which names the text of the file.
+    Before that, remove machine code in the folder that was made with another runtime or is damaged. Also remove machine
+    code of the file that does not contain the `identity`, the name from the text of the file.
     """
     folder = code_folder(file)
     if folder is not None:
@@ -60,7 +60,7 @@ def fresh_folder(file, identity=""):
 
 
 def require_stamp(folder):
-    """Remove all machine code in a folder without the stamp of this runtime, and stamp the folder."""
+    """Unless a folder has the stamp of this runtime, remove all machine code in the folder and write the stamp."""
     stamp = Path(folder, STAMP)
     try:
         is_fresh = stamp.read_text(encoding="ascii") == fingerprint()
@@ -68,14 +68,15 @@ def require_stamp(folder):
         is_fresh = False
     if not is_fresh:
         for file in [*Path(folder).glob("*.nbi"), *Path(folder).glob("*.nbc")]:
-            file.unlink(missing_ok=True)  # another process may be quicker
-        with suppress(OSError):  # on a full disk machine code is not kept either
+            file.unlink(missing_ok=True)  # another process may have removed the file
+        with suppress(OSError):  # on a full disk numba keeps no machine code either
             stamp.write_text(fingerprint(), encoding="ascii")
 
 
 def remove_invalid(folder, start, identity=""):
-    """Remove damaged files of machine code with a note, and files without an identity; names begin with `start`.
+    """Remove invalid files of machine code in a folder, of those whose names begin with `start`.
 
+    Damaged files are removed with a note on stderr. Files of machine code without the text `identity` are removed, too.
     numba writes an index before the code. If the process is killed in between, the index may name the machine code of
     an older text.
     """
@@ -85,7 +86,7 @@ def remove_invalid(folder, start, identity=""):
             continue
         try:
             data = file.read_bytes()
-        except FileNotFoundError:  # another process was quicker
+        except FileNotFoundError:  # another process has removed the file
             continue
         if not is_whole(data, PICKLES[file.suffix]):
             damaged.append(file)
@@ -98,7 +99,11 @@ def remove_invalid(folder, start, identity=""):
 
 
 def is_whole(data, pickles):
-    """Return True if the bytes of a file fit their checksum, or, without a checksum, can be read to their end."""
+    """Return True if the bytes `data` of a file are complete.
+
+    If they end with a checksum, the checksum must be right. Otherwise, as many complete pickles as `pickles` must be
+    readable.
+    """
     body, mark, digest = data[:-SEALED], data[-SEALED : len(SEAL) - SEALED], data[len(SEAL) - SEALED :]
     if mark == SEAL:
         return hashlib.sha256(body).digest() == digest
@@ -113,7 +118,7 @@ def is_whole(data, pickles):
 
 
 def add_checksums(folder, start=""):
-    """Write a checksum behind the end of files of machine code, whose names have a start, if it is not there.
+    """Append a checksum to files of machine code that have none and whose names begin with `start`.
 
     numba does not read the checksum. On a full disk no checksum is written.
     """
@@ -124,23 +129,23 @@ def add_checksums(folder, start=""):
                 if not stream.read().startswith(SEAL):
                     stream.seek(0)
                     data = stream.read()
-                    stream.seek(len(data))  # where another process writes the same
+                    stream.seek(len(data))  # another process would write the same here
                     stream.write(SEAL + hashlib.sha256(data).digest())
 
 
 @lru_cache
 def code_folder(file):
-    """Return the folder in which numba keeps machine code of functions of a file; None if numba is switched off."""
+    """Return the folder in which numba keeps machine code of functions of a file, or None if numba is switched off."""
     if config.DISABLE_JIT or not os.path.isfile(file):
         return None
     space = {}
-    exec(compile("def function():\n    pass\n", file, "exec"), space)  # numba tells only of functions
+    exec(compile("def function():\n    pass\n", file, "exec"), space)  # numba names the folder of a function only
     return njit(cache=True)(space["function"]).stats.cache_path
 
 
 @lru_cache
 def fingerprint():
-    """Return a digest of names, sizes and times of change of the runtime's files, and of numba's version."""
+    """Return a digest of numba's version and of the names, sizes and modification times of the runtime's files."""
     digest = hashlib.sha256(numba.__version__.encode())
     for folder, _, names in sorted(os.walk(RUNTIME)):
         for name in sorted(names):
@@ -152,7 +157,7 @@ def fingerprint():
 
 
 def is_kept(function):
-    """Return True if numba keeps machine code of a function of Python in a file."""
+    """Return True if machine code of a Python function is on disk."""
     folder = fresh_folder(function.__code__.co_filename, identity_of(function))
     if folder is None:
         return False
@@ -161,7 +166,7 @@ def is_kept(function):
 
 
 def start_of(function):
-    """Return the start of the names of files in which numba keeps machine code of a function of Python."""
+    """Return the beginning of the names of the files in which numba keeps machine code of a Python function."""
     code = function.__code__
     return f"{Path(code.co_filename).stem}.{function.__qualname__}-{code.co_firstlineno}."
 

@@ -1,11 +1,12 @@
-"""Functions of generated modules that compiled code calls by their address, and packed operations of machine code.
+"""Functions of generated modules that compiled code calls by their address, and the vectorisation of machine code.
 
-A kernel reads and fills arrays by pointers to their first entries; its other arguments are numbers. Code that is common
-to all problems calls a kernel by its address, an integer, which does not take part in numba's cache on disk.
+A kernel reads and fills arrays through pointers to their first numbers; its other arguments are numbers. Code that is
+common to all problems calls a kernel by its address. The address is an integer and does not become part of numba's
+cache on disk.
 
-Packed operations let LLVM put neighbouring operations into one instruction. With them, factorisations take 15 to 30
-percent less time. numba has one option for all code of a process and leaves it off. Machine code that is on the disk
-already stays as it was compiled.
+`packed_operations` lets LLVM combine neighbouring operations into one vector instruction (SLP vectorisation).
+Factorisations then take 15 to 30 percent less time. numba has one option for all code of a process, which is off by
+default. Machine code that is already on disk stays as it is.
 """
 
 import ctypes
@@ -27,21 +28,21 @@ from codegen.runtime.kept_code import add_checksums, fresh_folder, start_of, sta
 NUMBERS = {
     "t": types.float64, "count": types.int64, "columns": types.int64, "fraction": types.float64,
 }  # fmt: skip
-"""Arguments that are numbers, by name; all others are pointers to floating-point numbers."""
+"""Types of those arguments of kernels that are numbers, by name; all others are pointers to floating-point numbers."""
 
 ONLY_COMPILED: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Options of functions that only compiled functions call: numba leaves out entries by which Python and C call them."""
+"""Options for functions that only compiled functions call: numba leaves out the entry points for Python and C."""
 
 
 def problem_of(module):
-    """Return the problem of a generated module, by the name of the module."""
+    """Return the object `problem` of the generated module with the name `module`."""
     return import_module(module).problem
 
 
 class Addressed:
-    """A function that is compiled when its address is first asked for.
+    """A Python function that is compiled when its address is first needed.
 
-    With `is_interpreted`, or where numba is switched off, the address is that of a callback into the interpreter.
+    With `is_interpreted`, or if numba is switched off, the address belongs to a callback into the Python interpreter.
     """
 
     def __init__(self, function, is_interpreted=False):
@@ -51,17 +52,17 @@ class Addressed:
             name_by_text(function)
 
     def __reduce__(self):
-        """Pickle the function as its name, by which another process finds it."""
+        """Pickle the function as its name, by which another process finds the function."""
         return self.__name__
 
     @cached_property
     def address(self):
-        """The address of the function; `compiled` has to be kept with it."""
+        """The address of the function, which is valid as long as `compiled` exists."""
         return self.compiled.address
 
     def compiled_as(self, signature, **options):
-        """Return the result of `cfunc` for the function, compiled or read from the disk."""
-        name = name_by_text(self.function)  # for functions defined in its file since the last call, too
+        """Return the result of `cfunc` with a numba signature and options, compiled or read from the disk."""
+        name = name_by_text(self.function)  # again, for functions that the file has defined since the last call
         folder = fresh_folder(self.function.__code__.co_filename, name)
         with packed_operations():
             made = cfunc(signature, cache=True, error_model="numpy", **options)(self.function)
@@ -71,14 +72,14 @@ class Addressed:
 
     @property
     def stats(self):
-        """The folder of the machine code of the function, and how often it was read from there or compiled."""
+        """The Statistics of the function: the folder of its machine code, and counts of reads and of compilations."""
         return statistics_of(self.function, self.__dict__.get("compiled"))
 
 
 class Kernel(Addressed):
     """A function that fills arrays.
 
-    Called from Python, a kernel takes arrays of numpy, without numbers of particles and of columns.
+    Python calls a kernel with numpy arrays, and without the arguments `count` and `columns`, which follow from shapes.
     """
 
     returns: ClassVar[Any] = types.void
@@ -91,24 +92,24 @@ class Kernel(Addressed):
 
     @cached_property
     def compiled(self):
-        """The compiled function, or the callback."""
+        """The compiled function, or the callback if the kernel is interpreted."""
         if self.is_interpreted or config.DISABLE_JIT:
             return callback(self.returns(*self.kinds), self._interpreted)
         return self.compiled_as(self.returns(*self.kinds), **self.options)
 
     @cached_property
     def inlined(self):
-        """The function that becomes part of compiled functions of the same module."""
+        """The function, compiled so that numba inlines it into other compiled functions of the same module."""
         return njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)(self.function)
 
     @cached_property
     def _called(self):
-        """The function for calls from Python."""
+        """The ctypes function for calls from Python."""
         kinds = [ctypes.c_void_p if kind is REALS else CTYPES[kind] for kind in self.kinds]
         return ctypes.CFUNCTYPE(CTYPES[self.returns], *kinds)(self.address)
 
     def __call__(self, *values):
-        """Call the function with arrays and numbers; ValueError for an array of other than floating-point numbers."""
+        """Call the function with arrays and numbers; raise ValueError for an array that is not float64."""
         arguments, copies = with_counts(self.names, values), []
         for i, value in enumerate(arguments):
             if isinstance(value, np.ndarray):
@@ -120,13 +121,14 @@ class Kernel(Addressed):
                 arguments[i] = value.ctypes.data
         result = self._called(*arguments)
         for value, copy in copies:
-            value[...] = copy  # the function may have filled it
+            value[...] = copy  # the function may have filled the copy
         return result
 
     def _interpreted(self, *values):
-        """Call the function of Python.
+        """Call the Python function with the `values` that a callback receives.
 
-        A function that does not make arrays of its pointers gets arrays, whose true length is unknown.
+        A function that calls `carray` itself gets the pointers. Other functions get arrays of length LONG, as the true
+        length is unknown.
         """
         if "carray" in self.function.__code__.co_names:
             return self.function(*values)
@@ -134,25 +136,26 @@ class Kernel(Addressed):
 
 
 class Value(Kernel):
-    """A function that returns a number."""
+    """A kernel that returns a number."""
 
     returns: ClassVar[Any] = types.float64
 
 
 class Contracted(Kernel):
-    """A function in which products may be added without being rounded before."""
+    """A kernel in which the compiler may combine a product and a sum without rounding the product."""
 
     options: ClassVar[dict[str, Any]] = {"fastmath": {"contract"}}
 
 
 LONG = 1 << 24
-"""Length of the array at a pointer; the memory behind the true length must not be read."""
+"""The length of arrays that replace pointers in interpreted kernels; only the numbers of the true length exist."""
 
 
 def with_counts(names: Iterable[str], values: Iterable[Any]) -> list[Any]:
-    """Return the values of all arguments of a kernel, including those called `count` and `columns`.
+    """Return the values of all arguments of a kernel, given the values of all but `count` and `columns`.
 
-    `count` is the last dimension but one of the array before it, `columns` the last dimension.
+    `names` are the names of all arguments. `count` is the last dimension but one of the array before it, and `columns`
+    is the last dimension.
     """
     remaining, arguments = list(values), list[Any]()
     for name in names:
@@ -163,15 +166,17 @@ def with_counts(names: Iterable[str], values: Iterable[Any]) -> list[Any]:
     return arguments
 
 
-# Shared by all modules, and therefore kept beside the option: the number of open blocks, and the value before them.
+# The number of active `packed_operations`, and the option's value before the first. They are stored with the option,
+# in numba's configuration, which standalone modules share although they have copies of the definitions of this file.
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
 @contextmanager
 def packed_operations():
-    """Pack operations in all code that numba compiles while the block, or a function that it decorates, runs.
+    """Switch SLP vectorisation on for all code that numba compiles in a `with` block or in a decorated function.
 
-    The first block to begin sets the option. The last one to end restores it, unless it was changed in between.
+    The first block to begin sets the option. The last block to end restores the option, unless other code has changed
+    it.
     """
     with PACKING["lock"]:
         if not PACKING["blocks"]:

@@ -1,10 +1,10 @@
-"""Restrict numba's machine code to functions that Python, or C, calls.
+"""The restriction of numba's machine code to functions that Python or C calls.
 
-numba runs LLVM's whole optimiser over every function and makes machine code of it. A function that only compiled
-functions call is optimised once more in each of its callers, into which its intermediate code is linked: this takes a
-third of all time. Moreover, numba compiles a function again if an argument is a constant of the module.
+numba runs LLVM's optimiser over every function and makes machine code of the function. A function that only compiled
+functions call is optimised again in each caller, into which numba links its intermediate code. This takes a third of
+the compile time. Moreover, numba compiles a function again for each argument that is a constant of the module.
 
-This is the only file that replaces anything of numba. With an unknown version of numba it does nothing. A build then
+This is the only file that replaces anything in numba. With an unknown version of numba it changes nothing. A build then
 takes longer, with the same result.
 """
 
@@ -19,25 +19,26 @@ from numba import types
 Base: Any = Any if TYPE_CHECKING else object
 
 TRIED = (0, 61), (0, 68)
-"""The oldest and the newest version that was tried; those that pyproject.toml allows."""
+"""The oldest and the newest tested version of numba, which are also the limits in pyproject.toml."""
 ENTRIES = ("_ZN7cpython", "cfunc.")
-"""How numba begins the names of the entries by which Python and C call a function."""
+"""The beginnings of the names that numba gives to the entry points for Python and C."""
 OF_LIBRARIES = (
     "_ensure_finalized", "_finalize_dynamic_globals", "_finalize_final_module", "_optimize_final_module",
     "_verify_declare_only_symbols", "get_pointer_to_function", "serialize_using_bitcode", "serialize_using_object_code",
 )  # fmt: skip
 OF_CODE = ("_final_module", "_shared_module")
 OF_FUNCTIONS = ("get_call_template", "targetoptions", "stats")
-"""What numba's class of the code of one function, that code, and a function that numba compiles must have."""
+"""The attributes of numba that this file needs: of the class for the code of one function (OF_LIBRARIES), of an object
+of this class (OF_CODE), and of a function that numba compiles (OF_FUNCTIONS)."""
 
 
 class InnerLibrary(Base):  # type: ignore[misc]
-    """The code of one function; if Python cannot call it, it stays intermediate code, to be linked into its callers."""
+    """The code of one function, which stays intermediate code if neither Python nor C can call the function."""
 
     @property
     def is_inner(self) -> bool:
         """True if neither Python nor C can call the function."""
-        # Code that is read from the disk as machine code has its intermediate code in another module.
+        # If numba has read machine code from the disk, the intermediate code is in another module.
         code = self._final_module if any(True for _ in self._final_module.functions) else self._shared_module
         return code is None or not any(f.name.startswith(ENTRIES) and not f.is_declaration for f in code.functions)
 
@@ -54,18 +55,18 @@ class InnerLibrary(Base):  # type: ignore[misc]
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """Return the address of the machine code; zero if there is none."""
+        """Return the address of the machine code, or zero if the function has no machine code."""
         self._ensure_finalized()
         return 0 if self.is_inner else int(super().get_pointer_to_function(name))
 
     def serialize_using_object_code(self) -> tuple[str, str, Any]:
-        """Return the data for the disk: machine code, if there is any, with the intermediate code."""
+        """Return the data for the disk: intermediate code, and machine code if the function has machine code."""
         kept = super().serialize_using_bitcode if self.is_inner else super().serialize_using_object_code
         return kept()  # type: ignore[no-any-return]
 
 
 def applies(functions: Iterable[Any], version: str = numba.__version__) -> bool:
-    """Return True if numba has a tested version, and everything that this file replaces, sets or reads."""
+    """Return True if numba has a tested version and all attributes that this file replaces, sets or reads."""
     try:
         generator = _generator()
         callables = [getattr(generator._library_class, name) for name in OF_LIBRARIES]
@@ -79,9 +80,10 @@ def applies(functions: Iterable[Any], version: str = numba.__version__) -> bool:
 
 
 def link_inner_functions(functions: Iterable[Any]) -> None:
-    """Make no machine code of functions of their own: they become part of the code of their callers.
+    """From now on, make no separate machine code of `functions`: they become part of the code of their callers.
 
-    Python must not call them any more. Further calls may add functions. Nothing happens with an unknown numba.
+    Python must not call these functions any more. Further calls may add functions. With an unknown version of numba
+    nothing happens.
     """
     functions = list(functions)
     if not applies(functions):
@@ -97,7 +99,10 @@ def link_inner_functions(functions: Iterable[Any]) -> None:
 
 
 def compile_for_any_value(functions: Iterable[Any]) -> None:
-    """From now on, compile functions once where numba would compile them again for constants among their arguments."""
+    """From now on, compile each of `functions` once for all values of an argument, also for constants.
+
+    numba would compile a function again for each argument that is a constant.
+    """
     functions = list(functions)
     if applies(functions):
         for function in functions:
@@ -105,20 +110,20 @@ def compile_for_any_value(functions: Iterable[Any]) -> None:
 
 
 def _where_defined(generator: Any, set_environment: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
-    """Give functions their environment only if their machine code has a place for it."""
+    """Return `set_environment`, restricted to functions whose machine code has a place for an environment."""
     defined = generator._engine.is_symbol_defined
     return lambda name, environment: set_environment(name, environment) if defined(name) else None
 
 
 def _for_any_value(template_for: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function for the types of its arguments, even if a caller knows their values."""
+    """Return `template_for`, changed to compile for the types of arguments even if a caller knows their values."""
     return lambda arguments, keywords: template_for(
         tuple(types.unliteral(a) if isinstance(a, types.Literal) else a for a in arguments), keywords
     )
 
 
 def _generator() -> Any:
-    """Return numba's generator of machine code for this processor."""
+    """Return numba's generator of machine code for the processor."""
     from numba.core.registry import cpu_target
 
     return cpu_target.target_context.codegen()

@@ -1,7 +1,7 @@
 """The record of a generated module: names, sizes and meanings of its contents, as data.
 
-The attribute `metadata` of a module is a record. Code reads the fields; `phrase` makes texts for people from them.
-Members of enumerations are texts and are compared by `==`: a standalone module has copies of these classes.
+The attribute `metadata` of a module is a record. Code reads the fields; `phrase` makes English texts from them.
+Enumeration members are strings and are compared by `==`, because a standalone module has copies of these classes.
 """
 
 from collections.abc import Mapping
@@ -11,7 +11,10 @@ from fractions import Fraction
 
 
 class Task(StrEnum):
-    """The task of a problem."""
+    """The task of a generated module.
+
+    The tasks are optimal control, the simulation of motions, and the connection of points by motions.
+    """
 
     CONTROL = "control"
     SIMULATE = "simulate"
@@ -19,7 +22,7 @@ class Task(StrEnum):
 
 
 class Form(StrEnum):
-    """The form of the dynamics."""
+    """The form in which the dynamics are stated."""
 
     LAGRANGIAN = "lagrangian"
     HAMILTONIAN = "hamiltonian"
@@ -27,7 +30,7 @@ class Form(StrEnum):
 
 
 class Method(StrEnum):
-    """The discretisation of the equations, or the unknowns of particles that are connected."""
+    """The method of discretisation or, for a module that connects points, the method for the connecting motions."""
 
     VARIATIONAL = "variational"
     HAMILTONIAN = "hamiltonian"
@@ -38,7 +41,7 @@ class Method(StrEnum):
 
 
 class Sites(StrEnum):
-    """The location of controls: one value on an interval, values at its stages, or values at nodes."""
+    """The location of the values of a control: one on each interval, one at each stage, or one at each node."""
 
     INTERVAL = "interval"
     STAGES = "stages"
@@ -46,7 +49,11 @@ class Sites(StrEnum):
 
 
 class StepSolver(StrEnum):
-    """The solver of one step of a simulation; the matrix of `constant` is factored once."""
+    """The solver for the equations of one time step of a simulation.
+
+    The equations are explicit, linear with a CONSTANT matrix that is factored once, linear, or solved by Newton's
+    method.
+    """
 
     EXPLICIT = "explicit"
     CONSTANT = "constant"
@@ -63,7 +70,7 @@ class Role(StrEnum):
 
 
 class Place(StrEnum):
-    """The location of the condition of an unknown: OWN is the node or interval of the unknown."""
+    """The location of the condition that an unknown belongs to; OWN is the node or interval of the unknown itself."""
 
     OWN = auto()
     START = auto()
@@ -79,14 +86,17 @@ class Place(StrEnum):
 
 
 class Kind(StrEnum):
-    """The kind of an unknown: its role, a text with the quantity or condition that it belongs to, and the place."""
+    """The kind of an unknown: its role, a text for the quantity or condition that it belongs to, and the location.
+
+    The braces in a text stand for the name of the quantity, or for the condition in the author's words.
+    """
 
     role: Role
     text: str
     place: Place
 
     def __new__(cls, role: Role, text: str, place: Place) -> "Kind":
-        """Make a member, which is unique by all three."""
+        """Make a member; its value contains the role, the text and the location, so that it is unique."""
         value = f"{place}: {role}{text}"
         member = str.__new__(cls, value)
         member._value_, member.role, member.text, member.place = value, role, text, place
@@ -146,15 +156,16 @@ class Meaning:
     Attributes
     ----------
     kind : Kind
-        Role and place.
+        Role and location.
     of : str
         The quantity or condition that the unknown belongs to, in the author's words.
     at : float
         Abscissa of a point of an interval, between 0 and 1, or the number of a stage or switch.
     segment : int
-        Number, from 1, of the segment of a condition where delays cut the motion, else 0.
+        Number, from 1, of the segment of the motion in which the condition holds, if delays divide the motion into
+        segments; otherwise 0.
     others : tuple of Meaning
-        Meanings of the unknown in other phases.
+        Meanings of the same unknown in other phases.
     """
 
     kind: Kind
@@ -165,7 +176,7 @@ class Meaning:
 
     @property
     def subject(self) -> str:
-        """The quantity or condition, with a word for its kind: without role and place."""
+        """The quantity or condition with a word for its kind, such as `coordinate x`, without role and location."""
         return self.kind.text.format(self.of)
 
 
@@ -179,10 +190,10 @@ def phrase(meaning: Meaning, role: bool = True, where: str | None = None, longes
     role : bool
         True for a text that begins with the role.
     where : str or None
-        The node or interval of the unknown, as in ` on interval 3 (t = 0.2) of body 1`; None for any, "" for a text
-        without.
+        The node or interval of the unknown, as in ` on interval 3 (t = 0.2) of body 1`. None stands for any interval,
+        "" for a text without interval.
     longest : int or None
-        The number of characters after which role and subject are cut.
+        The number of characters after which role and subject are cut off.
     """
     *before, last = replace(meaning, others=()), *meaning.others
     text = "".join(f"{phrase(other, role)} or " for other in before) + (last.kind.role if role else "") + last.subject
@@ -210,12 +221,24 @@ PLACES = {
     Place.BEFORE_SWITCH: " before a switch",
     Place.AFTER_SWITCH: " after a switch",
 }
-"""The words of `phrase` for each place, with an abscissa or a number."""
+"""The words of `phrase` for each location; the abscissa or number of a Meaning replaces the braces."""
 
 
 @dataclass(frozen=True)
 class TableRecord:
-    """A table: its file, names of inputs and output, kind, continuation outside and numbers of breakpoints."""
+    """A table of values that a problem interpolates.
+
+    Attributes
+    ----------
+    file : str
+        The file with the values.
+    inputs, output : tuple of str, str
+        Names of the inputs and of the output.
+    kind, outside : str
+        The kind of interpolation, and the continuation outside the breakpoints.
+    sizes : tuple of int
+        The number of breakpoints of each input.
+    """
 
     file: str
     inputs: tuple[str, ...]
@@ -227,7 +250,23 @@ class TableRecord:
 
 @dataclass(frozen=True)
 class ObservationRecord:
-    """Measurements: a source for each body, names of columns with standard deviations, and the measured quantities."""
+    """The measurements to which a motion is fitted.
+
+    Attributes
+    ----------
+    sources : tuple of str
+        The source of the measurements of each body.
+    time : str
+        Name of the column of times.
+    columns : tuple of str
+        Names of the columns of measured values.
+    sigmas : tuple
+        The standard deviation of each of these columns: a number, the name of a column, or None.
+    values : tuple of str
+        The measured quantities.
+    loss : str
+        The loss function.
+    """
 
     sources: tuple[str, ...]
     time: str
@@ -239,7 +278,15 @@ class ObservationRecord:
 
 @dataclass(frozen=True)
 class SegmentRecord:
-    """The segments into which delays cut a motion: their number; name and segment of every quantity."""
+    """The segments into which delays divide a motion.
+
+    Attributes
+    ----------
+    number : int
+        The number of segments.
+    names : mapping
+        For the name of each quantity of the divided problem: the name of the original quantity, and its segment.
+    """
 
     number: int
     names: Mapping[str, tuple[str, int]]
@@ -252,9 +299,9 @@ class Record:
     Attributes
     ----------
     problem, title, inputs : str
-        The name of the problem, its title, and a digest of all that the module was made from.
+        The name of the problem, its title, and a digest of everything that the module was made from.
     steps : int
-        The number of intervals, or of steps.
+        The default number of intervals, or of time steps.
     parameters : mapping
         Default values of parameters.
     method, scheme, order, form : Method, str, int, Form
@@ -264,29 +311,29 @@ class Record:
     start, end : tuple of str
         Quantities with a prescribed value at the start, and at the end.
     bodies, phases, inner_times : int
-        Numbers of bodies, phases, and times inside at which conditions hold.
+        Numbers of bodies, phases, and inner times. Conditions hold at inner times, between start and end.
     control_names : tuple of str
         Names of controls.
     units : mapping
         Units of quantities.
     unused : tuple of str
-        Symbols that are declared and occur nowhere.
+        Symbols that are declared but not used.
     tables : mapping
         Tables by name.
     observations : ObservationRecord or None
         Measurements.
     segments : SegmentRecord or None
-        The segments into which delays cut the motion.
+        The segments into which delays divide the motion.
     sensitivities : tuple of str or None
-        Quantities by which solutions are differentiated, for a module with sensitivities.
+        Quantities with respect to which the module differentiates solutions; None for a module without sensitivities.
     conservative : bool
-        False where forces act on a motion or something depends on time.
+        False if forces act on the motion, or if the dynamics depend on time.
     points : str
         The file of points that the problem names, or "".
     operations : mapping
-        For each kernel the number of operations, and that of its code, in which common subexpressions are shared.
+        For each kernel two numbers of operations: of its formulas, and of its code with shared common subexpressions.
     left_out : tuple of str
-        Features that the problem does not need, with reasons.
+        Features that the module lacks because the problem does not need them, with reasons.
     """
 
     problem: str
@@ -332,7 +379,7 @@ class ControlRecord(Record):
     free_parameters : tuple of str
         Names of free parameters.
     node, interval, shared : tuple of str
-        Names of the unknowns of a node, of an interval, and of those that belong to neither, in their order.
+        Names of the unknowns of a node, of the unknowns of an interval, and of the linking variables, in their order.
     inequalities : bool
         True if an unknown has bounds.
     meanings : mapping
@@ -340,15 +387,16 @@ class ControlRecord(Record):
     slacks : tuple of mapping
         Meanings of slacks in each of several phases.
     jumps : tuple
-        Coordinates and momenta that jump at each switch.
+        For each switch between phases, the coordinates and momenta that jump there.
     stages : mapping
-        Names at stages, each with the name of the same quantity at nodes.
+        For the name of each unknown at a stage, the name of the same quantity at nodes.
     stage_abscissae : tuple of float
-        Abscissae of controls at stages in an interval.
+        Positions of the stages in an interval, from 0 to 1, if controls have values at stages.
     scale, angles : mapping
-        The author's sizes of quantities; one radian in the unit of a quantity that is an argument of sines and cosines.
+        `scale` has the scaling factors that the author states. `angles` has the value of one radian in the unit of each
+        quantity that is an argument of sines and cosines.
     integrals : tuple
-        Pairs (condition on an integral, index of its multiplier among shared unknowns).
+        Pairs (condition on an integral, index of its multiplier among linking variables).
     waypoints : bool
         True if inner times are free.
     inner_conditions : tuple
@@ -358,15 +406,18 @@ class ControlRecord(Record):
     unseen_controls : tuple of str
         Controls whose alternation from interval to interval does not change the cost.
     history_jumps : tuple
-        Triples (quantity, value at the start, last value of its history), where both differ.
+        Triples (quantity, value at the start, last value of its history) of quantities whose two values differ.
     kinks, discontinuities : tuple of str
-        Terms of the cost whose slope jumps; borders at which something jumps.
+        Terms of the cost whose slope jumps, and borders at which a function of the problem jumps.
     singular_at_guess : tuple
-        Triples (function, quantity without a finite value, place).
+        Triples of texts (function, first derivative of the function that is not finite at the guess, point).
     coupling_conditions : int
-        The number of conditions between bodies; `redundant_conditions` has number and name of those left out.
+        The number of conditions between bodies, if some are redundant; otherwise 0.
+    redundant_conditions : tuple
+        Pairs (number, name) of the conditions between bodies that are left out because they follow from others.
     dependent_values, decided_conditions : tuple
-        Pairs (quantity, end) of values that follow from others; pairs (condition, end) that prescribed values decide.
+        Pairs (quantity, end) of prescribed values that follow from other values, and pairs (condition, end) of
+        conditions that prescribed values decide.
     """
 
     controls: Sites = Sites.INTERVAL
@@ -400,11 +451,11 @@ class ControlRecord(Record):
 
     @property
     def slack_meanings(self) -> tuple[Mapping[str, Meaning], ...]:
-        """The meanings of slacks in each phase."""
+        """The meanings of slacks, one mapping for each phase."""
         return self.slacks or (self.meanings,)
 
     def kind(self, name: str) -> Kind | None:
-        """The kind of an unknown, if its meaning is on record."""
+        """The kind of an unknown, or None if `meanings` does not contain the unknown."""
         return self.meanings[name].kind if name in self.meanings else None
 
     def is_slack(self, name: str) -> bool:
@@ -415,16 +466,16 @@ class ControlRecord(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationRecord(Record):
-    """The record of a module that follows a motion.
+    """The record of a module that computes a motion.
 
     Attributes
     ----------
     parts : int
-        The number of steps of the base scheme that one step of a composition consists of, else 0.
+        The number of steps of the base scheme in one step of a composition; 0 for a scheme that is no composition.
     solver : StepSolver
-        Solver of the equations of a step.
+        The solver of the equations of a step.
     momenta, node, stages, unknowns : tuple of str
-        Names of momenta, of the state, of values inside a step, and of the unknowns of a step.
+        Names of momenta, of the state at a node, of values inside a step, and of the unknowns of a step.
     """
 
     parts: int = 0
@@ -437,14 +488,17 @@ class SimulationRecord(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class ParticleRecord(Record):
-    """The record of a module that moves particles; a simulation names coordinates and momenta of every particle.
+    """The record of a module that moves particles.
+
+    In a simulation, `coordinates` and `rates` name the coordinates and momenta of every single particle.
 
     Attributes
     ----------
     own : tuple of str
         Parameters of which every particle has its own value.
     separable, quadratic : bool
-        True if the Hamiltonian is separable, and if it is a quadratic form in the momenta.
+        `separable` is True if the Hamiltonian is separable. `quadratic` is True if the Hamiltonian is a quadratic form
+        in the momenta.
     """
 
     own: tuple[str, ...] = ()
@@ -456,14 +510,14 @@ class ParticleRecord(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class ConnectRecord(ParticleRecord):
-    """The record of a module that connects points.
+    """The record of a module that connects points by motions.
 
     Attributes
     ----------
     adaptive : str
-        The method of scipy that chooses the steps, "" for a fixed number of steps.
+        The method of scipy that chooses the steps, or "" for a fixed number of steps.
     passive : bool
-        True if the module carries tracer points along.
+        True if the module also moves tracer points.
     """
 
     adaptive: str = ""

@@ -4,8 +4,9 @@ The polygamma functions are digamma psi(x) = (log gamma(x))' and its derivatives
 psi_n(x) = psi_n(x + 1) - (-1)^n n!/x^(n + 1) leads to large arguments, where the asymptotic series has full accuracy.
 Source: Abramowitz and Stegun (1972), 6.4.6 and 6.4.11.
 
-Quotients lose digits of the derivatives s_n of s(x) = sin(x)/x near zero. There they are summed as power series.
-Elsewhere x s_n = sin(x + n pi/2) - n s_(n-1), from n derivatives of x s(x) = sin(x), gives one after the other.
+The derivatives s_n of s(x) = sin(x)/x lose digits near zero if they are computed as quotients. Near zero they are
+therefore sums of power series. Elsewhere they follow from x s_n = sin(x + n pi/2) - n s_(n-1), one after the other.
+This recurrence is the derivative number n of x s(x) = sin(x).
 """
 
 import math
@@ -14,12 +15,15 @@ from numba import njit
 
 BERNOULLI = (1 / 6, -1 / 30, 1 / 42, -1 / 30, 5 / 66, -691 / 2730, 7 / 6, -3617 / 510, 43867 / 798, -174611 / 330)
 
-FARTHEST = -1e4  # least argument: the recurrence takes that number of steps
+FARTHEST = -1e4  # least argument of the polygamma functions: the recurrence takes about as many steps
 
 
 @njit(cache=True, error_model="numpy")
 def polygamma(n, x):
-    """Return the derivative n >= 0 of the digamma function; infinite at the poles 0, -1, ..., NaN below FARTHEST."""
+    """Return the derivative of order n >= 0 of the digamma function at x.
+
+    The value is infinite at the poles 0, -1, ..., and NaN below FARTHEST.
+    """
     if x < FARTHEST:
         return math.nan
     factorial, total = math.gamma(n + 1.0), 0.0
@@ -44,7 +48,7 @@ def asymptotic_sum(n, x):
 
 @njit(cache=True, error_model="numpy")
 def sinc_derivative(n, x):
-    """Return the derivative number n >= 0 of sin(x)/x, which is one at x = 0."""
+    """Return the derivative of order n >= 0 of sin(x)/x at x, with sin(0)/0 = 1."""
     if abs(x) < 2.0 + 0.5 * n:
         return sinc_series(n, x)
     value = math.sin(x) / x
@@ -56,7 +60,10 @@ def sinc_derivative(n, x):
 
 @njit(cache=True, error_model="numpy")
 def sinc_series(n, x):
-    """Return the sum of (-1)^j x^(2j - n)/((2j + 1) (2j - n)!) over 2j >= n."""
+    """Return the derivative of order n of sin(x)/x by its power series.
+
+    The series is the sum of (-1)^j x^(2j - n)/((2j + 1) (2j - n)!) over 2j >= n.
+    """
     j = (n + 1) // 2
     power, total, before = x if n % 2 else 1.0, 0.0, 1.0
     sign = -1.0 if j % 2 else 1.0

@@ -1,10 +1,13 @@
-"""Numbers behind the parameters, in kernels: tables of one or two inputs, and values at inner times.
+"""The numbers of a problem that follow its parameters, in kernels: tables of one or two inputs, values at inner times.
 
-A table of one input has `count` breakpoints from `first` on, then at each of them the value, and the slope for cubics.
-It returns the value and three derivatives. A table of two inputs has `rows` breakpoints of x and `columns` of y. Then,
-at each pair with y running fastest, it has the value, and for cubics the slopes by x and by y and the mixed second
-derivative. It returns f, f_x, f_y, f_xx, f_xy, f_yy, f_xxx, f_xxy, f_xyy, f_yyy. Splines with two continuous
-derivatives, and monotone ones, are both cubics in Hermite's form and differ in their slopes.
+A table of one input has `count` breakpoints, which begin at index `first` of the numbers. Then follow, for each
+breakpoint, the value, and for cubics also the slope. Functions of such a table return the value and three derivatives.
+
+A table of two inputs has `rows` breakpoints of x and `columns` breakpoints of y. Then follows, for each pair with y
+running fastest, the value. For cubics each value is followed by the slopes with respect to x and y, and by the mixed
+second derivative. Functions of such a table return f, f_x, f_y, f_xx, f_xy, f_yy, f_xxx, f_xxy, f_xyy, f_yyy.
+
+Splines with two continuous derivatives and monotone splines are both cubics in Hermite's form, with different slopes.
 """
 
 import numpy as np
@@ -13,7 +16,10 @@ from numba import njit
 
 @njit(error_model="numpy", forceinline=True)
 def cell_of(numbers, first, count, x):
-    """Return how many of `count` ascending breakpoints, in `numbers` from `first` on, come before the cell of x."""
+    """Return the index of the cell between breakpoints that contains x, or of the nearest cell.
+
+    The `count` ascending breakpoints are in `numbers` and begin at index `first`.
+    """
     below, cells = first, count - 1
     while cells > 1:
         half = cells >> 1
@@ -25,7 +31,11 @@ def cell_of(numbers, first, count, x):
 
 @njit(error_model="numpy", forceinline=True)
 def cubic(f, df, f1, df1, x, length):
-    """Return value and three derivatives of the cubic with these end values and slopes, at x from its beginning."""
+    """Return the value and three derivatives of a cubic on an interval of the given length.
+
+    `f` and `df` are value and slope at the beginning of the interval, `f1` and `df1` at its end. x is the distance from
+    the beginning.
+    """
     s, slope, slope1, rise = x / length, df * length, df1 * length, f1 - f
     second, third = 3.0 * rise - 2.0 * slope - slope1, slope + slope1 - 2.0 * rise
     return (
@@ -38,14 +48,17 @@ def cubic(f, df, f1, df1, x, length):
 
 @njit(error_model="numpy", forceinline=True)
 def line(f, f1, x, length):
-    """Return value and slope of the straight line with these end values, at x from its beginning."""
+    """Return value and slope of the straight line from `f` to `f1` on an interval, at distance x from its beginning."""
     slope = (f1 - f) / length
     return f + slope * x, slope
 
 
 @njit(error_model="numpy", forceinline=True)
 def within(numbers, first, count, x):
-    """Return the nearest point to x between the first and the last breakpoint, and 1 if that is x, else 0."""
+    """Return x, moved to the nearest breakpoint if outside, and 1.0 if x is inside, otherwise 0.0.
+
+    The `count` ascending breakpoints are in `numbers` and begin at index `first`.
+    """
     least, greatest = numbers[first], numbers[first + count - 1]
     if x < least:
         return least, 0.0
@@ -56,7 +69,11 @@ def within(numbers, first, count, x):
 
 @njit(error_model="numpy", forceinline=True)
 def cubic_curve(numbers, first, count, x):
-    """Evaluate cubics; the outermost cubics continue outside the breakpoints."""
+    """Return the value and three derivatives of a table with cubics at x.
+
+    The table has `count` breakpoints and begins at index `first` of `numbers`. The outermost cubics continue outside
+    the breakpoints.
+    """
     i = cell_of(numbers, first, count, x)
     left, at = numbers[first + i], first + count + 2 * i
     return cubic(
@@ -66,7 +83,11 @@ def cubic_curve(numbers, first, count, x):
 
 @njit(error_model="numpy", forceinline=True)
 def linear_curve(numbers, first, count, x):
-    """Evaluate straight lines; the outermost lines continue outside the breakpoints."""
+    """Return the value and three derivatives of a table with straight lines at x.
+
+    The table has `count` breakpoints and begins at index `first` of `numbers`. The outermost lines continue outside the
+    breakpoints.
+    """
     i = cell_of(numbers, first, count, x)
     left, at = numbers[first + i], first + count + i
     f, slope = line(numbers[at], numbers[at + 1], x - left, numbers[first + i + 1] - left)
@@ -75,20 +96,31 @@ def linear_curve(numbers, first, count, x):
 
 @njit(error_model="numpy", forceinline=True)
 def steps_curve(numbers, first, count, x):
-    """Return the value at the last breakpoint up to x, or at the first breakpoint."""
+    """Return the value of a table of a step function at x, and three zeros for its derivatives.
+
+    The table has `count` breakpoints and begins at index `first` of `numbers`. Its value at x belongs to the last
+    breakpoint up to x, or to the first breakpoint if x is below all breakpoints.
+    """
     i = cell_of(numbers, first, count, x) if x < numbers[first + count - 1] else count - 1
     return numbers[first + count + i], 0.0, 0.0, 0.0
 
 
 @njit(error_model="numpy", forceinline=True)
 def clamped_curve(inside, f, f_1, f_11, f_111):
-    """Return value and derivatives; derivatives are zero where `inside` is 0; all are scalars."""
+    """Return the value and three derivatives of a table, with zero derivatives if `inside` is 0.
+
+    `inside` is the second result of `within`. All arguments are numbers.
+    """
     return f, inside * f_1, inside * f_11, inside * f_111
 
 
 @njit(error_model="numpy", forceinline=True)
 def cubic_surface(numbers, first, rows, columns, x, y):
-    """Evaluate products of cubics; the outermost cubics continue outside the grid."""
+    """Return the value and nine derivatives of a table with products of cubics at (x, y).
+
+    The table has `rows` breakpoints of x and `columns` of y, and begins at index `first` of `numbers`. The outermost
+    cubics continue outside the grid of breakpoints.
+    """
     i, j = cell_of(numbers, first, rows, x), cell_of(numbers, first + rows, columns, y)
     left, below = numbers[first + i], numbers[first + rows + j]
     across, up = x - left, y - below
@@ -112,7 +144,11 @@ def cubic_surface(numbers, first, rows, columns, x, y):
 
 @njit(error_model="numpy", forceinline=True)
 def linear_surface(numbers, first, rows, columns, x, y):
-    """Evaluate products of straight lines; the outermost lines continue outside the grid."""
+    """Return the value and nine derivatives of a table with products of straight lines at (x, y).
+
+    The table has `rows` breakpoints of x and `columns` of y, and begins at index `first` of `numbers`. The outermost
+    lines continue outside the grid of breakpoints.
+    """
     i, j = cell_of(numbers, first, rows, x), cell_of(numbers, first + rows, columns, y)
     left, below = numbers[first + i], numbers[first + rows + j]
     across, up = x - left, y - below
@@ -127,7 +163,11 @@ def linear_surface(numbers, first, rows, columns, x, y):
 
 @njit(error_model="numpy", forceinline=True)
 def clamped_surface(in_x, in_y, f, f_x, f_y, f_xx, f_xy, f_yy, f_xxx, f_xxy, f_xyy, f_yyy):
-    """Return value and derivatives; derivatives by x, or y, are zero where `in_x`, or `in_y`, is 0."""
+    """Return value and nine derivatives of a table, with zero derivatives outside its range.
+
+    Derivatives with respect to x are zero if `in_x` is 0, derivatives with respect to y if `in_y` is 0. Both are second
+    results of `within`.
+    """
     both = in_x * in_y
     return (
         f, in_x * f_x, in_y * f_y, in_x * f_xx, both * f_xy, in_y * f_yy,
@@ -136,16 +176,21 @@ def clamped_surface(in_x, in_y, f, f_x, f_y, f_xx, f_xy, f_yy, f_xxx, f_xxy, f_x
 
 
 def along(values, parameters, number, *at):
-    """Return values of a table, or of its derivative of a number, at arrays that broadcast to one shape."""
+    """Return the values of a table, or of its derivative with the index `number`, at arrays `at` of its inputs.
+
+    The arrays broadcast to one shape. `values` is a function of the generated module: (parameters, number, flat arrays)
+    -> flat array of values.
+    """
     at = np.broadcast_arrays(*at)
     return values(parameters, number, *(np.ascontiguousarray(a, dtype=float).ravel() for a in at)).reshape(at[0].shape)
 
 
 def table_numbers(problem, overrides):
-    """Return the numbers of all tables, one after the other; `overrides` maps names of tables to other numbers.
+    """Return the numbers of all tables, one table after the other, as one array.
 
-    The numbers of a table, shape (n,), are breakpoints, then values. ValueError for an unknown table, for other numbers
-    of breakpoints, and for breakpoints out of order.
+    `overrides` maps names of tables to arrays that replace the default numbers. The numbers of a table, shape (n,), are
+    breakpoints, then values. Raise ValueError for an unknown table, another shape, numbers that are not finite, and
+    breakpoints that do not ascend.
     """
     overrides = overrides or {}
     for name in overrides:
@@ -172,10 +217,10 @@ def table_numbers(problem, overrides):
 
 @njit(error_model="numpy", forceinline=True)
 def inner_number(parameters, first, count, number, t, h):
-    """Return the number of the given index of the node at time t, before an interval of length h.
+    """Return the value with the index `number` that belongs to the inner time t, or zero if t is no inner time.
 
-    Nodes at inner times have such numbers, other nodes have zeros. From `first` on `parameters` (P + SHARED,) hold
-    the `count` inner times, then for every number its values at these times.
+    t is the time of the node at the beginning of an interval of length h. The array `parameters` (P + shared,) holds
+    `count` inner times from index `first` on. Then follow, for each number, the values at these times.
     """
     value = 0.0
     for i in range(first, first + count):

@@ -6,14 +6,14 @@ from numba import njit
 from codegen.runtime.search.grid import free_unknowns, views
 from codegen.runtime.search.point import evaluate
 
-LEAST_SLACK = 1e-7  # slacks below -LEAST_SLACK are not rounding errors
-UNSURE = 10.0  # error of a value that end conditions determine, in multiples of the residual
-HOLDS = 1e-9  # equations with smaller residuals hold
+LEAST_SLACK = 1e-7  # a slack below -LEAST_SLACK is not a rounding error
+UNSURE = 10.0  # possible error of a value that end conditions determine, relative to the residual of the equations
+HOLDS = 1e-9  # an equation with a smaller residual counts as satisfied
 END_NAMES = "start", "end"
 
 
 def bounds_of(grid):
-    """Return the least and the greatest values of all unknowns, in multiples of scaling factors if there are any."""
+    """Return the least and the greatest values (n,) of all unknowns, divided by the grid's scaling factors if any."""
     if grid.bounds:
         return grid.bounds
     if grid.problem.variable_bounds is not None:
@@ -22,29 +22,33 @@ def bounds_of(grid):
 
 
 def units_of(grid):
-    """Return the scaling factors of all unknowns, ones if the grid has none."""
+    """Return the scaling factors (n,) of all unknowns, which are ones if the grid has no scaling factors."""
     return grid.sizes if grid.sizes.size else np.ones(grid.is_multiplier.size)
 
 
 def at_bounds(grid, unknowns):
-    """Return a mask of the unknowns within a millionth of a bound, which an interior-point method never reaches."""
+    """Return the mask (n,) of the unknowns within a relative distance of a millionth of a bound.
+
+    An interior-point method never reaches the bound itself.
+    """
     lower, upper = bounds_of(grid)
     scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
     return (unknowns - lower <= scale) | (upper - unknowns <= scale)
 
 
 def contradictory_bounds(grid):
-    """Return the index of an unknown whose least value is above its greatest, or -1."""
+    """Return the index of an unknown whose least value is above its greatest value, or -1 without such an unknown."""
     lower, upper = bounds_of(grid)
     (indices,) = (lower > upper).nonzero()
     return int(indices[0]) if indices.size else -1
 
 
 def prescribed_beyond(grid, unknowns):
-    """Return a text on a prescribed value or path condition at an end that violates bounds farther inside, or "".
+    """Return a text on a prescribed value or path constraint at an end that violates bounds, or "" without a violation.
 
-    Unknowns are in the problem's own units. Margins are relative to scaling factors if the grid has them. Prescribed
-    values have no bounds themselves. A motion that begins outside a bound would jump inside in the first interval.
+    A prescribed value has no bounds itself. It is compared with the bounds of the same unknown at the next node, since
+    a motion that begins outside these would jump inside in the first interval. Unknowns are in the problem's own units.
+    Margins are relative to scaling factors if the grid has them.
     """
     if grid.steps == 1 or grid.problem.variable_bounds is None:
         return ""
@@ -52,7 +56,7 @@ def prescribed_beyond(grid, unknowns):
     units, (lower, upper), sizes = units_of(grid), bounds_of(grid), (s.bodies, s.stride, s.node, grid.steps)
     index, inner = first_beyond(*sizes, unknowns, units, lower, upper, 0.0)
     if index >= 0 and free_unknowns(grid)[index]:
-        # Conditions at the end determine this unknown, as accurately as the conditions hold.
+        # Conditions at the end determine this unknown, only as accurately as the conditions are satisfied.
         unsure = UNSURE * evaluate(grid, unknowns / units).residual
         index, inner = first_beyond(*sizes, unknowns, units, lower, upper, unsure)
     if index < 0:
@@ -69,10 +73,11 @@ def prescribed_beyond(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def first_beyond(bodies, stride, node, steps, unknowns, units, lower, upper, unsure):
-    """Return the index of the first unknown at an end that violates the bounds of its neighbour, and the neighbour's.
+    """Return the index of the first unknown at an end that violates the bounds of its neighbour, and of the neighbour.
 
-    `unknowns`, `units`, `lower` and `upper` are (n,). Prescribed values have no bounds themselves, and have an error of
-    up to `unsure`. Slacks of prescribed values have no least value. Both indices are -1 if no unknown violates bounds.
+    The neighbour is the same unknown at the next node or on the next interval. `unknowns`, `units`, `lower` and `upper`
+    are (n,). Prescribed values have no bounds themselves, and have an error of up to `unsure`. Slacks of prescribed
+    values have no least value. Both indices are -1 if no unknown violates bounds.
     """
     for body in range(bodies):
         for i in range(stride):
@@ -90,7 +95,7 @@ def first_beyond(bodies, stride, node, steps, unknowns, units, lower, upper, uns
 
 
 def with_slacks(grid, unknowns):
-    """Return `unknowns` (n,) with slacks that satisfy their equations; zero where an inequality is violated."""
+    """Return `unknowns` (n,) with slacks that satisfy their equations, or are zero for violated inequalities."""
     s, unknowns = grid.problem.structure, unknowns.copy()
     _, intervals = views(grid, unknowns)
     intervals[:, :, s.slacks - s.node] = 0.0
@@ -100,10 +105,10 @@ def with_slacks(grid, unknowns):
 
 
 def with_violations(grid, point):
-    """Return the point with the violation of each inequality g <= 0 in the row of its equation g + s = 0.
+    """Return `point` with the violation of each inequality g <= 0 in place of the residual of its equation g + s = 0.
 
-    During a search g + s may be large although the inequality holds. The point stays unchanged if no equation and no
-    inequality is violated. Everything is in the problem's own units.
+    During a search g + s may be large although the inequality holds. The point stays unchanged if neither an equation
+    nor an inequality is violated. Everything is in the problem's own units.
     """
     s, gradient = grid.problem.structure, point.gradient.copy()
     (_, rows), (_, unknowns) = views(grid, gradient), views(grid, point.unknowns)

@@ -1,9 +1,11 @@
-"""The globalisation cascade: searches for a local minimum from several starts, escapes from saddle points.
+"""The globalisation cascade: searches for a local minimum from several starts, and escapes from saddle points.
 
-A search that ends at a saddle point of the cost on the set where the equations hold continues on both sides, along the
-direction of most negative curvature. An interior-point method relaxes bounds. At its end, unknowns outside their bounds
-are moved onto them. With steep equations or large multipliers even a move of 1e-12 spoils digits of the optimality
-conditions. Newton's steps of the barrier problem without relaxation then restore these digits.
+A search may end at a saddle point of the cost on the set where the equations hold. Two searches then start on both
+sides of the saddle point, along the direction of most negative curvature.
+
+An interior-point method relaxes bounds. At its end, unknowns outside their bounds are moved onto the bounds. With steep
+equations or large multipliers, even a move of 1e-12 makes the optimality conditions less accurate. Newton's steps of
+the barrier problem without relaxation then restore the accuracy.
 """
 
 import numpy as np
@@ -46,29 +48,32 @@ from codegen.runtime.search.point import Point, evaluate
 from codegen.runtime.search.restoration import NONE_HELD, least_violation
 from codegen.runtime.search.termination import VIOLATED, is_at_rounding_level, is_solved
 
-BULGE = 0.1  # bulge of a guess, relative to the size of each quantity
-WAVES, AMPLITUDE = 3, 0.5  # sines in a varied guess; their standard deviation, relative to the size of a quantity
-WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # statuses after which the violation itself is minimised
-NEARBY_ITERATIONS = 100  # largest number for a search from a feasible point near a grossly infeasible guess
-FROM_ANYWHERE = np.array([[np.inf, -np.inf]])  # the pairs of a filter that accepts everything
-INVERSE_ITERATIONS = 4
+BULGE = 0.1  # height of the curve that bends a guess, relative to the magnitude of each quantity
+WAVES, AMPLITUDE = 3, 0.5  # number of sines in a varied guess; their standard deviation, relative to a quantity's size
+WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # statuses after which the constraint violation is minimised
+NEARBY_ITERATIONS = 100  # largest number of iterations from a feasible point near a grossly infeasible guess
+FROM_ANYWHERE = np.array([[np.inf, -np.inf]])  # the pairs of a filter that accepts all points
+INVERSE_ITERATIONS = 4  # number of steps of the inverse iteration
 ESCAPES = 3  # largest number of escapes from a saddle point
-LEFT = ("solved", "saddle point", "unbounded")  # conclusive statuses of a descent from beside a saddle point
-LAST_STEPS = 3  # Newton steps without relaxation of bounds
-WORSE = 2.0  # largest growth of an error above the tolerance
+LEFT = ("solved", "saddle point", "unbounded")  # conclusive statuses of a search that starts next to a saddle point
+LAST_STEPS = 3  # largest number of Newton steps without relaxation of bounds
+WORSE = 2.0  # largest factor by which the move onto bounds may increase an error above the tolerance
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log, search=None, is_factored=False):
     """Find a local minimum; return (status, point, iterations).
 
     If the search from the guess fails, searches from other starts follow. If none succeeds, the outcome of the first
-    search is returned. With `warm`, `unknowns` are the solution of a neighbour. The first search then keeps its
-    multipliers, without bounds only if the solution is near. The next search drops the multipliers, begins with a small
-    barrier weight and leaves unknowns close to their bounds. A row (cost, residual, stationarity, Hessian's shift, step
-    length), and the barrier's weight with bounds, is appended to `log` at every iterate. `max_iterations` is the limit
-    for all searches together, without steps of the restoration. `search` is the result of `search_on` for a grid with
-    as many bounds, whose storage is used again. `is_factored` is True if `factor_nearby` has factored the linear system
-    of the first step.
+    search is returned.
+
+    With `warm`, `unknowns` are the solution of a neighbour, a similar problem. The first search then keeps the
+    neighbour's multipliers; without bounds it does so only if the residual is small. The next search drops the
+    multipliers, begins with a small barrier weight and leaves unknowns close to their bounds.
+
+    A row is appended to `log` at every iterate: cost, residual, stationarity, shift of the Hessian, step length, and
+    with bounds the barrier's weight. `max_iterations` is the limit for all searches together, without the steps of
+    restorations. `search` is the result of `search_on` for a grid with as many bounds, whose storage is used again.
+    `is_factored` is True if `factor_nearby` has factored the linear system of the first step.
     """
     keeps_storage = search is None
     search = search_on(grid) if search is None else on_grid(search, grid)
@@ -82,7 +87,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, search=None, 
 
 
 def minimise_on(search, unknowns, tolerance, max_iterations, warm, log, is_factored):
-    """Return (status, iterate, iterations) of `minimise` for a search whose bounds do not contradict each other."""
+    """Return (status, iterate, iterations) like `minimise`, for a search whose bounds do not contradict each other."""
     grid, cascade = search.grid, CASCADE_WITH_BOUNDS if search.is_bounded else CASCADE
     guess = np.where(grid.is_multiplier, 0.0, unknowns)
     start, first, stage = guess, FROM_GUESS, WITH_UNKNOWNS
@@ -94,7 +99,7 @@ def minimise_on(search, unknowns, tolerance, max_iterations, warm, log, is_facto
     if warm and search.work.integers[IS_BESIDE]:
         cascade = FROM_NEIGHBOUR, *cascade
     if status == "gross":
-        # A full Newton step, which ignores distances, would lead to another optimum: begin at a nearly feasible point.
+        # A full Newton step to satisfy the equations could lead to a distant optimum. Begin at a nearly feasible point.
         begun = iterate
         status, iterate = restored(search, begun, NEARBY.nearby, FROM_ANYWHERE, log)
         if status == "restored":
@@ -119,7 +124,7 @@ def minimise_on(search, unknowns, tolerance, max_iterations, warm, log, is_facto
             status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, remaining, log)
             total += iterations
         if outcome[0] == "rank-deficient" and status == "infeasible" and iterate.point.residual > tolerance:
-            outcome = status, iterate  # equations that contradict each other are dependent as well
+            outcome = status, iterate  # "infeasible" says more: contradictory equations are also rank-deficient
         if status == "solved":
             break
     if status != "solved":
@@ -133,11 +138,11 @@ def minimise_on(search, unknowns, tolerance, max_iterations, warm, log, is_facto
 
 
 def from_least_violation(search, iterate, guess, status, tolerance, max_iterations, log):
-    """Minimise the violation near an iterate and the guess; return (status, iterate, iterations).
+    """Minimise the violation near an iterate and near the guess; return (status, iterate, iterations).
 
-    If the least violation is zero, a last search begins there. Earlier searches may have lowered the cost, such as a
-    duration, below the cost of all feasible motions. Otherwise the equations hold nowhere near the iterate, and the
-    status is "infeasible".
+    If the least violation is zero, a last search begins there. This helps if earlier searches have lowered the cost,
+    such as a duration, below the cost of all feasible motions. If the least violation is not zero, the equations hold
+    nowhere near the iterate, and the status is "infeasible". `status` is the status of the earlier searches.
     """
     outcome, total = None, 0
     for start, held in violating_starts(search, iterate, guess):
@@ -159,10 +164,11 @@ def from_least_violation(search, iterate, guess, status, tolerance, max_iteratio
 
 
 def violating_starts(search, iterate, guess):
-    """Yield iterates near which the equations may hold, with the unknowns that stay fixed.
+    """Yield pairs (iterate, slice of unknowns that stay fixed) from which the constraint violation is minimised.
 
-    Linking variables, such as a duration, may fall to values without a feasible motion before the motion itself has
-    changed much. A symmetric guess may be stationary without being a minimum; the last start is therefore bent.
+    Linking variables, such as a duration, may fall to values without a feasible motion before the motion itself changes
+    much. One start therefore keeps the linking variables fixed. At a symmetric guess, the violation may be stationary
+    but not minimal. The last start is therefore bent.
     """
     grid = search.grid
     yield iterate, NONE_HELD
@@ -174,9 +180,10 @@ def violating_starts(search, iterate, guess):
 
 
 def bulged_guess(grid, unknowns, part):
-    """Return unknowns that bulge between the ends by a part of the size of each quantity, or of the largest one.
+    """Return `unknowns` (n,) with a half sine wave added to each quantity between the ends.
 
-    The size is one if all unknowns are zero.
+    The height is the fraction `part` of the magnitude of the quantity, or of a tenth of the largest magnitude if that
+    is more. If all unknowns are zero, the largest magnitude counts as one.
     """
     if part == 0.0:
         return unknowns
@@ -190,8 +197,8 @@ def bulged_guess(grid, unknowns, part):
 def varied_guess(grid, unknowns, seed):
     """Return a guess (n,) with a random smooth curve added to every quantity: a sum of a few sines, zero at both ends.
 
-    Prescribed values, multipliers and linking variables, such as a free duration, stay. A guess that is zero everywhere
-    has no size; the added curves then have the size one.
+    Prescribed values, multipliers and linking variables, such as a free duration, stay the same. If the guess is zero
+    everywhere, the curves have a magnitude of one.
     """
     rng, root, is_changed = np.random.default_rng(seed), grid.problem.structure.root, ~grid.is_multiplier
     is_changed[unknowns.size - root :] = False
@@ -208,16 +215,17 @@ def varied_guess(grid, unknowns, seed):
 
 
 def leave_saddles(search, start, attempt, tolerance, max_iterations, log, **how):
-    """Descend; continue from both sides of a saddle point, each time farther away from it.
+    """Search for a minimum; from a saddle point, search again on both sides, each time farther away.
 
-    If no descent leads lower, the point counts as no saddle point: non-unique multipliers may have an indefinite
-    Hessian.
+    Arguments and result are the same as for `newton.descend`. If no search leads to a lower cost, the point does not
+    count as a saddle point. The reason may be multipliers that are not unique: the Hessian at a minimum may then be
+    indefinite.
     """
     status, saddle, total = descend(search, start, attempt, tolerance, max_iterations, log, **how)
     grid, has_failed, escapes = search.grid, False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
         saddle_cost, unknowns = predicted_cost(search, saddle), saddle.point.unknowns
-        curvature = np.zeros(unknowns.size)  # of the barrier
+        curvature = np.zeros(unknowns.size)  # second derivatives of the barrier
         np.add.at(curvature, search.bounds.indices, saddle.duals / saddle.distance)
         for step in escape_steps(grid, unknowns, curvature, escapes):
             beside = begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
@@ -236,15 +244,16 @@ def leave_saddles(search, start, attempt, tolerance, max_iterations, log, **how)
 
 
 def is_below(cost, saddle_cost):
-    """Return True if a cost is lower than at a saddle point, by more than rounding."""
+    """Return True if `cost` is lower than the cost at a saddle point by more than rounding errors."""
     return cost < saddle_cost - 1e-9 * max(1.0, abs(saddle_cost))
 
 
 def escape_steps(grid, unknowns, curvature, escapes):
-    """Return steps along the direction of most negative curvature to both sides, longer with the number of escapes.
+    """Return two opposite steps (n,) along the direction of most negative curvature, longer after more `escapes`.
 
-    The first steps change each quantity by at most a tenth of max(1, its largest value). The limit is one for each
-    quantity, because the size of one quantity says nothing about the others.
+    The first steps change each quantity by at most a tenth of max(1, its largest value). Each quantity has its own
+    limit, because the magnitude of one quantity says nothing about others. `curvature` (n,) are the second derivatives
+    of the barrier.
     """
     direction, sizes = negative_curvature_direction(grid, unknowns, curvature), np.maximum(1.0, np.abs(unknowns))
     for values in views(grid, sizes):
@@ -257,7 +266,7 @@ def negative_curvature_direction(grid, unknowns, curvature=0.0):
     """Return the direction (n,) of most negative curvature along which the equations hold to first order.
 
     The method is inverse iteration with the shifted KKT matrix from a fixed random vector. The result is zero if no
-    shift suffices. `curvature` is added to the Hessian's diagonal by a barrier.
+    shift suffices. `curvature` (n,), from the barrier, is added to the diagonal of the Hessian.
     """
     system = allocate_system(grid)
     direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
@@ -272,10 +281,10 @@ def negative_curvature_direction(grid, unknowns, curvature=0.0):
 
 
 def least_delta_w(grid, unknowns, system, curvature=0.0):
-    """Return a delta_w that makes the Hessian on the equations' null space positive definite, and factor with it.
+    """Return a shift delta_w of the Hessian that makes the reduced Hessian positive definite, and factor with it.
 
-    `curvature` is added to the diagonal first. The result is at most ten times the least delta_w, and infinite if no
-    delta_w suffices.
+    `curvature` is added to the diagonal first. The result is at most ten times the least possible shift, or infinite if
+    no shift suffices.
     """
     delta_w = FLAT
     while delta_w < 1e20:
@@ -287,7 +296,10 @@ def least_delta_w(grid, unknowns, system, curvature=0.0):
 
 
 def begin_nearby(search, unknowns, tolerance):
-    """Return the warm start at a neighbour's unknowns, with its multipliers, or None; see `descent.begin_beside`."""
+    """Return the warm start at `unknowns` (n,), the solution of a similar problem; see `descent.begin_beside`.
+
+    Return None if the multipliers of that solution are unusable.
+    """
     work, (problem, data, _, bounds) = search.work, search.arguments
     work.vectors[X], work.reals[LEAST_RELAXATION] = unknowns, search.least
     begin_beside(problem, data, bounds, tolerance, work.reals, work.integers, work.vectors, work.barriers)
@@ -295,10 +307,11 @@ def begin_nearby(search, unknowns, tolerance):
 
 
 def factor_nearby(grid, unknowns, tolerance, search):
-    """Factor the linear system of the first step from the unknowns of a neighbour, before the search begins.
+    """Factor the linear system of the first step from the solution of a similar problem, before the search begins.
 
-    `search` is the result of `search_on` for a grid with the same bounds, and takes the factors. Return True if a first
-    step from these unknowns, or from unknowns near them, can use the factors: the reduced Hessian is positive definite.
+    `unknowns` (n,) is this solution. `search` is the result of `search_on` for a grid with as many bounds; its storage
+    takes the factors. Return True if a first step from these or from similar unknowns can use the factors, because the
+    reduced Hessian is positive definite.
     """
     search = on_grid(search, grid)
     iterate = begin_nearby(search, unknowns, tolerance)
@@ -309,7 +322,10 @@ def factor_nearby(grid, unknowns, tolerance, search):
 
 
 def within_bounds(search, iterate, tolerance):
-    """Return the point of an iterate inside its bounds, with its errors; unchanged if the move costs accuracy."""
+    """Return the point of an iterate with unknowns moved inside their bounds, and with its errors.
+
+    The point remains unchanged if the move makes it less accurate.
+    """
     point = iterate.point
     if not (search.is_bounded and point.error < np.inf):
         return point
@@ -326,7 +342,10 @@ def within_bounds(search, iterate, tolerance):
 
 
 def on_bounds(search, iterate):
-    """Return the point with unknowns beyond a bound moved onto it, and its stationarity with the duals of bounds."""
+    """Return the point of an iterate with unknowns beyond a bound moved onto the bound.
+
+    Its stationarity includes the duals of bounds.
+    """
     unknowns, gradient = iterate.point.unknowns.copy(), iterate.point.gradient.copy()
     problem, data, _, bounds = search.arguments
     measures = clip(
@@ -338,9 +357,10 @@ def on_bounds(search, iterate):
 
 @njit(cache=True, error_model="numpy")
 def clip(problem, grid, bounds, known, distance, duals, vectors, unknowns, gradient):
-    """Move `unknowns` (n,) that are beyond a bound onto it, and evaluate; return the measures of a point.
+    """Move `unknowns` (n,) that are beyond a bound onto the bound, and evaluate again.
 
-    `known` are the measures of the point before the move, with this `gradient` (n,).
+    Return (cost, residual, violation, stationarity, error). `known` are these numbers, and `gradient` (n,) the
+    gradient, before the move.
     """
     indices, lower, upper, moves, measures = bounds[0], bounds[4], bounds[5], False, known
     for i in indices:
@@ -358,8 +378,8 @@ def clip(problem, grid, bounds, known, distance, duals, vectors, unknowns, gradi
 def last_step(search, iterate):
     """Return the iterate after a Newton step of the barrier problem with unrelaxed bounds; None if there is no step.
 
-    An unknown that is closer to its bound than the relaxation keeps its distance and is moved instead, so that
-    complementarities stay as they are.
+    An unknown that is closer to its bound than the relaxation keeps its distance and is moved instead. Its
+    complementarity then does not change.
     """
     grid, bounds, unknowns = search.grid, search.bounds, iterate.point.unknowns.copy()
     distance = bounds.side * (unknowns[bounds.indices] - bounds.value)

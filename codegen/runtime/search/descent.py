@@ -1,19 +1,23 @@
 """Newton's method with a filter line search; for bounded unknowns, a primal-dual interior-point method.
 
-There is one compiled function for all problems. Its arguments are vectors, addresses of the loops and the linear system
-of a problem, and work space. It allocates nothing, raises nothing and holds no lock of the interpreter. It returns
-after a given number of iterations, or when Python has to act. Its state stays in the work space for the next call.
+The compiled function `descend` is the same for all problems. Its arguments are vectors, the addresses of the loops and
+of the linear system of a problem, and work space. It allocates nothing, raises nothing, and releases the lock of the
+Python interpreter. It returns after a given number of iterations, or when Python has to act. Its state stays in the
+work space for the next call.
 
-A logarithmic barrier with a weight mu replaces bounds; mu tends to zero. For each weight Newton's method solves the
+A logarithmic barrier with a weight mu replaces bounds; mu tends to zero. For each weight, Newton's method solves the
 optimality conditions. The inertia of the KKT matrix is corrected until the step is a descent step, and a filter decides
 on the step length. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search
-algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+algorithm for large-scale nonlinear programming. Numbers of equations and sections in this file refer to this article.
 
-Every finite bound is an entry of flat arrays: `indices` of its unknown x, its `side` s, 1 for a lower and -1 for an
-upper bound, and its `magnitude`. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
-gradient - s z = 0 and z d = mu. Distances are updated along with the unknowns and not computed again: close to a bound,
-rounding would leave nothing of a difference. Bounds are relaxed a little, so that equations may force unknowns onto
-them. The relaxation falls to rounding level with mu.
+Every finite bound b is an entry of flat arrays: the index of its unknown x in `indices`, its `side` s, and its
+`magnitude` max(1, |b|). The side is 1 for a lower and -1 for an upper bound. With distance d = s (x - b) and dual z,
+the perturbed optimality conditions are gradient - s z = 0 and z d = mu. Each step updates the distances like the
+unknowns: a distance that is computed from x and b close to a bound would be a rounding error. Bounds are relaxed a
+little, so that equations may force unknowns onto them. The relaxation falls to rounding level with mu.
+
+Several functions share arguments. `problem`, `grid`, `system` and `bounds` are tuples, see `descend`. `x` and `g` (n,)
+are the unknowns and the gradient of the Lagrangian. `distance` and `duals` (m,) belong to all bounds.
 """
 
 import numpy as np
@@ -23,14 +27,14 @@ from codegen.runtime.kkt.system import SINGULAR
 from codegen.runtime.search.linear_system import call_hessians, factor_at, global_index, multiply_entries, solve_at
 from codegen.runtime.search.point import measured_gradient
 
-# Reasons to return.
+# Results of `descend`: the reason why it returns.
 (
     CONTINUE, SOLVED, SADDLE, NON_FINITE, UNBOUNDED, INFEASIBLE, RANK_DEFICIENT, STALLED, RESTORE, ROOM, GROSS,
 ) = range(11)  # fmt: skip
 WORDS = (
     "iteration limit", "solved", "saddle point", "non-finite", "unbounded", "infeasible", "rank-deficient", "stalled",
 )  # fmt: skip
-"""Termination statuses by the first of these numbers."""
+"""The termination status for each of the first eight of these numbers."""
 
 # Rows of the vectors (VECTORS, n) and of the arrays (BARRIERS, m) of the work space.
 (
@@ -42,7 +46,10 @@ VECTORS = 13
 ) = range(10)  # fmt: skip
 BARRIERS = 10
 
-# Numbers of the state.
+# Indices of the state of a search, between calls: floats, then integers. LOOSE_... is the iterate before bounds are
+# relaxed less for the first time, and WATCH_... the iterate to which the watchdog may return. KNOWN is the cost of a
+# saddle point. LATE, SHORTENED, IN_VAIN, IN_TURN and AT_REST count iterations in turn. DOUBTFUL counts steps whose
+# linear system may be solved inaccurately, and ENOUGH is the number of such steps that calls for a measurement.
 (
     MU, LEAST_RELAXATION, SHORTEST, SMALL_VIOLATION, FIRST_COST, DELTA_W, LAST_DELTA_W, DAMPING, LENGTH, LAST_ERROR,
     WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, KNOWN, COST, RESIDUAL, VIOLATION,
@@ -56,76 +63,81 @@ REALS = 27
 ) = range(25)  # fmt: skip
 INTEGERS = 25
 
-# The stage of a search: it continues; it begins with an iterate, with primal unknowns, or with the unknowns of a
-# neighbour, from which `begin_beside` makes an iterate first.
+# The stage of a search. It continues, or it begins with an iterate, with primal unknowns, or with the unknowns of a
+# neighbour. A neighbour is the solution of a similar problem; `begin_beside` makes an iterate of its unknowns.
 GO_ON, WITH_ITERATE, WITH_UNKNOWNS, WITH_NEIGHBOUR = range(4)
 
-# The start.
+# The start of a search.
 AT_GUESS, BESIDE, FROM_AFAR = (0.1, 1e-2), (1e-5, 1e-4), (0.1, 0.1)
-"""First weight of the barrier, and push inside the bounds: of a search from a guess, of a warm start without
-multipliers, and of a warm start with multipliers whose residual exceeds NEAR. Unknowns close to their bounds would
-shorten all steps."""
-WARM_WEIGHT = 0.1  # the barrier's weight of a warm start, relative to the tolerance; 1 costs one more iteration
+"""The first weight of the barrier, and the push inside the bounds, for a search from a guess (AT_GUESS), for a warm
+start without multipliers (BESIDE), and for a warm start with multipliers whose residual exceeds NEAR (FROM_AFAR).
+Unknowns close to their bounds would shorten all steps."""
+WARM_WEIGHT = 0.1  # the first weight of the barrier of a warm start, relative to the tolerance; 1 takes one more step
 CLOSE = 1e-8  # least distance of unknowns to their bounds at a warm start
 NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes 50 percent more iterations on one problem
-LARGEST_DUAL = 1e3  # at a start, where a bound is closer than the central path
-LARGEST_MULTIPLIER = 1e3  # least-squares multipliers above it say that equations depend on each other
+LARGEST_DUAL = 1e3  # largest dual at a start, for a bound that is very close
+LARGEST_MULTIPLIER = 1e3  # a larger least-squares multiplier means that equations depend on each other
 FILTERED = 1e-4  # largest violation, relative to the first, for which the switching condition requires descent
 GROSSLY = 0.03  # larger residuals, relative to the equations' terms, are a gross violation
 
-# Sizes of residuals and terms.
+# Magnitudes of residuals and of the terms of equations.
 UNIT_ROUNDOFF = 2.2e-16
 VANISHED = 1e-20  # a residual below it counts as zero, since a cost of squares may vanish with all its terms
-WORTH_MEASURING = 1e-7  # sizes of terms are not computed for larger errors
+WORTH_MEASURING = 1e-7  # for larger errors, the magnitudes of terms are not computed
 ROUNDED = 1e-12  # residuals below it are rounding errors, which no step reduces
 NEARLY = 1e-6  # largest error of an iterate that may be a saddle point
 NEARLY_FEASIBLE = 1e-6  # largest residual of an unbounded problem's iterate, relative to max(1, ten times the terms)
 
 # The end of a search.
 PROGRESS = 0.5  # a warm search ends at rounding level if a step reduces the error by a smaller factor
-UNCHANGED, REST = 1e-3, 5  # largest relative change of an unchanged error; unchanged iterates in turn that end a search
+# Largest relative change of an error that counts as unchanged; number of unchanged iterates in turn that end a search.
+UNCHANGED, REST = 1e-3, 5
 FLAT = 1e-8  # curvatures above -FLAT count as positive
 UNBOUNDED_BELOW = 1e10  # a cost below minus this number times max(1, |first cost|) counts as minus infinity
 LARGEST = 1e20  # a problem with bounds counts as unbounded if an unknown exceeds it
-PATIENCE = 8  # iterations with the last weight after which multipliers are scaled in the convergence test
+PATIENCE = 8  # iterations with the last weight after which the convergence test scales multipliers
 VAIN = 20  # full steps in turn without effect on the violation, after which equations count as contradictory
 
 # The barrier.
-LEAST_PART = 0.025  # the last weight, relative to the tolerance; with 0.1 the cost of a crane is off by 2e-9
+LEAST_PART = 0.025  # the last weight, relative to the tolerance; with 0.1, the cost of a crane problem is off by 2e-9
 RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # largest and least relaxation of a bound, relative to max(1, |bound|)
-PER_WEIGHT = 1e-2  # relaxation between these limits, relative to the barrier's weight
-MOST_RELAXING = RELAXED / PER_WEIGHT  # larger weights have the largest relaxation
-ROUNDING = 1e-15  # residuals up to it are zero in steps: at a distance of 1e-12 they would turn the signs of duals
+PER_WEIGHT = 1e-2  # the relaxation between these limits, relative to the barrier's weight
+MOST_RELAXING = RELAXED / PER_WEIGHT  # weights above it have the largest relaxation
+ROUNDING = 1e-15  # steps ignore residuals up to it: at a distance of 1e-12 these would change the signs of duals
 
 # Inertia correction.
+# The shift delta_w is added to the Hessian, delta_c is subtracted from the diagonal of the multipliers.
 SINGULAR_STEP = 1e12  # a step that exceeds the right-hand side by this factor is a rounding error
-LARGE_SHIFT = 1e8  # for a larger delta_w, a delta_c is tried: a zero eigenvalue has the sign of its rounding error
-SMALL_DELTA_W = 1e-2  # if a lower shift is below it, the first factorisation has no shift
-FAR = 10.0  # a step beyond this multiple of the largest unknown needs a larger first shift
+LARGE_SHIFT = 1e8  # above this delta_w, a delta_c is tried: a zero eigenvalue has the sign of its rounding error
+SMALL_DELTA_W = 1e-2  # if the next lower shift is below it, the first factorisation has no shift
+FAR = 10.0  # a step larger than this multiple of the largest unknown needs a larger first shift
 DUAL_SHIFT = 1e-8  # delta_c, for equations that may be dependent
-LEAST_DAMPING = 1e-5  # of the Hessian, after steps that the filter shortened much
+LEAST_DAMPING = 1e-5  # least damping of the Hessian after several much shortened steps
 
 # Refinement.
 ACCURATE = 1e-10  # largest residual, relative to right-hand side and solution, of a step that is not refined
-NEARLY_ACCURATE = 1e-6  # largest residual that may be rounding of a large solution, if two corrections do not halve it
-LARGE_STEP = 1e6  # largest solution that a residual is compared with, relative to the right-hand side
+NEARLY_ACCURATE = 1e-6  # if two corrections do not halve a smaller residual, it is a rounding error of a large solution
+LARGE_STEP = 1e6  # residuals are compared with a solution up to this size, relative to the right-hand side
 SOLVED_AGAIN = 10  # largest number of corrections, as in IPOPT
-UNSOLVED = 0.1  # relative residual after a full step above which the residual of its linear system is measured
+UNSOLVED = 0.1  # if a full step leaves a larger part of the residual, its linear system may be solved inaccurately
 
 # Line search.
-CORRECTIONS = 4  # second-order corrections at one iterate
+CORRECTIONS = 4  # largest number of second-order corrections at one iterate
 SHORT = 0.25  # largest relative length of a much shortened step
 SHORT_IN_TURN = 6  # much shortened steps in turn after which the Hessian is damped
 SHORTENED_IN_TURN = 10  # shortened steps in turn after which the watchdog begins
-FULL_STEPS = 4  # untested full steps of the watchdog
-TINY, CLOSER = 1e-13, 0.9  # a step of TINY max(1, |x|) changes nothing; largest ratio of errors of a closer trial
+FULL_STEPS = 4  # full steps that the watchdog takes without a test
+TINY, CLOSER = 1e-13, 0.9  # a step up to TINY max(1, |x|) changes nothing; largest ratio of errors of a closer trial
 MISLED = 5  # steps in turn, shortened by the filter alone, after which the filter is emptied
 EMPTIED_AT_MOST = 5  # largest number of times that the filter is emptied, so that a search cannot cycle
 
 
 @njit(error_model="numpy")
 def sum_of_logarithms(distance):
-    """Return the sum of the logarithms of positive numbers, by products of several, since a logarithm takes long."""
+    """Return the sum of the logarithms of positive numbers.
+
+    Several numbers are multiplied before a logarithm is taken, because logarithms are slow.
+    """
     total, product = 0.0, 1.0
     for j in range(distance.size):
         product *= distance[j]
@@ -137,15 +149,19 @@ def sum_of_logarithms(distance):
 
 @njit(cache=True, error_model="numpy")
 def relaxation(mu, least):
-    """Return the relaxation of bounds for the weight mu, relative to their magnitudes."""
+    """Return the relaxation of bounds for the barrier's weight mu, relative to the magnitudes of bounds.
+
+    `least` is the least relaxation.
+    """
     return min(RELAXED, max(least, PER_WEIGHT * mu))
 
 
 @njit(error_model="numpy")
 def approach(unknowns, indices, side, magnitude, by, least, distance, closer):
-    """Fill `closer` with the distances to bounds that are `by` nearer, relative to their magnitudes.
+    """Fill `closer` with the distances after all bounds have moved inside by `by`, relative to their magnitudes.
 
-    `unknowns` closer than `least` are moved inside. Return the sum of logarithms, and True if any unknown was moved.
+    Unknowns that would then be closer to a bound than `least`, relative to its magnitude, are moved inside. Return the
+    sum of the logarithms of the new distances, and True if any unknown was moved.
     """
     moves = False
     for j in range(indices.size):
@@ -159,10 +175,11 @@ def approach(unknowns, indices, side, magnitude, by, least, distance, closer):
 
 @njit(cache=True, error_model="numpy")
 def optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals, spare):
-    """Return measures of the optimality conditions with the duals of bounds.
+    """Return seven measures of the optimality conditions, including the duals of bounds.
 
-    The measures are the max-norm of the stationarity, the sum of complementarities z d, the least and the largest z d,
-    the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
+    The first measure is the max-norm of the stationarity. The next three are the sum, the least and the largest of the
+    complementarities z d. Then follow the mean modulus of all multipliers and duals, and the mean of the duals alone.
+    The last measure is the largest modulus of a primal unknown. `spare` (n,) is work space.
     """
     total, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
     for i in range(gradient.size):
@@ -187,7 +204,7 @@ def optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals
 
 @njit(error_model="numpy")
 def evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vectors):
-    """Fill the gradient; return (cost, residual, violation, stationarity, error) and the result of `optimality`.
+    """Fill the `gradient` (n,); return (cost, residual, violation, stationarity, error) and the result of `optimality`.
 
     Stationarity and error include the duals of bounds.
     """
@@ -206,7 +223,10 @@ def evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vector
 
 @njit(error_model="numpy")
 def measured_again(bounds, is_multiplier, known, x, g, distance, duals, vectors):
-    """Return the result of `evaluated` for `known` gradient and measures, with other duals of bounds."""
+    """Return the same as `evaluated` for other duals of bounds, without a new evaluation of the gradient.
+
+    `known` are (cost, residual, violation, stationarity, error) of the unknowns `x` (n,) with the gradient `g` (n,).
+    """
     cost, residual, violation, stationarity, error = known[0], known[1], known[2], np.inf, np.inf
     measured = optimality(g, x, is_multiplier, bounds[0], bounds[1], distance, duals, vectors[SPARE])
     if known[4] < np.inf:
@@ -217,7 +237,11 @@ def measured_again(bounds, is_multiplier, known, x, g, distance, duals, vectors)
 
 @njit(error_model="numpy")
 def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted):
-    """Factor with the diagonal and the right-hand side of the work space; solve for the step if `is_wanted`."""
+    """Factor the KKT matrix with the right-hand side and the diagonal in the work space.
+
+    Return the excess of negative eigenvalues, see `factor_at`. If `is_wanted`, fill the step in the work space.
+    `weight_of_cost`, 0 or 1, multiplies the Hessian of the cost.
+    """
     steps, h, nodes, parameters, _, sizes, _, _, _, _, _ = grid
     tables, factors, orders, entries, scaled, costless, inverses, counts, equations, _, _ = system
     chosen = scaled if weight_of_cost == 1.0 else costless
@@ -229,10 +253,11 @@ def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted):
 
 @njit(cache=True, error_model="numpy")
 def terms(problem, grid, system, x, is_costless, vectors):
-    """Return the largest sums of absolute terms |K| |x| in an equation, and in a stationarity condition.
+    """Return the largest sum of absolute terms |K| |x| in an equation, and in a stationarity condition.
 
-    A change of every unknown by half a unit in the last place changes a residual by up to that sum times the unit
-    roundoff; see Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
+    K is the KKT matrix. If every unknown changes by half a unit in the last place, a residual changes by up to this sum
+    times the unit roundoff. See Higham (2002), Accuracy and stability of numerical algorithms, section 7.2. With
+    `is_costless`, the second sum is at least one.
     """
     steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
@@ -246,7 +271,8 @@ def terms(problem, grid, system, x, is_costless, vectors):
         sums[i] = 0.0
     multiply_entries(entries, rows, columns, steps, counts, unknowns, sums, True)
     for j in range(fillings.shape[0]):
-        # The one that intervals add for an unknown of the start alone is no term; the entry of the start cancels it.
+        # Intervals put a one on the diagonal for an unknown that only the ends have. The one is no term of an equation:
+        # the entry of the start subtracts it.
         value, row = entries[fillings[j, 0]], fillings[j, 1]
         sums[row] += (abs(value + 1.0) - 1.0 - abs(value)) * abs(unknowns[row])
     equations, stationarity = 0.0, 0.0
@@ -261,7 +287,10 @@ def terms(problem, grid, system, x, is_costless, vectors):
 
 @njit(error_model="numpy")
 def is_small(value, size, tolerance):
-    """Return True if a sum of terms of a given size is zero to the tolerance, or to rounding."""
+    """Return True if a residual `value` is zero to the tolerance, or to rounding.
+
+    `size` is the sum of the absolute terms whose sum is the residual.
+    """
     return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size, VANISHED)
 
 
@@ -269,7 +298,7 @@ def is_small(value, size, tolerance):
 def is_solved(problem, grid, system, x, residual, stationarity, tolerance, is_costless, vectors):
     """Return True if residual and stationarity are within the tolerance, or at the rounding level of their terms.
 
-    The tolerance is absolute where the terms of the equations exceed one, and relative to smaller terms.
+    The tolerance is absolute if the terms of the equations exceed one, and relative to smaller terms.
     """
     if max(residual, stationarity) > max(tolerance, WORTH_MEASURING):
         return False
@@ -283,7 +312,8 @@ def is_solved(problem, grid, system, x, residual, stationarity, tolerance, is_co
 def have_large_terms(problem, grid, system, x, vectors):
     """Return True if an equation and a stationarity condition both have a term of one or more.
 
-    These are a part of the sums of `terms`. Most often an end and a few intervals show that the tolerance is absolute.
+    The tolerance is then absolute, see `is_solved`. The test is faster than `terms`: most often, an end and a few
+    intervals have such terms.
     """
     steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
@@ -323,14 +353,17 @@ def have_large_terms(problem, grid, system, x, vectors):
 
 @njit(error_model="numpy")
 def is_at_rounding_level(problem, grid, system, x, residual, stationarity, is_costless, vectors):
-    """Return True if residual and stationarity are no larger than a thousand rounding errors."""
+    """Return True if residual and stationarity are at most a thousand rounding errors of their terms."""
     of_equations, of_stationarity = terms(problem, grid, system, x, is_costless, vectors)
     return residual <= 1e3 * UNIT_ROUNDOFF * of_equations and stationarity <= 1e3 * UNIT_ROUNDOFF * of_stationarity
 
 
 @njit(error_model="numpy")
 def is_acceptable(problem, grid, system, x, measures, measured, tolerance, is_costless, vectors):
-    """Return True if an iterate is optimal to the tolerance, with scaled multipliers (5)."""
+    """Return True if an iterate is optimal to the tolerance, with the scaling (5) of large multipliers and duals.
+
+    `measures` and `measured` are the results of `evaluated`.
+    """
     stationarity, _, _, highest, mean, mean_dual, _ = measured
     if highest / (max(100.0, mean_dual) / 100.0) > tolerance:
         return False
@@ -340,7 +373,11 @@ def is_acceptable(problem, grid, system, x, measures, measured, tolerance, is_co
 
 @njit(cache=True, error_model="numpy")
 def fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, right, diagonal):
-    """Fill right-hand side and diagonal of Newton's equations (13), given the gradient of the Lagrangian."""
+    """Fill the right-hand side and the diagonal (n,) of Newton's equations (13) for the weight `mu`.
+
+    `g` is the gradient of the Lagrangian without the duals of bounds. `delta_w` and `delta_c` are the shifts of the
+    Hessian and of the multipliers' diagonal.
+    """
     is_multiplier, indices, side = grid[4], bounds[0], bounds[1]
     for i in range(g.size):
         is_rounding = indices.size > 0 and is_multiplier[i] and abs(g[i]) <= ROUNDING
@@ -354,12 +391,12 @@ def fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, r
 
 @njit(cache=True, error_model="numpy")
 def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
-    """Fill `dual_step`; return (slope, is_of_rounding, longest primal length, longest dual length) of a step.
+    """Fill `dual_step` (m,); return (slope, is_of_rounding, longest primal length, longest dual length) of a step.
 
-    The slope is that of the cost along the primal part. With A the Jacobian of the equations and d the primal part,
-    A d = -residual. The share of the multipliers in the Lagrangian has the slope -multipliers . residual, which is
-    subtracted again. A step that is far longer than its right-hand side is a rounding error. Lengths keep 1 - tau of
-    every distance and of every dual (15).
+    `right` is the right-hand side of the step. The slope is the derivative of the barrier function along the primal
+    part d. With the Jacobian A of the equations, A d = -residual. The slope of the Lagrangian along d therefore
+    contains -multipliers . residual, which is subtracted again. A step that is far larger than its right-hand side is a
+    rounding error. The longest lengths keep the part 1 - tau of every distance and of every dual (15).
     """
     is_multiplier, indices, side = grid[4], bounds[0], bounds[1]
     slope = size = largest = 0.0
@@ -369,7 +406,8 @@ def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
     if indices.size == 0:
         return slope, size > SINGULAR_STEP * largest, 1.0, 1.0
     tau = max(0.99, 1.0 - mu)
-    primal, dual = tau, tau  # the largest parts of a distance, and of a dual, that the step takes away, or tau
+    # The largest part of a distance, and of a dual, that the full step takes away, but at least tau.
+    primal, dual = tau, tau
     for j in range(indices.size):
         change, inverse = side[j] * step[indices[j]], 1.0 / distance[j]
         dual_step[j] = (mu - duals[j] * change) * inverse - duals[j]
@@ -379,9 +417,10 @@ def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
 
 @njit(cache=True, error_model="numpy")
 def move(bounds, x, step, length, distance, duals, dual_step, dual_length, mu, trial, moved, pushed):
-    """Fill the trial after parts of a step, its distances and duals; return the sum of logarithms of distances.
+    """Fill the `trial` unknowns after a part of a step, and their distances `moved` and duals `pushed`.
 
-    Rounding must not make a distance vanish. Duals are kept within a factor of 1e10 of mu / d (16).
+    Return the sum of the logarithms of the distances. `length` and `dual_length` are the parts of the primal and of the
+    dual step. Rounding does not make a distance zero. Duals stay within a factor of 1e10 of mu / d (16).
     """
     indices, side = bounds[0], bounds[1]
     for i in range(x.size):
@@ -398,7 +437,10 @@ def move(bounds, x, step, length, distance, duals, dual_step, dual_length, mu, t
 
 @njit(error_model="numpy")
 def lets_pass(pairs, count, violation, objective):
-    """Return True if no pair of the filter is better both in violation and in objective (18)."""
+    """Return True if none of the first `count` pairs of the filter is better in both measures (18).
+
+    The two measures are the constraint violation and the objective.
+    """
     passes = True
     for j in range(count):
         passes = passes and (violation < pairs[j, 0] or objective < pairs[j, 1])
@@ -407,9 +449,9 @@ def lets_pass(pairs, count, violation, objective):
 
 @njit(error_model="numpy")
 def add_pair(pairs, count, violation, objective):
-    """Add the envelope of a point to the filter, whose first pair stays; return the new number of pairs.
+    """Add a pair (violation, objective), slightly lowered, to the filter; return the new number of pairs.
 
-    Pairs that the new pair dominates are removed.
+    Pairs that the new pair dominates are removed, except for the first pair.
     """
     violation, objective = (1.0 - 1e-5) * violation, objective - 1e-8 * violation
     kept = 1
@@ -425,11 +467,13 @@ def add_pair(pairs, count, violation, objective):
 
 @njit(error_model="numpy")
 def accepts(pairs, integers, violation, objective, trial_violation, trial_objective, slope, length, small):
-    """Return True if the filter accepts a trial (19, 20); it grows unless the objective fell as the slope promised.
+    """Return True if the filter line search accepts a trial (19, 20), and update the filter.
 
-    Old points, nearly feasible and cheap, may block progress for many iterations. If the filter alone refused the last
-    refused trial of an iterate, five times in turn, all pairs but the first are dropped, as in IPOPT (its option
-    filter_reset_trigger).
+    The objective is the barrier function. `slope` is its derivative along the step, and `small` is the largest
+    violation for which the objective must fall as the slope predicts. The filter grows unless the objective falls as
+    predicted. Old pairs with a small violation and a low objective may block progress for many iterations. Therefore
+    all pairs except the first are removed if the filter alone has refused trials of MISLED iterates in turn. IPOPT does
+    the same (option filter_reset_trigger).
     """
     rounding = 2e-15 * abs(objective)
     promising = slope < 0.0 and length * (-slope) ** 2.3 > violation**1.1
@@ -454,7 +498,10 @@ def accepts(pairs, integers, violation, objective, trial_violation, trial_object
 
 @njit(error_model="numpy")
 def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight_of_right, vectors, remainder):
-    """Fill `remainder` with KKT matrix . step + weight_of_right . right; return its `inaccuracy`."""
+    """Fill `remainder` (n,) with the residual KKT matrix . step + weight_of_right . right of a linear system.
+
+    Return the `inaccuracy` of the step. `diagonal` (n,) is added to the diagonal of the matrix.
+    """
     steps, h, nodes, parameters, is_multiplier, sizes, forces, _, ties, is_free, _ = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
     unknowns, vector = x, step
@@ -481,10 +528,11 @@ def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight
 
 @njit(error_model="numpy")
 def inaccuracy(gradient, step, remainder, is_multiplier):
-    """Return the size of `remainder` (n,) in the equations, and in all rows, relative to right-hand side and solution.
+    """Return the residual `remainder` (n,) of a linear system, relative to its right-hand side and its solution.
 
-    Large multipliers, and barriers close to their bounds, do not count for the equations. NaN if an entry is not
-    finite.
+    The result is the larger of two ratios: for the equations alone, and for all rows. Large multipliers, and barriers
+    close to their bounds, do not count for the equations. The result is NaN if an entry is not finite. `gradient` (n,)
+    is minus the right-hand side.
     """
     unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(remainder.size):
@@ -504,14 +552,15 @@ def inaccuracy(gradient, step, remainder, is_multiplier):
 
 @njit(error_model="numpy")
 def refined(problem, grid, system, x, vectors, room):
-    """Refine the step of the work space until it is accurate, or only rounding remains; return True if that lowered it.
+    """Refine the step in the work space until it is accurate, or until only rounding errors remain.
 
-    `room` (2 SOLVED_AGAIN + 2, n) takes corrections, their products with the matrix, and residuals. The products are
-    made orthogonal, so that each correction lowers the residual most: generalised conjugate residuals, with the factors
-    as preconditioner. Simple corrections one after the other need not converge if factors are inaccurate. Sources:
-    Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; Eisenstat, Elman and Schultz (1983),
-    Variational iterative methods for nonsymmetric systems of linear equations; the measure of the residual is that of
-    Waechter and Biegler (2006), section 3.10.
+    Return True if corrections were made and have lowered the residual. `room` (2 SOLVED_AGAIN + 2, n) is work space for
+    corrections, their products with the matrix, and residuals. The products are made orthogonal, so that each
+    correction lowers the residual as much as possible. These are generalised conjugate residuals with the factors as
+    preconditioner. Plain iterative refinement may diverge if the factors are inaccurate. Sources: Higham (2002),
+    Accuracy and stability of numerical algorithms, chapter 12; Eisenstat, Elman and Schultz (1983), Variational
+    iterative methods for nonsymmetric systems of linear equations. The residual is measured as in section 3.10 of
+    Waechter and Biegler (2006).
     """
     steps, n = grid[0], x.size
     tables, factors, orders, _, _, _, inverses, counts, equations, _, _ = system
@@ -560,14 +609,18 @@ def refined(problem, grid, system, x, vectors, room):
 @njit(cache=True, error_model="numpy")
 def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping, careful, reals, integers, vectors,
                barriers, room):  # fmt: skip
-    """Find a Newton step with the least delta_w on the Hessian, from `damping` on, that makes it a descent step.
+    """Compute a Newton step with a shift delta_w of the Hessian that is just large enough for a descent step.
 
-    This is algorithm IC. Dependent equations, such as those of a vehicle at rest, may have an eigenvalue of zero with
-    the sign of a rounding error. Then the count of negative eigenvalues means nothing, but a step, or a shift, without
-    limit shows the dependence. Without bounds two changes save factorisations. If the iterate before needed a shift for
-    its curvatures, a lower shift is tried at once, and no shift only when that has become small. The more often in turn
-    a lower shift was enough, the lower the next one is. With `careful`, the residual of the linear system is measured,
-    and refined if it is large. Return (found, slope, longest, dual length, delta_w, refined).
+    This is algorithm IC. `damping` is the least shift. Dependent equations, such as those of a vehicle at rest, may
+    have a zero eigenvalue with the sign of a rounding error. The number of negative eigenvalues then means nothing. A
+    huge step, or a shift that grows without limit, reveals the dependence, and delta_c removes it.
+
+    Without bounds, two changes save factorisations. If the previous iterate needed a shift, a lower shift is tried
+    first; no shift is tried only once the shift is small. The more often in turn a lower shift has sufficed, the more
+    the next shift is lowered. With `careful`, the residual of the linear system is measured, and the step is refined if
+    the residual is large.
+
+    Return (is_found, slope, longest primal length, longest dual length, delta_w, is_refined).
     """
     is_bounded, n = bounds[0].size > 0, x.size
     last, before, is_multiplier = reals[LAST_DELTA_W], reals[DELTA_W], grid[4]
@@ -595,11 +648,11 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
                 for i in range(n):
                     if not is_multiplier[i]:
                         size, largest = max(size, abs(step[i])), max(largest, abs(x[i]))
-                if size > FAR * largest:  # without dependent equations, the first shift alone sets the length
+                if size > FAR * largest:  # the first shift alone determines the length of such a step
                     delta_w *= 100.0
                     continue
             is_refined = False
-            if careful:  # even corrections that do not lower the residual change the step
+            if careful:  # the step is measured again: it changes even if its residual does not fall
                 is_refined = refined(problem, grid, system, x, vectors, room)
                 slope, of_rounding, longest, dual_length = measure_step(
                     grid, bounds, x, right, step, distance, duals, mu, barriers[DUAL_STEP]
@@ -626,9 +679,10 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
 
 @njit(error_model="numpy")
 def is_minimum(problem, grid, system, bounds, x, g, distance, duals, tolerance, vectors):
-    """Return True if a stationary point is a minimum to second order, with the barrier in place of bounds.
+    """Return True if a stationary point is a minimum to second order.
 
-    Multipliers are accurate to the tolerance, and so are curvatures, up to a factor.
+    Instead of bounds, their barrier is added to the Hessian. Curvatures count as positive if they are above a small
+    negative number, which is a multiple of the tolerance.
     """
     shift = max(FLAT, 100.0 * tolerance)
     fill_newton_system(grid, bounds, g, distance, duals, 0.0, shift, FLAT, vectors[RIGHT], vectors[DIAGONAL])
@@ -637,9 +691,9 @@ def is_minimum(problem, grid, system, bounds, x, g, distance, duals, tolerance, 
 
 @njit(error_model="numpy")
 def log_row(grid, g, cost, residual, stationarity, row):
-    """Fill cost, residual and stationarity of a row in the problem's own units.
+    """Fill cost, residual and stationarity of a row of the log, in the problem's own units.
 
-    Stationarity is the change of the cost with unknowns in multiples of their scaling factors.
+    Stationarity is the change of the cost if unknowns change by their scaling factors.
     """
     is_multiplier, forces, weight = grid[4], grid[6], grid[7]
     row[0], row[1], row[2] = cost / weight, residual, stationarity / weight
@@ -652,7 +706,7 @@ def log_row(grid, g, cost, residual, stationarity, row):
 
 @njit(error_model="numpy")
 def copy(source, target):
-    """Copy a vector."""
+    """Copy the vector `source` to `target`."""
     for i in range(source.size):
         target[i] = source[i]
 
@@ -668,7 +722,7 @@ def has_multipliers(unknowns, is_multiplier):
 
 @njit(error_model="numpy")
 def tie(grid, x):
-    """Copy the values of linking variables to the unknowns that equal them."""
+    """Copy the values of linking variables to the unknowns `x` of end nodes that equal them."""
     sizes, ties = grid[5], grid[8]
     for j in range(ties.shape[0]):
         i, other = ties[j, 0], ties[j, 1]
@@ -677,9 +731,9 @@ def tie(grid, x):
 
 @njit(cache=True, error_model="numpy")
 def push_inside(grid, bounds, push, x):
-    """Move unknowns at least `push` max(1, |bound|) inside their bounds (36).
+    """Move the unknowns `x` (n,) inside their bounds, by at least `push` max(1, |bound|) (36).
 
-    Between two bounds, the push is at most that part of their distance.
+    Between two bounds, the distance is at most `push` times the distance between the bounds.
     """
     indices, lower, upper = bounds[0], bounds[4], bounds[5]
     for i in indices:
@@ -693,9 +747,9 @@ def push_inside(grid, bounds, push, x):
 
 @njit(cache=True, error_model="numpy")
 def begin(problem, grid, bounds, reals, integers, vectors, barriers):
-    """Put the iterate at the primal unknowns X, pushed inside their bounds, into the work space.
+    """Make the iterate at the primal unknowns X in the work space, pushed inside their bounds.
 
-    Duals are one, or with `ON_PATH` on the central path. The weight of the barrier and the push are in the work space.
+    The weight MU and the PUSH are in the work space, too. The duals are one, or with ON_PATH on the central path.
     """
     x, distance, duals, mu = vectors[X], barriers[DISTANCE], barriers[DUALS], reals[MU]
     indices, side, magnitude, value = bounds[0], bounds[1], bounds[2], bounds[3]
@@ -710,7 +764,7 @@ def begin(problem, grid, bounds, reals, integers, vectors, barriers):
 
 @njit(error_model="numpy")
 def begin_at(start, problem, grid, bounds, reals, integers, vectors, barriers):
-    """Do the same as `begin`, with duals on the central path, and weight and push from BESIDE or FROM_AFAR."""
+    """Do the same as `begin`, with duals on the central path; `start` is a pair (weight of the barrier, push)."""
     reals[MU] = start[0] if bounds[0].size else 0.0
     reals[PUSH], integers[ON_PATH], integers[IS_FACTORED] = start[1], 1, 0
     begin(problem, grid, bounds, reals, integers, vectors, barriers)
@@ -718,15 +772,18 @@ def begin_at(start, problem, grid, bounds, reals, integers, vectors, barriers):
 
 @njit(cache=True, error_model="numpy")
 def begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, barriers):
-    """Put the warm start at a neighbour's unknowns X into the work space.
+    """Make the iterate of a warm start at the unknowns X in the work space, the solution of a similar problem.
 
-    IS_BESIDE is set if the start has the neighbour's multipliers. They are dropped if all are zero, if the start is not
-    finite, or, without bounds, if the residual exceeds NEAR. Duals of bounds follow from the multipliers. If the
-    Lagrangian falls towards a bound by more than the distance to the bound, the bound is active, and its dual is that
-    slope. Other duals are on the central path. The barrier's weight begins at its final value, and unknowns stay close
-    to their bounds. Far from the equations, as after a push, other bounds become active: then the start is farther
-    inside. Source: Yildirim and Wright (2002), Warm-start strategies in interior-point methods for linear programming,
-    SIAM J. Optim. 12: the larger the change of the data, the larger the first weight of the barrier.
+    IS_BESIDE is set if the iterate has the multipliers of this solution. The multipliers are dropped if all are zero,
+    if the iterate is not finite, or, without bounds, if the residual exceeds NEAR. The duals of bounds follow from the
+    multipliers. If the Lagrangian decreases towards a bound with a slope larger than the distance to the bound, the
+    bound is active. Its dual is then this slope. Other duals are on the central path. The barrier's weight begins at
+    its final value, and unknowns may stay close to their bounds.
+
+    If the residual exceeds NEAR, for example after a large disturbance, other bounds become active. The iterate then
+    starts farther inside the bounds. Source: Yildirim and Wright (2002), Warm-start strategies in interior-point
+    methods for linear programming, SIAM J. Optim. 12: the larger the change of the data, the larger the first weight of
+    the barrier.
     """
     x, g, distance, duals, is_multiplier = vectors[X], vectors[G], barriers[DISTANCE], barriers[DUALS], grid[4]
     indices, side, magnitude, value = bounds[0], bounds[1], bounds[2], bounds[3]
@@ -755,7 +812,7 @@ def begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, bar
 
 @njit(error_model="numpy")
 def evaluate_iterate(problem, grid, reals, vectors):
-    """Evaluate the iterate of the work space; its measures do not include duals of bounds."""
+    """Evaluate cost, gradient and norms of the iterate in the work space, without the duals of bounds."""
     steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _ = grid
     measures = measured_gradient(
         problem[0], vectors[X], sizes, weight, steps, h, nodes, parameters, is_multiplier,
@@ -767,7 +824,11 @@ def evaluate_iterate(problem, grid, reals, vectors):
 
 @njit(cache=True, error_model="numpy")
 def estimate_multipliers(problem, grid, system, bounds, reals, vectors, barriers):
-    """Give an iterate without multipliers those that solve stationarity by least squares (36), unless they are huge."""
+    """Set the multipliers to the least-squares solution of the stationarity conditions (36).
+
+    The iterate must have zero multipliers. They stay zero if a multiplier would exceed LARGEST_MULTIPLIER, or if the
+    linear system is singular.
+    """
     is_multiplier, indices, side, duals = grid[4], bounds[0], bounds[1], barriers[DUALS]
     x, g, right, diagonal, step = vectors[X], vectors[G], vectors[RIGHT], vectors[DIAGONAL], vectors[STEP]
     if indices.size == 0 and reals[STATIONARITY] == 0.0:
@@ -793,7 +854,7 @@ def estimate_multipliers(problem, grid, system, bounds, reals, vectors, barriers
 def enter(problem, grid, system, bounds, reals, integers, vectors, barriers, pairs):
     """Prepare the state of a search that begins with the iterate in the work space.
 
-    Multipliers that are all zero are estimated; others are those of a neighbour.
+    Multipliers that are all zero are estimated. Otherwise the start is warm, and its multipliers are kept.
     """
     integers[IS_WARM] = has_multipliers(vectors[X], grid[4])
     if not integers[IS_WARM]:
@@ -807,7 +868,7 @@ def enter(problem, grid, system, bounds, reals, integers, vectors, barriers, pai
 
 @njit(error_model="numpy")
 def is_gross(problem, grid, system, reals, vectors):
-    """Return True if the residual of the iterate is more than a small part of the equations' largest terms."""
+    """Return True if the residual of the iterate exceeds GROSSLY times the largest terms of the equations."""
     if not reals[ERROR] < np.inf:
         return False
     of_equations, _ = terms(problem, grid, system, vectors[X], False, vectors)
@@ -818,34 +879,36 @@ def is_gross(problem, grid, system, reals, vectors):
 def descend(
     problem, grid, system, bounds, tolerance, limit, most, reals, integers, vectors, barriers, pairs, room, log
 ):
-    """Follow Newton's steps; return the number of the reason to return.
+    """Follow Newton's steps; return the reason for the return, a number such as SOLVED.
 
-    A search begins, by its STAGE, at the iterate in the work space or at the primal unknowns there. A search without
-    bounds and with LOOKS ends at once, as GROSS, if the equations are grossly violated.
+    A search begins, according to its STAGE, at the iterate or at the primal unknowns in the work space. A search
+    without bounds and with LOOKS ends at once, as GROSS, if the equations are grossly violated.
 
     Parameters
     ----------
     problem : tuple of int
-        Addresses: of the loops for gradient and second derivatives, and of the linear system.
+        Addresses of the loops for the gradient and for the second derivatives, and of the linear system.
     grid : tuple
-        steps, h, nodes, parameters, is_multiplier, sizes, forces, weight, ties, is_free, fillings.
+        steps, h, nodes, parameters, is_multiplier, sizes, forces, weight, ties, is_free, fillings; see
+        `iterates.arguments_of`.
     system : tuple
         Storage of the linear system: tables, factors, orders, entries, scaled, costless, inverses, counts, equations,
         rows, columns; see `linear_system.System`.
     bounds : tuple
-        indices, side, magnitude, value (m,) of all finite bounds; least and greatest values (n,), or empty without any.
+        indices, side, magnitude, value (m,) of all finite bounds; least and greatest values (n,), or empty arrays
+        without bounds.
     tolerance : float
         Tolerance of residual and stationarity, see `is_solved`.
     limit, most : int
-        Limits of iterations in all, and in this call.
+        Largest number of iterations of the whole search, and of this call.
     reals, integers : (REALS,), (INTEGERS,)
-        The state; the measures of the iterate are at COST.
+        The state; cost, residual, violation, stationarity and error of the iterate begin at COST.
     vectors, barriers : (VECTORS, n), (BARRIERS, m)
-        Work space; the iterate is in their rows X, G, DISTANCE and DUALS.
+        Work space; the iterate is in the rows X, G, DISTANCE and DUALS.
     pairs : (.., 2)
-        The filter.
+        The pairs (violation, objective) of the filter.
     room : (2 SOLVED_AGAIN + 2, n) or (0, n)
-        For refinement. If it is empty and needed, the function returns ROOM.
+        Work space for refinement. If it is empty but needed, the function returns ROOM.
     log : (most + 1, 6)
         Rows of all iterates: cost, residual, stationarity, shift of the Hessian, step length, mu.
     """
@@ -881,16 +944,16 @@ def descend(
             converged = is_acceptable(
                 problem, grid, system, x, measures, measured, tolerance, is_costless, vectors
             )  # fmt: skip
-        if integers[SEEN] <= iteration:  # the call before has tested the iterate from which this call continues
+        if integers[SEEN] <= iteration:  # not the iterate that the previous call has tested already
             integers[SEEN] = iteration + 1
             is_closed = m == 0 or highest <= tolerance
             if not converged and integers[IS_WARM] and PROGRESS * reals[LAST_ERROR] < error < np.inf:
-                # A search that begins near a solution may reach it at once, apart from rounding.
+                # A search that begins near a solution may reach it at once, up to rounding errors.
                 converged = is_closed and is_at_rounding_level(
                     problem, grid, system, x, residual, stationarity, is_costless, vectors
                 )
-            # Terms that cancel in the first derivatives, as in exp(x) - 1, do not appear in the second ones. Their
-            # rounding errors exceed the estimate of `terms`, and steps change neither cost nor error any more.
+            # Terms that cancel in the first derivatives, as in exp(x) - 1, do not appear in the second derivatives.
+            # Their rounding errors exceed the estimate of `terms`: steps then change neither cost nor error any more.
             is_unchanged = cost == reals[LAST_COST] and abs(error - reals[LAST_ERROR]) <= UNCHANGED * error
             integers[AT_REST] = integers[AT_REST] + 1 if is_unchanged and is_closed and error <= tolerance else 0
             converged = converged or integers[AT_REST] >= REST
@@ -899,7 +962,7 @@ def descend(
             status = NON_FINITE
         elif converged:
             status = SOLVED
-            # Newton's steps went downhill; a stationary start, or a shifted Hessian, leaves room for doubt.
+            # After descent steps with an unshifted Hessian, a stationary point is a minimum. Otherwise test it.
             if (iteration == 0 or reals[DELTA_W] > 0.0) and not is_minimum(
                 problem, grid, system, bounds, x, g, distance, duals, tolerance, vectors
             ):
@@ -907,12 +970,12 @@ def descend(
         elif m > 0 and largest > LARGEST:
             status = UNBOUNDED
         elif cost < -UNBOUNDED_BELOW * max(1.0, abs(reals[FIRST_COST])):
-            # Huge unknowns have huge residuals even if a motion nearly obeys the equations.
+            # Huge unknowns have huge residuals, even if the motion nearly satisfies the equations.
             of_equations, _ = terms(problem, grid, system, x, is_costless, vectors)
             if residual <= NEARLY_FEASIBLE * max(1.0, 10.0 * of_equations):
                 status = UNBOUNDED
         if status == CONTINUE and integers[HAS_KNOWN] and max(residual, stationarity) <= NEARLY:
-            # The search from beside a saddle point leads no lower.
+            # The search that starts next to a saddle point leads to no lower cost.
             predicted = cost - gap
             for i in range(n):
                 if is_multiplier[i]:
@@ -959,7 +1022,7 @@ def descend(
             if mu <= least_mu:
                 integers[LATE] += 1
         objective, small = cost - mu * logarithms, reals[SMALL_VIOLATION]
-        # Newton's step, possibly first with the factors of a matrix at a nearby point.
+        # Newton's step. Attempt 0 uses the factors of the matrix at a nearby point, 1 is a new step, 2 a refined step.
         accepted, has_step, delta_w, longest, slope, dual_length, is_watched = False, False, 0.0, 0.0, 0.0, 0.0, False
         with_factors = integers[IS_FACTORED] == 1
         integers[IS_FACTORED] = 0
@@ -991,8 +1054,9 @@ def descend(
                     integers[DOUBTFUL] = 1 if is_refined else 0
                     integers[ENOUGH] = 1 if is_refined else 4 * integers[ENOUGH]
                 if attempt == 1 and integers[SHORTENED] == SHORTENED_IN_TURN:
-                    # If the equations' curvature makes the filter shorten step after step, full steps may be better.
-                    # If none is, the search continues from this iterate: the watchdog technique, section 3.2.
+                    # If the curvature of the equations makes the filter shorten step after step, full steps may be
+                    # better. If no full step is better, the search continues from this iterate. This is the watchdog
+                    # technique, section 3.2.
                     integers[WATCHING] = FULL_STEPS
                     copy(x, vectors[WATCH_X])
                     copy(distance, barriers[WATCH_DISTANCE])
@@ -1022,8 +1086,8 @@ def descend(
                         of_trial = max(t_measures[4], t_measured[3] - mu, mu - t_measured[2])
                         is_closer = is_closer or of_trial < CLOSER * of_barrier
                     if is_closer:
-                        # Cost and violation cannot judge steps at rounding level. IPOPT accepts tiny steps without a
-                        # test: section 3.9.
+                        # At rounding level, cost and violation do not tell if a step is good. IPOPT accepts tiny steps
+                        # without a test: section 3.9.
                         rests = True
                         for i in range(n):
                             rests = rests and (is_multiplier[i] or abs(step[i]) <= TINY * max(1.0, abs(x[i])))
@@ -1031,8 +1095,8 @@ def descend(
                             problem, grid, system, trial, t_measures[1], t_measures[3], is_costless, vectors
                         )
                     if not accepted and t_measures[2] >= violation:
-                        # Second-order corrections (27) of a full step that the equations' curvature spoils. Duals
-                        # follow the corrected step: those of the refused step belong to other distances.
+                        # Second-order corrections (27) of a full step that the curvature of the equations spoils. Duals
+                        # follow the corrected step, since the duals of the refused step belong to other distances.
                         copy(right, right2)
                         soc_length, refused = longest, t_measures[2]
                         for correction in range(CORRECTIONS):
@@ -1067,7 +1131,8 @@ def descend(
             if attempt == 0:
                 attempt = 1
                 continue
-            # Linear equations would leave 1 - length of each residual: more is curvature, or an inaccurate step.
+            # If the equations were linear, the part 1 - length of each residual would remain. A larger residual comes
+            # from curvature, or from an inaccurate step.
             expected = max(ROUNDED, (1.0 - reals[LENGTH] + UNSOLVED) * residual)
             is_tested = accepted and attempt == 1 and not careful and (m > 0 or delta_w == 0.0)
             if is_tested and t_measures[1] > expected:
@@ -1089,7 +1154,7 @@ def descend(
                     integers[DOUBTFUL], integers[ENOUGH] = 0, 4 * integers[ENOUGH]
             break
         if status == ROOM:
-            integers[DOUBTFUL] = integers[ENOUGH]  # the step is made again, and refined
+            integers[DOUBTFUL] = integers[ENOUGH]  # the next call repeats the step and refines it
             reals[DELTA_W], reals[LAST_DELTA_W] = delta_before, last_before
             integers[LOWERED], integers[WAS_SINGULAR] = lowered_before, singular_before
             break

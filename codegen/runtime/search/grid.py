@@ -1,6 +1,6 @@
 """The time grid of a solve with all its data, views of the unknowns, inner times and measurements.
 
-A measurement reaches the kernels as a sample: its interval, its place in the interval, values and weights.
+Kernels receive a measurement as a sample: its interval, its position in the interval, measured values and weights.
 """
 
 import math
@@ -10,7 +10,7 @@ import numpy as np
 
 from codegen.runtime.search.problem import ControlProblem
 
-NONE = np.zeros(0)  # scaling factors of a grid in the problem's own units
+NONE = np.zeros(0)  # the scaling factors of a grid in the problem's own units
 SHORTEST = 1e-10  # least length of an interval, relative to the duration or the phase
 EQUAL = 1e-12  # largest relative difference of the lengths of equal intervals
 TIME_ROUNDING = 1e-9  # largest excess of a measured time, relative to the duration
@@ -18,27 +18,31 @@ AT_NODE = 1e-9  # largest distance of a node from its inner time, relative to th
 
 
 class Grid(NamedTuple):
-    """N intervals of a problem, its parameters, and which unknowns are multipliers.
+    """The N intervals of a problem, with parameters, scaling factors and bounds.
 
     Attributes
     ----------
     steps, h : int, float
-        Number N of intervals and their mean length.
+        The number N of intervals, and their mean length.
     nodes : (N + 1,)
-        Indices of all nodes in time, in mean lengths.
+        Times of the nodes from the start, in mean lengths of an interval.
     is_uniform : bool
         True if all intervals have the mean length.
     parameters : (bodies, P + shared)
-        Parameters of each body; the last columns are filled with its linking variables by each evaluation.
+        Parameters of each body. Each evaluation fills the last columns with the linking variables of the body. Numbers
+        of tables, and samples of measurements, may follow.
     is_multiplier : (n,)
+        Mask of the multipliers among all unknowns.
     sizes, forces, weight : (n,), (n,), float
-        Scaling factors: unknowns are in multiples of `sizes`, the cost is multiplied by `weight`, and the gradient by
-        `forces`, which is weight times sizes. Empty and 1 in the problem's own units.
+        Scaling factors. Unknowns are divided by `sizes`. The cost is multiplied by `weight`, and the gradient by
+        `forces`, which is weight times sizes. In the problem's own units, `sizes` and `forces` are empty and `weight`
+        is 1.
     bounds : tuple
-        Least and greatest values (n,), scaled, once they are computed.
+        Least and greatest values (n,) of the scaled unknowns; empty before they are computed.
     inner : tuple of int
-        Nodes at inner times.
+        Indices of the nodes at inner times.
     problem : ControlProblem
+        The problem.
     """
 
     steps: int
@@ -61,7 +65,7 @@ class Grid(NamedTuple):
 
 
 def checked_count(name, number):
-    """Return a positive integer, which may be written as a float; ValueError names anything else."""
+    """Return `number`, which may be a float such as 10.0, as a positive integer; raise ValueError for anything else."""
     try:
         is_count = number == int(number) and number >= 1 and not isinstance(number, bool)
     except (TypeError, ValueError, OverflowError):
@@ -72,7 +76,7 @@ def checked_count(name, number):
 
 
 def checked_tolerance(tolerance, most):
-    """Return a number above zero and up to `most`; ValueError names anything else."""
+    """Return `tolerance` as a float if it is above zero and at most `most`; raise ValueError otherwise."""
     try:
         is_tolerance = 0.0 < tolerance <= most
     except TypeError:
@@ -83,7 +87,7 @@ def checked_tolerance(tolerance, most):
 
 
 def checked_times(steps, duration):
-    """Return the number of steps and the duration; ValueError unless they are positive and finite."""
+    """Return (steps, duration); raise ValueError unless both are positive and finite."""
     steps = checked_count("steps", steps)
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
@@ -91,14 +95,16 @@ def checked_times(steps, duration):
 
 
 def checked_grid(problem, steps, duration, parameters, fractions):
-    """Return a Grid; `parameters` are numbers, or arrays (bodies,).
+    """Return the Grid of a problem in its own units.
 
-    ValueError names a value that is not finite, or not positive.
+    `parameters` is a sequence of numbers, or of arrays (bodies,) for values that differ between bodies. `fractions` are
+    relative lengths of intervals, see `checked_nodes`. Raise ValueError for a value that is not finite, or that should
+    be positive and is not.
     """
     s = problem.structure
     steps, duration = checked_times(steps, duration)
     steps, nodes, is_uniform = checked_nodes(s.phases or 1, steps, fractions)
-    table = np.zeros((s.bodies, len(parameters) + s.shared))  # linking variables stand behind the parameters
+    table = np.zeros((s.bodies, len(parameters) + s.shared))  # linking variables follow the parameters
     numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
     table[:, : len(parameters)] = numbers
     finite = all(map(math.isfinite, numbers))
@@ -109,16 +115,17 @@ def checked_grid(problem, steps, duration, parameters, fractions):
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     if s.phases:
-        steps, duration = s.phases * steps, s.phases  # the time of a chain runs from each phase's number to the next
+        steps, duration = s.phases * steps, s.phases  # each phase counts as one unit of time
     is_multiplier = s.layouts(steps).is_multiplier.copy()  # writable, so that numba compiles for one type
     return Grid(steps, duration / steps, nodes, is_uniform, table, is_multiplier, NONE, NONE, 1.0, (), (), problem)
 
 
 def checked_nodes(chains, steps, fractions):
-    """Return the number of intervals, the indices of all nodes in mean lengths, and True if intervals are equal.
+    """Return (number of intervals of one phase, times of all nodes in mean lengths, True if all intervals are equal).
 
-    `fractions`, if given, are the lengths of intervals relative to the duration, (N,). For several phases, `chains` of
-    them, they are relative to each phase, also (chains, N). ValueError for other arrays.
+    `fractions` (N,) are the lengths of the intervals relative to the duration, or None for equal intervals. With
+    several phases, `chains` is their number. The fractions are then relative to each phase, and may be (chains, N).
+    Raise ValueError for other shapes, or if the sum is not one.
     """
     if fractions is None:
         return steps, np.arange(chains * steps + 1.0), True
@@ -139,12 +146,15 @@ def checked_nodes(chains, steps, fractions):
 
 
 def plain_grid(grid):
-    """Return the same grid without scaling factors, in the problem's own units."""
+    """Return `grid` without scaling factors, in the problem's own units."""
     return grid._replace(sizes=NONE, forces=NONE, weight=1.0, bounds=())
 
 
 def replace_values(boundary, where, values):
-    """Overwrite prescribed boundary values by name; ValueError for a name that is not prescribed."""
+    """Replace prescribed values in `boundary`, whose keys are `start x` or `end x`, by `values`, a mapping by name.
+
+    `where` is `start` or `end`. Raise ValueError for a quantity that is not prescribed there.
+    """
     for quantity, value in (values or {}).items():
         key = f"{where} {quantity}"
         if key not in boundary:
@@ -154,7 +164,7 @@ def replace_values(boundary, where, values):
 
 
 def views(grid, unknowns):
-    """Return views of `unknowns` (n,): nodes (bodies, N + 1, node), and intervals (bodies, N, stride - node)."""
+    """Return two views of `unknowns` (n,): nodes (bodies, N + 1, node) and intervals (bodies, N, stride - node)."""
     s = grid.problem.structure
     item, chain = unknowns.itemsize, grid.steps * s.stride + s.node
     strides = chain * item, s.stride * item, item
@@ -164,7 +174,7 @@ def views(grid, unknowns):
 
 
 def shared_views(grid, unknowns):
-    """Return views of the linking variables: of each body (bodies, own), and of the whole problem, 1-D."""
+    """Return two views of the linking variables: (bodies, own) for single bodies, and 1-D for the whole problem."""
     s = grid.problem.structure
     first = unknowns.size - s.root
     own = unknowns[first : first + s.bodies * s.own].reshape(s.bodies, s.own)
@@ -172,7 +182,7 @@ def shared_views(grid, unknowns):
 
 
 def side_by_side(values):
-    """Return values (bodies, times, m) as (times, bodies m): the columns of several bodies side by side."""
+    """Return `values` (bodies, times, m) as an array (times, bodies m), with the columns of all bodies side by side."""
     if len(values) > 1:
         return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
     return values[0].copy()
@@ -185,7 +195,7 @@ def layout_of(grid):
 
 
 def free_unknowns(grid):
-    """Return the mask (n,) of the unknowns that are present and that no boundary condition prescribes."""
+    """Return the mask (n,) of the unknowns that exist and that no boundary condition prescribes."""
     return layout_of(grid).is_free
 
 
@@ -200,7 +210,10 @@ def multiplier_unknowns(grid):
 
 
 def with_pinned_values(grid, unknowns):
-    """Return a copy of `unknowns` (n,) with the values that boundary conditions prescribe."""
+    """Return a copy of `unknowns` (n,) with the values that boundary conditions prescribe.
+
+    Raise ValueError for another shape.
+    """
     unknowns = np.array(unknowns, dtype=float)
     if unknowns.shape != grid.is_multiplier.shape:
         raise ValueError(f"guess has shape {unknowns.shape}, expected {grid.is_multiplier.shape}")
@@ -209,30 +222,30 @@ def with_pinned_values(grid, unknowns):
 
 
 def node_times(grid, unknowns):
-    """Return the times (N + 1,) of all nodes of several phases, which follow each other."""
+    """Return the times (N + 1,) of all nodes of a problem with several phases, which follow each other."""
     phases = grid.problem.structure.phases
     switches = np.concatenate([[0.0], np.cumsum(grid.problem.phase_durations(grid, unknowns))])
     return np.interp(grid.nodes / (grid.steps // phases), np.arange(phases + 1), switches)
 
 
 def interval_times(grid, unknowns):
-    """Return the times (N,) of the middles of all intervals of several phases."""
+    """Return the times (N,) of the midpoints of all intervals of a problem with several phases."""
     t = node_times(grid, unknowns)
     return 0.5 * (t[:-1] + t[1:])
 
 
 def least_duration(grid, unknowns):
-    """Return the length of the time interval, or of the shortest phase."""
+    """Return the duration of the motion, or of the shortest phase."""
     if grid.problem.phase_durations is not None:
         return grid.problem.phase_durations(grid, unknowns).min()
     return grid.problem.duration_of(grid, unknowns)
 
 
 def inner_fractions(steps, duration, times, fractions):
-    """Return the lengths (N,) of intervals relative to the duration, with all inner `times` among the nodes.
+    """Return the lengths (N,) of intervals relative to the duration, such that all inner `times` are nodes.
 
-    `fractions`, if given, are the lengths that the caller prescribes. ValueError if these miss a time, for too few
-    steps, and for times that do not ascend between start and end.
+    `fractions` are lengths that the caller prescribes, or None. Raise ValueError if nodes of prescribed lengths miss an
+    inner time, if `steps` is too small, or if the times do not ascend between start and end.
     """
     steps, duration = checked_times(steps, duration)
     ends = np.array([*times, duration], dtype=float) / duration
@@ -247,7 +260,7 @@ def inner_fractions(steps, duration, times, fractions):
         return fractions
     if steps < lengths.size:
         raise ValueError(f"steps must be at least {lengths.size}, as {len(times)} inner times are nodes, got {steps}")
-    # Each segment gets one interval at least; the segments with the longest intervals are divided in turn.
+    # Each segment between inner times gets at least one interval. The segment with the longest intervals gets the next.
     counts = np.maximum(1, np.floor(steps * lengths * (1.0 + AT_NODE)).astype(np.int64))
     while counts.sum() > steps:
         counts[np.argmin(np.where(counts > 1, lengths / counts, np.inf))] -= 1
@@ -257,7 +270,10 @@ def inner_fractions(steps, duration, times, fractions):
 
 
 def with_inner_times(grid):
-    """Return the grid with the numbers of the nodes at inner times; the times become exactly those of the nodes."""
+    """Return the grid with the indices of the nodes at inner times.
+
+    The inner times among its parameters become exactly the times of these nodes.
+    """
     s = grid.problem.structure
     place = slice(s.inner_first, s.inner_first + s.inner_times)
     numbers = np.abs(grid.nodes[:, None] * grid.h - grid.parameters[0, place]).argmin(axis=0)
@@ -266,9 +282,10 @@ def with_inner_times(grid):
 
 
 def through_inner_times(grid, values, numbers, wanted, at_start, at_end):
-    """Return values (bodies, N + 1) at nodes, shifted piecewise linearly to the `wanted` values at inner times.
+    """Return `values` (bodies, N + 1) of a quantity at nodes, shifted to the `wanted` values at inner times.
 
-    Values at the start and at the end stay if `at_start` and `at_end` are true.
+    The shift is piecewise linear. `numbers` are the numbers of the inner times, and `wanted` has one value, or an array
+    (bodies,), for each of them. If `at_start` or `at_end` is True, the value at this end stays the same.
     """
     inner, shifted = [grid.inner[number] for number in numbers], values.copy()
     nodes = np.concatenate([[0] * at_start, inner, [grid.steps] * at_end]).astype(np.int64)
@@ -280,14 +297,17 @@ def through_inner_times(grid, values, numbers, wanted, at_start, at_end):
 
 
 def without_inner_unknown(grid, number):
-    """Return a mask (N + 1,) of the nodes that lack the unknown `number` of those at inner times."""
+    """Return the mask (N + 1,) of the nodes that lack an unknown, given by its index in `Structure.inner_unknowns`."""
     absent = np.ones(grid.steps + 1, bool)
     absent[np.array(grid.inner)[grid.problem.structure.inner_present[:, number]]] = False
     return absent
 
 
 def with_tables(grid, tables):
-    """Return the grid with the numbers of all tables behind its parameters; `tables` as in `solve`."""
+    """Return the grid with the numbers of all tables behind its parameters.
+
+    `tables` maps names of tables to arrays that replace the default numbers, or is None.
+    """
     from codegen.runtime.tabulated import table_numbers
 
     rows = np.tile(table_numbers(grid.problem, tables), (grid.problem.structure.bodies, 1))
@@ -295,7 +315,11 @@ def with_tables(grid, tables):
 
 
 def with_observations(grid, observations):
-    """Return the grid with the samples of each body behind its parameters; `observations` as in `solve`."""
+    """Return the grid with the samples of the measurements of each body behind its parameters.
+
+    `observations` has an array of rows (time, values, standard deviations) for each body, or is None for the default
+    ones.
+    """
     bodies = grid.problem.structure.bodies
     observations = grid.problem.observations if observations is None else observations
     if isinstance(observations, np.ndarray):
@@ -310,7 +334,10 @@ def with_observations(grid, observations):
 
 
 def checked_observations(problem, measured):
-    """Return rows (time, values, standard deviations) of one body by time; ValueError for unusable rows."""
+    """Return the measurements of one body, rows of (time, values, standard deviations), sorted by time.
+
+    Raise ValueError for unusable rows.
+    """
     rows, width = np.array(measured, dtype=float), problem.structure.sample - 1
     if rows.ndim != 2 or rows.shape[1] != width or not rows.size:
         columns = ", ".join(problem.metadata.observations.columns)
@@ -324,7 +351,12 @@ def checked_observations(problem, measured):
 
 
 def samples_of(grid, rows):
-    """Return the samples (m, sample) for kernels of rows by time; ValueError for times outside the motion."""
+    """Return the samples (m, sample) of measurements for kernels; raise ValueError for times outside the motion.
+
+    `rows` are the measurements sorted by time. A sample has the time of the middle of its interval, and the position in
+    the interval from 0 to 1. Then follow the values, and their inverse standard deviations, which are zero for missing
+    values.
+    """
     nodes = grid.nodes * grid.h
     least, greatest = rows[0, 0], rows[-1, 0]
     if least < -TIME_ROUNDING * nodes[-1] or greatest > (1.0 + TIME_ROUNDING) * nodes[-1]:
@@ -343,15 +375,16 @@ def samples_of(grid, rows):
 
 
 def through_samples(grid, values, column, at_start, at_end):
-    """Return values (bodies, N + 1) at nodes by linear interpolation of the measurements in a column.
+    """Return `values` (bodies, N + 1) of a quantity at nodes, replaced by linear interpolation of its measurements.
 
-    Measurements at equal times count by their mean. Values at the start and at the end stay if `at_start` and `at_end`
-    are true, and so do values of bodies without measurements.
+    `column` is the column of the quantity among the measured values. The mean represents several measurements at the
+    same time. If `at_start` or `at_end` is True, the value at this end stays the same. Values of bodies without
+    measurements stay the same, too.
     """
     times, interpolated, s = grid.nodes * grid.h, values.copy(), grid.problem.structure
     for body in range(s.bodies):
         samples = grid.parameters[body, s.first_sample :].reshape(-1, s.sample)
-        samples = samples[samples[:, 2 + column + (s.sample - 2) // 2] > 0.0]  # with a weight of their own
+        samples = samples[samples[:, 2 + column + (s.sample - 2) // 2] > 0.0]  # without missing values
         samples = samples[np.isfinite(samples[:, 0])]
         if samples.size:
             k = np.searchsorted(times, samples[:, 0]) - 1

@@ -1,6 +1,7 @@
-"""Iterates of a search: initialisation, and the steps of an iterate where Python leads the search.
+"""Iterates of a search: initial iterates, and the parts of a Newton step that Python code needs.
 
-The Newton loop itself is compiled, see `descent`. Restoration, final bounds and starts take the steps of this module.
+The Newton loop itself is compiled, see `descent`. Restorations, the last steps without relaxed bounds and the choice of
+starts call the functions of this module.
 """
 
 from functools import cached_property
@@ -21,22 +22,23 @@ LARGEST_KEPT = 4_000_000  # largest number of floats of a storage that is kept b
 
 
 class Attempt(NamedTuple):
-    """The start of a search.
+    """The settings of one search in the cascade of searches from several starts.
 
     Attributes
     ----------
     weight, push : float
-        First weight of the barrier, and least distance of unknowns to their bounds at the start.
+        The first weight of the barrier, and the least distance of unknowns to their bounds at the start.
     nearby : float
-        Part of the violation at the guess that may remain before the search begins.
+        The part of the constraint violation at the guess that may remain when the search begins; a restoration lowers
+        the violation to this part. With 1 there is no restoration.
     shortest : float
-        Shorter steps are replaced by a restoration.
+        The least step length. If shorter steps are needed, a restoration follows.
     funnel : float
-        Factor by which the violation may grow.
+        The factor by which the violation may grow.
     bulge : float
-        Bulge of the guess, relative to its size.
+        The height of a curve that is added to the guess, relative to the magnitude of each quantity.
     on_path : bool
-        True if duals begin on the central path, not at one.
+        True if duals begin on the central path, False if they begin at one.
     """
 
     weight: float
@@ -50,7 +52,7 @@ class Attempt(NamedTuple):
 
 FROM_GUESS = Attempt(*descent.AT_GUESS, 1.0, 1e-12, 1e4)
 NEARBY = FROM_GUESS._replace(nearby=1e-2)
-# Warm start without multipliers.
+# A warm start without multipliers.
 FROM_NEIGHBOUR = Attempt(*descent.BESIDE, 1.0, 1e-12, 1e4, on_path=True)
 CASCADE_WITH_BOUNDS = (
     Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
@@ -61,9 +63,10 @@ CASCADE = (CASCADE_WITH_BOUNDS[0], CASCADE_WITH_BOUNDS[2])
 
 
 class Bounds(NamedTuple):
-    """Indices, sides, magnitudes (at least one) and values of all finite bounds; least and greatest values (n,).
+    """All m finite bounds, as in `descent`: indices of unknowns, sides, magnitudes (at least one) and values.
 
-    The least and greatest values are empty if a problem has no bounds.
+    `lower` and `upper` (n,) are the least and greatest values of all unknowns. They are empty if a problem has no
+    bounds.
     """
 
     indices: np.ndarray
@@ -76,7 +79,7 @@ class Bounds(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def finite_bounds(lower, upper):
-    """Return indices, sides, magnitudes and values of the bounds that exist, lower ones first."""
+    """Return indices, sides, magnitudes and values of all finite bounds, lower bounds first."""
     n, m = lower.size, 0
     for i in range(n):
         m += int(lower[i] > -np.inf) + int(upper[i] < np.inf)
@@ -94,7 +97,7 @@ NO_BOUNDS = Bounds(NO_INDICES, NONE, NONE, NONE, NONE, NONE)
 
 
 class Workspace:
-    """The work space of the compiled search, used again by searches with as many unknowns and bounds."""
+    """The work space of the compiled search for n unknowns and m bounds, which later searches use again."""
 
     def __init__(self, n, m):
         self.vectors, self.barriers = np.zeros((descent.VECTORS, n)), np.zeros((descent.BARRIERS, m))
@@ -102,21 +105,22 @@ class Workspace:
         self.pairs, self.room = np.empty((1000, 2)), np.empty((0, n))
 
     def room_for_refinement(self):
-        """Return the storage of corrections, which is allocated when it is first needed."""
+        """Return the work space for refinements, and allocate it if it is needed for the first time."""
         if not self.room.size:
             self.room = np.empty((2 * descent.SOLVED_AGAIN + 2, self.vectors.shape[1]))
         return self.room
 
     @cached_property
     def log(self):
-        """Rows of the iterates of one call."""
+        """Rows for the log of one call of the compiled search."""
         return np.empty((101, 6))
 
 
 class Search(NamedTuple):
-    """The constant data of a solve: grid, bounds, storage of the linear system, work space.
+    """The constant data of a search: grid, bounds, storage of the linear system, and work space.
 
-    Bounds are relaxed by at least `least`, relative to their magnitudes. `arguments` are those of the compiled search.
+    `arguments` are the first four arguments of the compiled search. Bounds are relaxed by at least `least`, relative to
+    their magnitudes.
     """
 
     grid: Grid
@@ -128,17 +132,17 @@ class Search(NamedTuple):
 
     @property
     def is_bounded(self):
-        """True if there are bounds."""
+        """True if any unknown has a bound."""
         return self.bounds.indices.size > 0
 
     @property
     def equations(self):
-        """The indices of the multipliers whose equations are imposed."""
+        """The indices of the multipliers of all equations that are imposed."""
         return multiplier_unknowns(self.grid)
 
 
 class Iterate(NamedTuple):
-    """A point, the barrier's weight mu, distances to all bounds (m,) and their duals (m,)."""
+    """A Point, the barrier's weight mu, the distances to all bounds (m,), and the duals of all bounds (m,)."""
 
     point: Point
     mu: float
@@ -147,12 +151,12 @@ class Iterate(NamedTuple):
 
     @property
     def objective(self):
-        """The barrier function, which a line search lowers (3)."""
+        """The barrier function (3), which the line search lowers."""
         return self.point.cost - self.mu * np.log(self.distance).sum()
 
 
 class Step(NamedTuple):
-    """A Newton step: primal and dual part, and their longest lengths."""
+    """A Newton step: its primal part (n,), its part for duals (m,), and the longest step length of each."""
 
     primal: np.ndarray
     dual: np.ndarray
@@ -161,7 +165,7 @@ class Step(NamedTuple):
 
 
 def search_on(grid):
-    """Return the Search on a grid; the grid of the search has the bounds."""
+    """Return the Search on a grid, with kept or new storage; the grid of the Search includes the bounds."""
     bounds = NO_BOUNDS
     if grid.problem.variable_bounds is not None:
         box = bounds_of(grid)
@@ -176,7 +180,7 @@ def search_on(grid):
 
 
 def keep_storage(search):
-    """Keep the storage of a search that has ended for the next search with as many intervals and bounds."""
+    """Keep the storage of a finished search for the next search with as many intervals and bounds."""
     system, work = search.system, search.work
     if system.factors.size + work.vectors.size <= LARGEST_KEPT:
         search.grid.problem.storage.keep(storage_key(search.grid, search.bounds), (system, work))
@@ -188,9 +192,9 @@ def storage_key(grid, bounds):
 
 
 def on_grid(search, grid):
-    """Return the search on a grid with as many intervals and finite bounds, with the same storage.
+    """Return `search` on another grid with as many intervals and finite bounds, with the same storage.
 
-    A grid without bounds takes the bounds of the search.
+    If the grid has no bounds, the bounds of `search` remain.
     """
     if grid is search.grid:
         return search
@@ -203,7 +207,7 @@ def on_grid(search, grid):
 
 
 def arguments_of(grid, system):
-    """Return problem, grid and linear system in the form of the arguments of the compiled search."""
+    """Return the arguments problem, grid and system of the compiled search, see `descent.descend`."""
     steps, h, nodes, _, parameters, is_multiplier, sizes, forces, weight, _, _, problem = grid
     s = problem.structure
     data = (
@@ -214,7 +218,10 @@ def arguments_of(grid, system):
 
 
 def begin(search, unknowns, attempt):
-    """Return the iterate at primal unknowns pushed inside their bounds, with duals of one or on the central path."""
+    """Return the iterate at primal `unknowns` (n,), pushed inside their bounds by `attempt.push`.
+
+    The duals are one, or on the central path with `attempt.on_path`.
+    """
     work = search.work
     work.vectors[X] = unknowns
     work.reals[MU], work.reals[descent.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
@@ -225,7 +232,7 @@ def begin(search, unknowns, attempt):
 
 
 def load(search, iterate):
-    """Put an iterate into the work space."""
+    """Put an iterate into the work space of a search."""
     work, point = search.work, iterate.point
     work.vectors[X], work.vectors[G] = point.unknowns, point.gradient
     work.barriers[DISTANCE], work.barriers[DUALS] = iterate.distance, iterate.duals
@@ -233,7 +240,7 @@ def load(search, iterate):
 
 
 def stored(search):
-    """Return the iterate that is in the work space."""
+    """Return the iterate in the work space of a search."""
     work = search.work
     vectors, barriers = work.vectors[: G + 1].copy(), work.barriers[: DUALS + 1].copy()
     point = Point(vectors[X], vectors[G], *work.reals[COST : COST + 5].tolist())
@@ -241,9 +248,9 @@ def stored(search):
 
 
 def pushed_inside(search, unknowns, push):
-    """Return unknowns at least `push` max(1, |bound|) inside their bounds (36).
+    """Return `unknowns` (n,) moved inside their bounds, by at least `push` max(1, |bound|) (36).
 
-    Between two bounds, the push is at most that part of their distance.
+    Between two bounds, the distance is at most `push` times the distance between the bounds.
     """
     inside = unknowns.copy()
     descent.push_inside(search.arguments[1], search.arguments[3], push, inside)
@@ -251,7 +258,7 @@ def pushed_inside(search, unknowns, push):
 
 
 def with_tied_values(grid, unknowns):
-    """Return unknowns in which unknowns of the end nodes have the values of the linking variables that they equal."""
+    """Return `unknowns` (n,) in which unknowns of end nodes take the values of linking variables that they equal."""
     if not grid.problem.structure.is_tied:
         return unknowns
     if grid.sizes.size:
@@ -260,14 +267,14 @@ def with_tied_values(grid, unknowns):
 
 
 def central_duals(mu, distance):
-    """Return duals (m,) on the central path, limited where a bound is close."""
+    """Return duals (m,) on the central path, limited to LARGEST_DUAL."""
     return np.minimum(mu / distance, LARGEST_DUAL)
 
 
 def with_least_squares_multipliers(search, iterate):
-    """Return an iterate whose multipliers solve stationarity by least squares (36), zero if huge or singular.
+    """Return `iterate` with multipliers that solve the stationarity conditions by least squares (36).
 
-    All multipliers of `iterate` are zero.
+    All multipliers of `iterate` are zero. They stay zero if the solution is huge or does not exist.
     """
     load(search, iterate)
     descent.estimate_multipliers(*search.arguments, search.work.reals, search.work.vectors, search.work.barriers)
@@ -275,7 +282,7 @@ def with_least_squares_multipliers(search, iterate):
 
 
 def measured_point(search, iterate):
-    """Return the point of an iterate, with the duals of bounds included in its stationarity and error."""
+    """Return the Point of an iterate with the duals of bounds included in its stationarity and error."""
     point, bounds = iterate.point, search.bounds
     if not search.is_bounded:
         return point
@@ -288,7 +295,7 @@ def measured_point(search, iterate):
 
 
 def newton_system(search, iterate, gradient, delta_w, delta_c):
-    """Return right-hand side and diagonal (n,) of Newton's equations (13), given the gradient of the Lagrangian."""
+    """Return the right-hand side and the diagonal (n,) of Newton's equations (13), see `descent.fill_newton_system`."""
     right, diagonal = np.empty_like(gradient), np.empty_like(gradient)
     descent.fill_newton_system(
         *search.arguments[1::2], gradient, iterate.distance, iterate.duals, iterate.mu, delta_w, delta_c, right,
@@ -298,7 +305,10 @@ def newton_system(search, iterate, gradient, delta_w, delta_c):
 
 
 def step_along(search, iterate, right, primal):
-    """Return the step with a primal part for a right-hand side: its dual part and its longest lengths (15)."""
+    """Return the Step with the part `primal` (n,) for a right-hand side `right` (n,).
+
+    The part for duals and the longest lengths (15) are computed.
+    """
     dual = np.empty_like(iterate.duals)
     _, _, longest, dual_length = descent.measure_step(
         *search.arguments[1::2], iterate.point.unknowns, right, primal, iterate.distance, iterate.duals, iterate.mu,
@@ -308,7 +318,7 @@ def step_along(search, iterate, right, primal):
 
 
 def moved(search, iterate, step, length):
-    """Return the iterate after a length of the primal part of a step and the longest length of its dual part."""
+    """Return the iterate after a step with primal length `length` and the longest length of its duals."""
     unknowns, distance, duals = (np.empty_like(x) for x in (iterate.point.unknowns, iterate.distance, iterate.duals))
     descent.move(
         search.arguments[3], iterate.point.unknowns, step.primal, length, iterate.distance, iterate.duals, step.dual,
@@ -319,7 +329,10 @@ def moved(search, iterate, step, length):
 
 
 def newton_step(search, iterate):
-    """Return the refined Newton step with the least shift of the Hessian that makes it a descent step, or None."""
+    """Return the refined Newton Step with a shift of the Hessian that makes it a descent step.
+
+    Return None if no shift suffices.
+    """
     work, point = search.work, iterate.point
     is_found, _, longest, dual_length, _, _ = descent.regularise(
         *search.arguments, point.unknowns, point.gradient, iterate.distance, iterate.duals, iterate.mu, 0.0, True,
@@ -332,9 +345,9 @@ def newton_step(search, iterate):
 
 
 def predicted_cost(search, iterate):
-    """Return the cost of the nearby optimum to first order, by multipliers times residuals and duals times distances.
+    """Return the cost of the nearby optimum to first order, without relaxation of bounds.
 
-    Bounds are not relaxed here.
+    The prediction adds multipliers times residuals to the cost, and subtracts duals times distances.
     """
     bounds = search.bounds
     distance = bounds.side * (iterate.point.unknowns[bounds.indices] - bounds.value)

@@ -11,11 +11,30 @@ from codegen.runtime.search.grid import NONE, layout_of
 
 
 class System(NamedTuple):
-    """The storage of a linear system: index tables, work space, second derivatives and their scaling factors.
+    """The storage of the linear system on a grid: index tables, work space, second derivatives, scaling factors.
 
-    `scaled` and `costless` are the factors of all entries with the cost and without the cost. `scaled` is empty if all
-    factors are one. `counts` are bodies, entries of an interval, of a start and of an end, own linking variables, all
-    linking variables, and the lengths of an element and of a stride. `equations` is the number of multipliers.
+    Attributes
+    ----------
+    address, loop : int
+        Addresses of the compiled linear system, and of the loop that fills all second derivatives.
+    tables : array of int
+        Index tables, see `kkt.shape`.
+    factors, orders : array
+        Work space of the factorisation.
+    entries : array
+        All second derivatives.
+    scaled, costless : array
+        Scaling factors of the second derivatives with and without the cost. `scaled` is empty if all factors are one.
+    inverses : int
+        The number of condensed blocks that are stored for each body.
+    counts : array of int
+        Eight numbers. Bodies; entries of an interval, of a start, and of an end. Then linking variables of one body
+        alone, and of all bodies with the multipliers of their conditions. Last the unknowns of an element and of a
+        stride.
+    equations : int
+        The number of imposed equations.
+    rows, columns : array of int
+        Local rows and columns of the entries, see `Structure.entries`.
     """
 
     address: int
@@ -34,7 +53,7 @@ class System(NamedTuple):
 
 
 def allocate_system(grid):
-    """Return the storage of the linear system on a grid."""
+    """Return the System on a grid, with new storage."""
     problem, s = grid.problem, grid.problem.structure
     inverses = 1 if s.constant and grid.is_uniform else grid.steps
     reals, integers = factor_sizes(s.shape, s.staged.size, s.bodies, grid.steps, inverses)
@@ -47,7 +66,7 @@ def allocate_system(grid):
 
 
 def with_entry_factors(grid, system):
-    """Return the same storage with the scaling factors of entries on a grid."""
+    """Return `system` with the scaling factors of the second derivatives on a grid."""
     s = grid.problem.structure
     if not grid.sizes.size:
         return system._replace(scaled=NONE, costless=s.without_cost)
@@ -61,20 +80,21 @@ def with_entry_factors(grid, system):
 
 @njit(error_model="numpy", forceinline=True)
 def global_index(local, first, element, own, bodies, body, linking):
-    """Return the index, among all unknowns, of unknown `local` of the interval that begins at `first`.
+    """Return the index, among all unknowns, of the local unknown `local` of an interval.
 
-    Linking variables begin at `linking`.
+    `first` is the index of the first unknown of the interval, and `linking` the index of the first linking variable.
     """
     return first + local if local < element else linking + root_index(own, bodies, body, local - element)
 
 
 @njit(cache=True, error_model="numpy")
 def fill_entry_factors(sizes, forces, rows, columns, is_multiplier, without_cost, counts, factors):
-    """Fill the scaling factors of the entries of an interval, of both ends, and of coupling conditions.
+    """Fill the scaling factors of the second derivatives of an interval, of both ends, and of coupling conditions.
 
-    A factor is the root of `sizes` times `forces` of both unknowns, which contain the weight of the grid. The second
-    row of `factors` (2, entries) is zero where both unknowns are primal. The one for a multiplier that an interval
-    lacks stays one: with a smaller one, a shift of the multipliers' diagonal would turn its sign.
+    A factor is the square root of the product of `sizes` and `forces` of both unknowns, which include the weight of the
+    cost. The first row of `factors` (2, entries) is with the cost. The second row is without the cost: its factors are
+    zero for two primal unknowns. The diagonal entry of a multiplier has the factor one. Intervals that lack the
+    equation have a one there. A smaller entry would change its sign if the diagonal of the multipliers is shifted.
     """
     bodies, own, root, element = counts[0], counts[4], counts[5], counts[6]
     linking = sizes.size - root
@@ -95,17 +115,17 @@ def fill_entry_factors(sizes, forces, rows, columns, is_multiplier, without_cost
 
 
 def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None, step=None):
-    """Factor the KKT matrix and return its excess of negative eigenvalues over the number of equations.
+    """Factor the KKT matrix; return its excess of negative eigenvalues over the number of equations, or None.
 
     Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low, since
     the elimination stops early. None means that the matrix is singular, or that a condensed block is not positive
     definite. The Hessian of the cost is multiplied by `weight`, 0 or 1. Then `diagonal` (n,) is added to the diagonal
-    of the matrix. After a factorisation, `step` (n,), if given, is Newton's step: the solution of
-    KKT matrix . step = -gradient. Everything is scaled if the grid is.
+    of the matrix. If `step` (n,) is given, it is filled with Newton's step, the solution of KKT matrix . step =
+    -gradient. On a grid with scaling factors, all arguments are scaled.
     """
     steps, h, nodes, _, parameters, _, sizes, *_ = grid
     factors = system.scaled if weight == 1.0 else system.costless
-    right = unknowns if gradient is None else gradient  # not read without a step
+    right = unknowns if gradient is None else gradient  # without a step, the right-hand side is not read
     excess = factor_at(
         system.loop, system.address, unknowns, sizes, np.empty(sizes.size), factors, steps, h, nodes, parameters,
         system.tables, system.entries, right, diagonal, system.equations, system.factors, system.orders,
@@ -115,12 +135,12 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None, step=Non
 
 
 def is_factored(excess):
-    """Return True if the result of `factor_kkt` says that the matrix was factored, so that there is a solution."""
+    """Return True if `excess`, from `factor_kkt`, means that the matrix is factored and that there is a solution."""
     return excess is not None and excess <= 0
 
 
 def solve_kkt(grid, system, gradient, step):
-    """Fill the Newton step (n,) for another `gradient` (n,) with the matrix that was factored last."""
+    """Fill the Newton `step` (n,) for another `gradient` (n,), with the latest factors of the KKT matrix."""
     solve_at(
         system.address, grid.steps, system.tables, gradient, system.equations, system.factors, system.orders,
         system.inverses, system.counts, step,
@@ -132,7 +152,12 @@ def factor_at(
     loop, address, unknowns, sizes, scaled, factors_of_entries, steps, h, nodes, parameters, tables, entries, right,
     diagonal, equations, factors, orders, inverses, counts, step, is_wanted,
 ):  # fmt: skip
-    """Factor the system at `address` with the second derivatives that `loop` fills; return the excess."""
+    """Factor the linear system at `address` with the second derivatives from `loop`; return the excess or SINGULAR.
+
+    The excess is the number of negative eigenvalues minus the number of equations, see `factor_kkt`.
+    `factors_of_entries` are the scaling factors of the second derivatives. If `is_wanted`, `step` (n,) is filled with
+    the solution for the right-hand side -`right` (n,). The other arguments come from a Grid and a System.
+    """
     fill_entries(
         loop, unknowns, sizes, scaled, factors_of_entries, steps, h, nodes, parameters, counts, entries
     )  # fmt: skip
@@ -144,7 +169,7 @@ def factor_at(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def solve_at(address, steps, tables, right, equations, factors, orders, inverses, counts, step):
-    """Solve with the factors of the system at `address`."""
+    """Fill `step` (n,) with the solution for -`right` (n,), with the latest factors of the system at `address`."""
     at = right.ctypes.data
     call_system(
         address, 0, counts[0], steps, inverses, tables.ctypes.data, at, at, at, equations, factors.ctypes.data,
@@ -154,7 +179,10 @@ def solve_at(address, steps, tables, right, equations, factors, orders, inverses
 
 @njit(error_model="numpy")
 def fill_entries(loop, unknowns, sizes, scaled, factors, steps, h, nodes, parameters, counts, entries):
-    """Fill all second derivatives, and multiply them by `factors` unless these are empty."""
+    """Fill all second derivatives at `unknowns`, and multiply them by `factors` unless these are empty.
+
+    `sizes` are the scaling factors of the unknowns, `scaled` is work space of the same length.
+    """
     at = unknowns.ctypes.data
     if sizes.size:
         for i in range(sizes.size):
@@ -178,10 +206,11 @@ def fill_entries(loop, unknowns, sizes, scaled, factors, steps, h, nodes, parame
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def multiply_entries(entries, rows, columns, steps, counts, vector, product, is_absolute):
-    """Add the symmetric matrix of all entries times `vector` to `product`, both (n,); or absolute values of terms.
+    """Add the product of the KKT matrix and `vector` (n,) to `product` (n,).
 
-    The one for a multiplier that an interval lacks, and that an end subtracts again, is no term. `descent.terms` leaves
-    it out.
+    `entries` are all second derivatives, in one triangle. With `is_absolute`, add the absolute values of all terms. The
+    ones that intervals put on the diagonal are then included, even if an end subtracts them; `descent.terms` corrects
+    the sums.
     """
     size, place, first_local = vector.size, 0, 0
     bodies, own, root, element, stride = counts[0], counts[4], counts[5], counts[6], counts[7]
@@ -214,14 +243,17 @@ def multiply_entries(entries, rows, columns, steps, counts, vector, product, is_
 
 
 def filled_entries(grid, unknowns, system):
-    """Return the storage with all second derivatives, unscaled, at `unknowns` (n,) in the problem's own units."""
+    """Return all second derivatives, unscaled, at `unknowns` (n,) in the problem's own units.
+
+    The array is part of the storage `system`.
+    """
     call_hessians(system.loop, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, system.counts, system.entries)
     return system.entries
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def call_hessians(loop, unknowns, steps, h, nodes, parameters, counts, entries):
-    """Fill all second derivatives."""
+    """Fill `entries` with all second derivatives at `unknowns` (n,), without scaling factors."""
     fill_entries(
         loop, unknowns, unknowns[:0], unknowns[:0], unknowns[:0], steps, h, nodes, parameters, counts, entries
     )  # fmt: skip

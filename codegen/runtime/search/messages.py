@@ -1,4 +1,4 @@
-"""One sentence on how a search ended: the problem, the row and place of the worst equation, and a remedy."""
+"""The message on how a search has ended: status, row and location of the worst equation, and a remedy."""
 
 import numpy as np
 
@@ -17,8 +17,8 @@ from codegen.runtime.search.grid import least_duration, multiplier_unknowns, nod
 from codegen.runtime.search.point import fill, hessian, interval_parts, jacobian
 from codegen.runtime.search.termination import GROWTH
 
-OUTSIDE_TABLE = "outside a table"  # the status of an optimum that reads a table outside its range
-TABLE_MARGIN = 1e-8  # excess of an input, relative to the range, that is a rounding error
+OUTSIDE_TABLE = "outside a table"  # the status of an optimum that uses values outside the range of a table
+TABLE_MARGIN = 1e-8  # an input outside by at most this part of the range is a rounding error
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
     "time limit": "raise time_limit, take fewer steps, or start from a better guess",
@@ -31,12 +31,12 @@ REMEDIES = {
     " steps, or start from another guess",
     OUTSIDE_TABLE: "keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'",
 }
-LONGEST = 80  # characters of a condition that a message quotes
-NAMED = 3  # number of equations that a message names
+LONGEST = 80  # largest number of characters of a condition that a message quotes
+NAMED = 3  # largest number of equations that a message names
 
 
 def describe(grid, guess, point, status):
-    """Return the final status and a sentence about it; guess and point are in the problem's own units."""
+    """Return the final status, and a message on it; `guess` and `point` are in the problem's own units."""
     if grid.problem.variable_bounds is not None:
         violation = prescribed_beyond(grid, point.unknowns)
         if violation:
@@ -61,15 +61,16 @@ def describe(grid, guess, point, status):
 
 
 def reached(point):
-    """Return a text on the accuracy of equations and of optimality conditions."""
+    """Return a text on the accuracy of the equations and of the optimality conditions at a point."""
     return f"equations hold to {point.residual:.1e}, optimality conditions to {point.stationarity:.1e}"
 
 
 def tables_beyond(grid, unknowns):
-    """Return a text on the table that an optimum reads farthest outside its range, with value and place, or "".
+    """Return a text on the table input that is farthest outside its range at an optimum, or "" if all are inside.
 
-    Rows of `inputs`, (bodies, N + 2, inputs, 2), have the least and greatest values at the start, on all intervals and
-    at the end. `unknowns` are in the problem's own units.
+    The text has the value, the node or interval, and the range. The loop `inputs` fills (bodies, N + 2, inputs, 2): the
+    least and the greatest values of all inputs at the start, on all intervals, and at the end. `unknowns` are in the
+    problem's own units.
     """
     problem = grid.problem
     s, ranges = problem.structure, np.asarray(problem.ranges)
@@ -91,7 +92,7 @@ def tables_beyond(grid, unknowns):
 
 
 def finding(grid, guess, point, status):
-    """Return a text on the reason of a status, by the names of the author."""
+    """Return a text on the reason of a status, with the names of the author."""
     if status == "non-finite":
         return not_finite(grid, point)
     if status == "infeasible" or (status == "rank-deficient" and point.residual > HOLDS):
@@ -108,13 +109,16 @@ def finding(grid, guess, point, status):
 
 
 def worst_row(grid, point):
-    """Return a text on the equation with the largest residual, or on the largest slope if the equations hold."""
+    """Return a text on the equation with the largest residual.
+
+    If all equations hold, the text is on the largest entry of the stationarity.
+    """
     size = np.where(grid.is_multiplier == (point.residual > HOLDS), np.abs(point.gradient), -1.0)
     return row_text(grid, point, int(np.argmax(size)))
 
 
 def row_text(grid, point, index):
-    """Return name and value of a row of the optimality conditions."""
+    """Return the name and the value of one row of the optimality conditions."""
     value = point.gradient[index]
     if grid.is_multiplier[index]:
         return f"{equation_name(grid, point.unknowns, index)} is off by {value:.1e}"
@@ -122,7 +126,10 @@ def row_text(grid, point, index):
 
 
 def violated(grid, point):
-    """Return a text on the equations with the largest residuals, each where it is worst, and on active bounds."""
+    """Return a text on the equations with the largest residuals, and on active bounds.
+
+    The text names each equation once, where its residual is largest.
+    """
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     text = ", ".join(row_text(grid, point, index) for index in largest_by_name(grid, point.gradient, rows))
     if grid.problem.variable_bounds is not None:
@@ -139,7 +146,7 @@ def violated(grid, point):
 
 
 def dependent(grid, point):
-    """Return a text on the equations with the largest multipliers, or on other reasons of a singular matrix."""
+    """Return a text on the equations with the largest multipliers, or on other reasons of a singular KKT matrix."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     indices = largest_by_name(grid, point.unknowns, rows)
     if indices and abs(point.unknowns[indices[0]]) > 1e3:
@@ -152,9 +159,10 @@ def dependent(grid, point):
 
 
 def largest_by_name(grid, values, rows):
-    """Return the indices of the largest comparable values among some rows, one for each name.
+    """Return the indices of the largest values among `rows`, at most NAMED, with one index for each name.
 
-    Values that differ from the largest by less than a thousandth keep their order.
+    Values below a thousandth of the largest are left out. Values that differ from the largest by less than a thousandth
+    keep their order.
     """
     size, indices = np.abs(values[rows]), {}
     order = rows[np.argsort(-np.minimum(size, 0.999 * size.max(initial=0.0)), kind="stable")]
@@ -166,7 +174,11 @@ def largest_by_name(grid, values, rows):
 
 
 def diverging_unknown(grid, guess, point):
-    """Return a text on the unknown that has grown most, on one without limit, or on a duration that is not positive."""
+    """Return a text on the reason why a problem is unbounded.
+
+    The reason is a duration that is not positive, the unknown that has grown most, or the unknown along which the cost
+    falls without limit.
+    """
     if grid.problem.structure.shared and not least_duration(grid, point.unknowns) > 0.0:
         return f"a duration has become {least_duration(grid, point.unknowns):.1e}, and needs a lower bound"
     growth = np.where(grid.is_multiplier, 0.0, np.abs(point.unknowns) / np.maximum(1.0, np.abs(guess)))
@@ -186,7 +198,7 @@ def negative_curvature_unknown(grid, point):
 
 
 def not_finite(grid, point):
-    """Return a text on the first derivative or share of the cost that is infinite or NaN, with its kernel."""
+    """Return a text on the first derivative or cost that is infinite or NaN, and on the kernel that computes it."""
     s = grid.problem.structure
     bad = np.flatnonzero(~np.isfinite(point.gradient))
     if bad.size:
@@ -194,7 +206,7 @@ def not_finite(grid, point):
         text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)}"
         if grid.is_multiplier[index]:
             text = equation_name(grid, point.unknowns, index)
-        # The kernels whose values add up to the row.
+        # The kernels that contribute to the row.
         local, kernel = index % chain, "interval_gradient"
         if index >= grid.is_multiplier.size - s.couplings:
             kernel = "coupling_term"
@@ -219,7 +231,10 @@ def not_finite(grid, point):
 
 
 def unknown_name(grid, unknowns, index):
-    """Return name and place of an unknown, as in `r at node 3 (t = 0.2)`; a slack is named by its condition."""
+    """Return the name and the location of an unknown, as in `r at node 3 (t = 0.2)`.
+
+    A slack is named by its condition.
+    """
     name, metadata = local_name(grid, index), grid.problem.metadata
     where = whereabouts(grid, unknowns, index)
     if metadata.is_slack(name):
@@ -228,14 +243,14 @@ def unknown_name(grid, unknowns, index):
 
 
 def equation_name(grid, unknowns, index):
-    """Return name and place of an equation, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
+    """Return the name of an equation and its location, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
     name, where = local_name(grid, index), whereabouts(grid, unknowns, index)
     meaning = grid.problem.metadata.meanings.get(name)
     return f"{name}{where}" if meaning is None else phrase(meaning, role=False, where=where, longest=LONGEST)
 
 
 def local_name(grid, index):
-    """Return the name of an unknown without its place, or of a linking variable with its body."""
+    """Return the name of an unknown without its location; the name of a linking variable includes its body."""
     s, metadata = grid.problem.structure, grid.problem.metadata
     chain = grid.steps * s.stride + s.node
     if index >= s.bodies * chain:
@@ -244,7 +259,7 @@ def local_name(grid, index):
 
 
 def whereabouts(grid, unknowns, index):
-    """Return node or interval, time and body of an unknown."""
+    """Return a text on the node or interval, the time and the body of an unknown; "" for a linking variable."""
     s = grid.problem.structure
     chain = grid.steps * s.stride + s.node
     if index >= s.bodies * chain:
@@ -262,5 +277,5 @@ def node_time(grid, unknowns, k):
 
 
 def of_body(grid, body):
-    """Return the number of a body in words if there are several."""
+    """Return ` of body 2`, for example, or "" for a problem with one body."""
     return f" of body {body}" if grid.problem.structure.bodies > 1 else ""

@@ -1,4 +1,4 @@
-"""Calls of the compiled search: repeated calls until the search ends, with feasibility restorations between them."""
+"""Calls of the compiled search until the search ends, with feasibility restorations between the calls."""
 
 from codegen.runtime.search import descent
 from codegen.runtime.search.descent import CONTINUE, GROSS, RESTORE, ROOM, WITH_ITERATE, WITH_NEIGHBOUR, WORDS
@@ -13,10 +13,12 @@ from codegen.runtime.search.iterates import (
 from codegen.runtime.search.point import evaluate
 from codegen.runtime.search.restoration import restore
 
-UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
-WORK_PER_CALL = 5_000_000  # unknowns times iterations between readings of the clock: a fraction of a second
-BETWEEN_MARKS = 300  # iterations after which a search must have made progress
-HALVED, UNCHANGED = 0.5, 1e-3  # largest ratio of error or violation that is progress; least relative change of cost
+UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")  # statuses after which another start may succeed
+WORK_PER_CALL = 5_000_000  # unknowns times iterations between two readings of the clock: a fraction of a second
+BETWEEN_MARKS = 300  # iterations between two tests of progress; a search without progress is stalled
+# Progress is an error or a violation below HALVED times its value at the last test, or a larger relative change of the
+# cost than UNCHANGED.
+HALVED, UNCHANGED = 0.5, 1e-3
 FIRST = [descent.FIRST_MU, descent.FIRST_COST, descent.FIRST_VIOLATION, descent.FIRST_ERROR]
 MARKED = [descent.MU, descent.COST, descent.VIOLATION, descent.ERROR]
 
@@ -26,14 +28,17 @@ def descend(
 ):
     """Follow Newton's steps from `start`; return (status, iterate, iterations).
 
-    The `stage` says whether the start is an iterate, primal unknowns (n,) with zeros for multipliers, or the unknowns
-    of a neighbour. The linear system of a neighbour's first step may be factored already. Without bounds, a search from
-    unknowns ends as "gross", without an iteration, if the equations are grossly violated. Multipliers that are all zero
-    are estimated. With a `saddle_cost`, the search ends at the saddle point again once it clearly leads no lower.
+    The `stage` says what the start is: an iterate, primal unknowns (n,) with zeros for multipliers, or the solution of
+    a similar problem. `attempt` has the settings of the start. `is_factored` is True if the linear system of a warm
+    start's first step is factored already. Multipliers that are all zero are estimated. Without bounds, a search from
+    unknowns that grossly violate the equations ends as "gross" without an iteration. `saddle_cost` is the cost at the
+    saddle point next to which the search starts. The search then ends as "saddle point" as soon as it clearly reaches
+    no lower cost.
     """
     work = search.work
     reals, integers = work.reals, work.integers
-    is_beside = integers[descent.IS_BESIDE] if stage == WITH_ITERATE else 0  # of the start that escapes follow
+    # Escapes from a saddle point keep the flag of the search that has led there.
+    is_beside = integers[descent.IS_BESIDE] if stage == WITH_ITERATE else 0
     reals[:], integers[:], integers[descent.IS_BESIDE] = 0.0, 0, is_beside
     if stage == WITH_ITERATE:
         load(search, start)
@@ -63,8 +68,8 @@ def descend(
             iterate = stored(search)
             outcome, feasible = restored(search, iterate, 0.9, work.pairs[: integers[descent.PAIRS]], log)
             if outcome in UNLUCKY and integers[descent.HAS_LOOSE] == 1:
-                # Where equations force unknowns onto their bounds and all multipliers are huge, only the relaxation
-                # gives the feasible set an interior: go on, as IPOPT does, with bounds as relaxed as at first.
+                # If equations force unknowns onto their bounds and all multipliers are huge, only the relaxation gives
+                # the feasible set an interior. Continue, as IPOPT does, with bounds as relaxed as at the beginning.
                 search = search._replace(least=descent.RELAXED)
                 reals[descent.LEAST_RELAXATION], integers[descent.HAS_LOOSE] = search.least, 2
                 barriers = work.barriers[descent.LOOSE_DISTANCE], work.barriers[descent.LOOSE_DUALS]
@@ -96,9 +101,9 @@ def descend(
 
 
 def run(search, tolerance, max_iterations, log, until):
-    """Call the compiled search once, for at most `until` iterations in all, and log its iterates.
+    """Call the compiled search once, until the total of iterations is at most `until`, and log its iterates.
 
-    Return the number of its status, and True if the time is up.
+    Return the status as a number of `descent`, and True if the time limit has passed.
     """
     grid, work = search.grid, search.work
     before, affordable = int(work.integers[descent.ITERATIONS]), WORK_PER_CALL // max(1, grid.is_multiplier.size)
@@ -114,7 +119,7 @@ def run(search, tolerance, max_iterations, log, until):
     if status == GROSS:
         return status, False
     count = int(work.integers[descent.ITERATIONS]) - before
-    # The next call writes the row of the iterate from which it goes on again.
+    # The next call writes the log row of the last iterate again, because it continues from there.
     is_over = status != CONTINUE or int(work.integers[descent.ITERATIONS]) >= max_iterations
     log.extend(search, work.log[: count + 1 if is_over else count])
     is_late = log.is_late()
@@ -124,9 +129,10 @@ def run(search, tolerance, max_iterations, log, until):
 
 
 def restored(search, iterate, reduction, pairs, log):
-    """Lower the violation; return (status, iterate) with the status "restored" on success.
+    """Lower the constraint violation from an iterate; return (status, iterate) with the status "restored" on success.
 
-    The iterate has no multipliers. `pairs` (k, 2) are the pairs of the filter.
+    The iterate has no multipliers, and its duals are on the central path. The violation falls to at most `reduction`
+    times its first value. `pairs` (k, 2) are the pairs (violation, objective) of the filter.
     """
     status, feasible = restore(search, iterate, reduction, pairs, log.is_late)
     if search.is_bounded:

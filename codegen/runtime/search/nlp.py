@@ -1,7 +1,7 @@
 """The discretised problem as a nonlinear program for external optimisers.
 
-Minimise f(x) such that c(x) = 0 and lower <= x <= upper. The unknowns x are the free primal unknowns, without
-multipliers and without prescribed boundary values.
+Minimise f(x) such that c(x) = 0 and lower <= x <= upper. The unknowns x are the free primal unknowns: they do not
+include multipliers and prescribed boundary values.
 """
 
 from dataclasses import dataclass
@@ -18,13 +18,18 @@ from codegen.runtime.search.point import evaluate
 
 
 class Trajectory(NamedTuple):
-    """Unknowns as a motion; `t` is (N + 1,), other arrays have a row for each of the N + 1 nodes, or N intervals.
+    """The motion that a vector of unknowns describes, with N intervals.
+
+    Arrays other than `t` have one row for each of the N + 1 nodes, or for each of the N intervals. They have one column
+    for each quantity, with the columns of several bodies side by side.
 
     Attributes
     ----------
-    t, q, p, u, multipliers : array
-        Times, coordinates, momenta, controls, and multipliers, a column for each, of several bodies side by side.
-    unknowns : array
+    t : (N + 1,)
+        Times of the nodes.
+    q, p, u, multipliers : array
+        Coordinates, momenta, controls and multipliers.
+    unknowns : (n,)
         All unknowns, which `solve` takes as its `guess`.
     """
 
@@ -40,15 +45,15 @@ class Trajectory(NamedTuple):
 class NonlinearProgram:
     """Minimise f(x) such that c(x) = 0 and lower <= x <= upper, with exact derivatives.
 
-    A path condition g(x) <= 0 is an equation g(x) + s = 0 with a slack s >= 0 among the unknowns. Sparse matrices have
-    the same pattern at all points; entries outside the pattern are zero everywhere.
+    A path constraint g(x) <= 0 is an equation g(x) + s = 0 with a slack s >= 0 among the unknowns. Sparse matrices have
+    the same pattern at all points. Entries outside the pattern are zero everywhere.
 
     Attributes
     ----------
     grid : Grid
         The time grid, with the parameters and the prescribed boundary values.
     guess : array
-        All unknowns of the initial guess; prescribed values are taken from here.
+        All unknowns of the initial guess, including the prescribed values.
     """
 
     grid: Grid
@@ -61,7 +66,7 @@ class NonlinearProgram:
 
     @cached_property
     def dual(self):
-        """The indices (m,) among all unknowns of the multipliers of c."""
+        """The indices (m,) of the multipliers of c among all unknowns."""
         return multiplier_unknowns(self.grid)
 
     @cached_property
@@ -71,17 +76,23 @@ class NonlinearProgram:
 
     @cached_property
     def bounds(self):
-        """Lower and upper bounds, a pair of (n,), infinite for unknowns without; `scipy.optimize.Bounds(*bounds)`."""
+        """Lower and upper bounds of x, a pair of (n,), infinite where x has no bound.
+
+        Use them as `scipy.optimize.Bounds(*bounds)`.
+        """
         return tuple(bound[self.primal] for bound in bounds_of(self.grid))
 
     @cached_property
     def constraint_bounds(self):
-        """Lower and upper bounds of c(x), a pair of (m,): zeros, as all constraints are equations."""
+        """Lower and upper bounds of c(x), a pair of (m,): zeros, since all constraints are equations."""
         return np.zeros(self.dual.size), np.zeros(self.dual.size)
 
     @cached_property
     def names(self):
-        """The names of x, with node or interval and time at the guess, as in `r at node 3 (t = 1.2)`."""
+        """The names of the unknowns x, with node or interval and time, as in `r at node 3 (t = 1.2)`.
+
+        The times belong to the initial guess.
+        """
         return tuple(unknown_name(self.grid, self.guess, index) for index in self.primal)
 
     def cost(self, x):
@@ -89,7 +100,7 @@ class NonlinearProgram:
         return float(point.cost(self.grid, self.unknowns(x)))
 
     def gradient(self, x):
-        """Return the gradient (n,) of the cost."""
+        """Return the gradient (n,) of the cost with respect to x."""
         return point.cost_gradient(self.grid, self.unknowns(x))
 
     def constraints(self, x):
@@ -97,7 +108,7 @@ class NonlinearProgram:
         return point.constraints(self.grid, self.unknowns(x))
 
     def stationarity(self, x, multipliers):
-        """Return the gradient (n,) of the Lagrangian f + multipliers . c."""
+        """Return the gradient (n,) of the Lagrangian f + multipliers . c with respect to x."""
         return point.stationarity(self.grid, self.unknowns(x, multipliers))
 
     def jacobian(self, x):
@@ -112,9 +123,9 @@ class NonlinearProgram:
         x : array
             Unknowns (n,).
         multipliers : array or None
-            Multipliers (m,), None for zeros.
+            Multipliers (m,), or None for zeros.
         weight : float
-            0 for the Hessian of the constraints alone, as `scipy.optimize.NonlinearConstraint` takes it.
+            Factor of f; 0 gives the Hessian of the constraints alone, as for `scipy.optimize.NonlinearConstraint`.
         """
         rows, columns, values = point.hessian(self.grid, self.unknowns(x, multipliers))
         if weight != 1.0:  # the Lagrangian is linear in weight and multipliers
@@ -122,7 +133,10 @@ class NonlinearProgram:
         return self._sparse((rows, columns, values), self.primal.size)
 
     def unknowns(self, x, multipliers=None):
-        """Return all unknowns, with prescribed values, of x (n,) and the multipliers (m,) of c, zeros if None."""
+        """Return all unknowns for x (n,) and the multipliers (m,) of c, including prescribed values.
+
+        Multipliers are zero if they are None.
+        """
         unknowns = self.guess.copy()
         unknowns[self.primal] = x
         unknowns[self.dual] = 0.0 if multipliers is None else multipliers
@@ -131,11 +145,11 @@ class NonlinearProgram:
         return unknowns
 
     def evaluate(self, x, multipliers=None):
-        """Return cost, gradient of the Lagrangian by all unknowns, and norms, as a Point."""
+        """Return cost, gradient of the Lagrangian with respect to all unknowns, and norms, as a Point."""
         return evaluate(self.grid, self.unknowns(x, multipliers))
 
     def unpack(self, x, multipliers=None):
-        """Return the Trajectory of x (n,) and the multipliers (m,) of c, zeros if None."""
+        """Return the Trajectory for x (n,) and the multipliers (m,) of c, which are zero if they are None."""
         unknowns = self.unknowns(x, multipliers)
         return Trajectory(*self.grid.problem.unpack(self.grid, unknowns), unknowns)
 
@@ -151,6 +165,9 @@ class NonlinearProgram:
 
 
 def nonlinear_program(grid, guess=None):
-    """Return the NonlinearProgram on a grid; `guess` holds all unknowns, None for the problem's own guess."""
+    """Return the NonlinearProgram on a grid.
+
+    `guess` holds all unknowns; None stands for the problem's own initial guess.
+    """
     guess = grid.problem.initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
     return NonlinearProgram(grid, guess)

@@ -1,7 +1,8 @@
-"""The discretised problem at a vector of unknowns: cost, residuals, norms, shares of intervals, sparse derivatives.
+"""Evaluation of the discretised problem at a vector of unknowns: cost, residuals, norms, momenta, sparse derivatives.
 
-Sparse derivatives are (rows, columns, values) in the free primal unknowns and the free multipliers. Index arrays pick
-these out of the vector of all unknowns. Unknowns that a boundary condition prescribes are in neither.
+Sparse derivatives are tuples (rows, columns, values). Their rows and columns belong to the free primal unknowns, or to
+the free multipliers. `primal_unknowns` and `multiplier_unknowns` are the indices of these among all unknowns. An
+unknown that a boundary condition prescribes is not free and has no row or column.
 """
 
 from typing import NamedTuple
@@ -15,10 +16,21 @@ from codegen.runtime.search.linear_system import allocate_system, filled_entries
 
 
 class Point(NamedTuple):
-    """Unknowns (n,), gradient (n,) of the Lagrangian there, discrete cost, and norms of residual and stationarity.
+    """The values of cost, gradient and norms at a vector of unknowns.
 
-    `residual` is the largest residual of an equation and `violation` the sum of all. `error` is the max-norm of all
-    optimality conditions, infinite if the cost is not finite.
+    Attributes
+    ----------
+    unknowns, gradient : (n,)
+        All unknowns, and the gradient of the Lagrangian with respect to them. Its entries for multipliers are the
+        residuals.
+    cost : float
+        The discrete cost.
+    residual, violation : float
+        The largest modulus of a residual, and the sum of the moduli of all residuals.
+    stationarity : float
+        The largest modulus of the gradient with respect to a primal unknown.
+    error : float
+        The larger of residual and stationarity, infinite if the cost is not finite.
     """
 
     unknowns: np.ndarray
@@ -31,7 +43,7 @@ class Point(NamedTuple):
 
 
 def evaluate(grid, unknowns):
-    """Evaluate cost, gradient and norms at `unknowns` (n,)."""
+    """Return the Point at `unknowns` (n,)."""
     steps, h, nodes, _, parameters, is_multiplier, sizes, _, weight, _, _, problem = grid
     gradient, scaled = np.empty(unknowns.size), np.empty(sizes.size)
     measured = measured_gradient(
@@ -41,7 +53,10 @@ def evaluate(grid, unknowns):
 
 
 def lagrangian(grid, point):
-    """Return the value of the Lagrangian: the cost where the equations hold exactly, to second order."""
+    """Return the value of the Lagrangian at a point.
+
+    Up to second order, this is the cost at the nearby point where the equations hold exactly.
+    """
     return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0).dot(point.gradient)
 
 
@@ -49,9 +64,10 @@ def lagrangian(grid, point):
 def measured_gradient(
     loop, unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, scaled, gradient
 ):  # fmt: skip
-    """Fill the `gradient` (n,) of the Lagrangian; return the cost and the norms of a Point.
+    """Fill the `gradient` (n,) of the Lagrangian; return (cost, residual, violation, stationarity, error) of a Point.
 
-    `loop` is the address of the loop over intervals, `scaled` (n,) or empty is work space.
+    `loop` is the address of the loop over intervals that fills the gradient. `sizes` and `weight` are the scaling
+    factors of unknowns and cost. `scaled` is work space of the length of `sizes`.
     """
     nodes_at, parameters_at, gradient_at = nodes.ctypes.data, parameters.ctypes.data, gradient.ctypes.data
     width = parameters.shape[1]
@@ -78,9 +94,10 @@ def measured_gradient(
 
 
 def interval_parts(grid, unknowns):
-    """Return the gradient of each interval's share of the Lagrangian, then its cost: (bodies, N, element + shared + 1).
+    """Return the contribution of each interval to the gradient of the Lagrangian and to the cost.
 
-    `unknowns` (n,) are in the problem's own units.
+    The array (bodies, N, element + shared + 1) has the gradient with respect to the unknowns of the interval, both its
+    nodes and the linking variables. The cost is the last number. `unknowns` (n,) are in the problem's own units.
     """
     s = grid.problem.structure
     parts = np.empty((s.bodies, grid.steps, s.element + s.shared + 1))
@@ -90,7 +107,7 @@ def interval_parts(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def fill(loop, unknowns, steps, h, nodes, parameters, filled):
-    """Call the loop at an address, which fills a vector; return the result of the loop."""
+    """Call the loop over intervals at the address `loop`, which fills the array `filled`; return the loop's result."""
     return call_loop(
         loop, unknowns.ctypes.data, steps, h, nodes.ctypes.data, parameters.ctypes.data, parameters.shape[1],
         filled.ctypes.data,
@@ -100,8 +117,9 @@ def fill(loop, unknowns, steps, h, nodes, parameters, filled):
 def discrete_momenta(grid, unknowns):
     """Return the momenta (bodies, N + 1, m) by the forced discrete Legendre transforms.
 
-    p_k = -(D1 Ld + f-) of the interval after a node, and D2 Ld + f+ of the last interval. Both are the factors of the
-    multipliers of the equations of motion in an interval's share of the Lagrangian.
+    The momentum at a node is p_k = -(D1 Ld + f-) of the interval after the node, or D2 Ld + f+ of the last interval.
+    The equations of motion are linear in their multipliers. In the contribution of an interval to the Lagrangian, the
+    factors of these multipliers are the terms above.
     """
     s = grid.problem.structure
     parts = np.empty((s.bodies, grid.steps, s.element + s.shared + 1))
@@ -115,7 +133,10 @@ def discrete_momenta(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def fill_momenta(loop, unknowns, steps, h, nodes, parameters, equations, stride, parts, momenta):
-    """Fill the momenta (bodies, N + 1, m); `parts` (bodies, N, element + shared + 1) takes what the loop fills."""
+    """Fill `momenta` (bodies, N + 1, m), see `discrete_momenta`.
+
+    `loop` is the address of the loop that fills the work space `parts` (bodies, N, element + shared + 1).
+    """
     call_loop(
         loop, unknowns.ctypes.data, steps, h, nodes.ctypes.data, parameters.ctypes.data, parameters.shape[1],
         parts.ctypes.data,
@@ -133,33 +154,44 @@ def cost(grid, unknowns):
 
 
 def cost_gradient(grid, unknowns):
-    """Return the gradient of the discrete cost by the free primal unknowns."""
+    """Return the gradient of the discrete cost with respect to the free primal unknowns."""
     without_multipliers = np.where(grid.is_multiplier, 0.0, unknowns)
     return evaluate(grid, without_multipliers).gradient[primal_unknowns(grid)]
 
 
 def constraints(grid, unknowns):
-    """Return the residuals of all discrete equations."""
+    """Return the residuals of all discrete equations that are imposed."""
     return evaluate(grid, unknowns).gradient[multiplier_unknowns(grid)]
 
 
 def stationarity(grid, unknowns):
-    """Return the gradient of the Lagrangian by the free primal unknowns, at the multipliers in `unknowns`."""
+    """Return the gradient of the Lagrangian with respect to the free primal unknowns.
+
+    The multipliers are taken from `unknowns` (n,).
+    """
     return evaluate(grid, unknowns).gradient[primal_unknowns(grid)]
 
 
 def jacobian(grid, unknowns):
-    """Return the Jacobian of the residuals by the free primal unknowns, as (rows, columns, values)."""
+    """Return the Jacobian of the residuals with respect to the free primal unknowns, as (rows, columns, values)."""
     return submatrix(grid, unknowns, multiplier_unknowns(grid), primal_unknowns(grid), False)
 
 
 def hessian(grid, unknowns):
-    """Return the Hessian of the Lagrangian by the free primal unknowns, both triangles, as (rows, columns, values)."""
+    """Return the Hessian of the Lagrangian with respect to the free primal unknowns, as (rows, columns, values).
+
+    Both triangles are included.
+    """
     return submatrix(grid, unknowns, primal_unknowns(grid), primal_unknowns(grid), True)
 
 
 def submatrix(grid, unknowns, rows, columns, is_curvature):
-    """Return entries of the KKT matrix in the given rows and columns, renumbered; duplicates are to be added."""
+    """Return the part of the KKT matrix with some `rows` and `columns`, as (rows, columns, values).
+
+    Rows and columns of the result are numbered within the given ones. Entries at the same position are to be added.
+    With `is_curvature`, only second derivatives with respect to two primal unknowns or two multipliers are taken;
+    otherwise only mixed ones.
+    """
     row, column = global_entries(grid.problem.structure, grid.steps)
     value = filled_entries(grid, unknowns, allocate_system(grid)).copy()
     wanted = ((grid.is_multiplier[row] == grid.is_multiplier[column]) == is_curvature) & (row >= 0)
@@ -179,9 +211,10 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
 
 
 def global_entries(s, steps):
-    """Return rows and columns, among all unknowns, of all second derivatives; of the root matrix the lower triangle.
+    """Return the rows and the columns, as indices among all unknowns, of all second derivatives that the loop fills.
 
-    Entries of the upper triangle of the root matrix have row and column -1, which is no unknown: they repeat.
+    The last derivatives are the matrix of the linking variables, of which the lower triangle is kept. Entries of its
+    upper triangle repeat the lower one and have row and column -1, which is no unknown.
     """
     chain, size, n = steps * s.stride + s.node, s.size(steps), s.node
     root = size - s.root

@@ -1,4 +1,4 @@
-"""The definition of an optimal control problem: structure, loops and formulas that its generated module passes."""
+"""The definition of an optimal control problem: the structure, loops and formulas of a generated module."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -15,18 +15,18 @@ from codegen.runtime.linking import link_inner_functions
 from codegen.runtime.record import ControlRecord
 from codegen.runtime.search.structure import Structure
 
-MOST_KEPT = 4  # searches whose storage is kept, one for each of four threads
+MOST_KEPT = 4  # largest number of searches whose storage is kept: one for each of four threads
 
 
 class Loop(Addressed):
-    """A loop over intervals."""
+    """A compiled function that loops over all intervals and fills an array."""
 
     @cached_property
     def compiled(self):
-        """The compiled function, or the callback."""
+        """The compiled function, or the callback if the loop is interpreted."""
         if self.is_interpreted or config.DISABLE_JIT:
             return callback(LOOP, self.function)
-        # Only functions of the module itself are linked: Python may call functions of the runtime elsewhere.
+        # Only functions of the generated module are linked. Python may call functions of the runtime directly.
         space = self.function.__globals__
         link_inner_functions(
             value for value in space.values() if is_inner(value) and value.py_func.__globals__ is space
@@ -35,39 +35,45 @@ class Loop(Addressed):
 
 
 def is_inner(value):
-    """Return True for a compiled function that only loops call: a kernel, or a part of a loop."""
+    """Return True for a compiled function that is called by loops only: a kernel, or a part of a loop."""
     return hasattr(value, "py_func") and value.stats.cache_path is None
 
 
 @dataclass(frozen=True, eq=False)
 class DataDerivatives:
-    """Derivatives of the Lagrangian and of the formulas of a problem by its data, for sensitivities.
+    """Derivatives of the Lagrangian and of the formulas of a problem with respect to its data, for sensitivities.
 
-    Data are all parameters but linking variables, time and length of an interval, and numbers of its left node from
-    conditions at inner times. For an end, the unknowns of its node follow, since some are pinned.
+    The data of an interval are all parameters except linking variables, and the time of its left node and its length.
+    If the left node is at an inner time, the values of the conditions there are data, too. The data of an end also
+    contain the unknowns of its node, because some of these are prescribed.
 
     Attributes
     ----------
     quantities : tuple of str
-        Names of the quantities by which solutions are differentiated.
+        Names of the quantities with respect to which solutions are differentiated.
     count, parametric : int
-        Number of data, and of those among the parameters.
+        The number of data, and the number of data that are parameters.
     acting, bounding : array of int
-        Parameters on which intervals depend, and those that move bounds.
+        Indices of the parameters on which intervals depend, and of the parameters that move bounds.
     rows, columns : array of int
-        Unknowns of an interval, and data, of its mixed second derivatives; `start_rows` and so on of the ends.
+        For each mixed second derivative of an interval, the local unknown (row) and the datum (column).
+    start_rows, start_columns, end_rows, end_columns : array of int
+        The same for both ends.
     loop : Loop
-        Fills the gradient (n,) of both ends and of conditions between linking variables; first derivatives by data,
-        then mixed ones, of all intervals, of all starts, of all ends; and both (1 + root, count) of the conditions.
-    rates, pins : callable
-        (grid, given) -> rates (m, bodies, parametric), duration (m,): derivatives of the parameters and the duration.
-        (grid, rates) -> moves (m, n): derivatives of pinned unknowns.
+        Fills the gradient (n,) of both ends and of conditions between linking variables. Then follow, for all
+        intervals, all starts and all ends, the first derivatives with respect to data, and the mixed derivatives. Last
+        are both kinds (1 + root, count) for the conditions.
+    rates : callable
+        (grid, given) -> rates (m, bodies, parametric), duration (m,): derivatives of the parameters and of the duration
+        with respect to the m quantities.
+    pins : callable
+        (grid, rates) -> moves (m, n): derivatives of prescribed unknowns.
     durations : callable
         (grid, unknowns, moves, rates, duration) -> (m, D): derivatives of the durations of D phases.
     bounds : callable or None
-        (grid, rates of one quantity) -> lower, upper: derivatives of bounds that depend on parameters.
+        (grid, rates of one quantity) -> lower, upper: derivatives of the bounds, if these depend on parameters.
     clock : int or None
-        The time of a node among its unknowns.
+        Index of the unknown of a node that is its time, if the time is an unknown.
     """
 
     quantities: tuple[str, ...]
@@ -89,9 +95,11 @@ class DataDerivatives:
     clock: int | None = None
 
     def tables(self, structure):
-        """Return rows, columns and counts for `sensitivities.change_along`, and the length of the result of the loop.
+        """Return (rows, columns, counts, lengths) for the functions in `sensitivities`.
 
-        The length has two parts: the numbers of each interval, and all others.
+        `rows` and `columns` (k,) belong to the mixed second derivatives of an interval and of both ends. Rows are local
+        indices of an element. `counts` are the numbers that `sensitivities.change_along` reads. `lengths` are the
+        number of values that the loop fills for each interval, and the number of all other values.
         """
         s, sizes = structure, [part.size for part in (self.rows, self.start_rows, self.end_rows)]
         counts = np.array([self.count, self.parametric, s.shared, s.inner_first, s.inner_times, *sizes])
@@ -104,16 +112,19 @@ class DataDerivatives:
 
 
 class Storage:
-    """Arrays of finished searches, used again by searches with as many intervals and bounds.
+    """The arrays of finished searches, for later searches with as many intervals and bounds.
 
-    Threads may take and keep at any time: methods of lists are atomic.
+    Several threads may call `take` and `keep` at any time, because methods of lists are atomic.
     """
 
     def __init__(self):
         self.kept = []
 
     def take(self, key):
-        """Remove and return the arrays that were kept last, or None if their key differs."""
+        """Remove the arrays that were kept last, and return them if their key is `key`.
+
+        Return None if the key differs, or if no arrays are kept.
+        """
         try:
             kept, arrays = self.kept.pop()
         except IndexError:
@@ -128,20 +139,27 @@ class Storage:
 
 @dataclass(frozen=True, eq=False)
 class ControlProblem:
-    """An optimal control problem: structure, loops over intervals, and functions made from the author's formulas.
+    """An optimal control problem: its structure, loops over intervals, and functions from the author's formulas.
 
     Attributes
     ----------
     structure : Structure
-    metadata : Record
+        Numbers and indices of the unknowns.
+    metadata : ControlRecord
         Names and meanings.
-    gradient, hessians, parts : Loop
-        Fill the gradient (n,) of the Lagrangian and return the cost; fill all second derivatives; fill the gradients
-        (bodies N, element + shared + 1) of all intervals by themselves, each followed by its cost.
+    gradient : Loop
+        Fills the gradient (n,) of the Lagrangian and returns the cost.
+    hessians : Loop
+        Fills all second derivatives of the Lagrangian.
+    parts : Loop
+        Fills the contributions (bodies, N, element + shared + 1) of all intervals to the gradient, each followed by the
+        cost of the interval.
     duration_of : callable
-        Length of the time interval: (grid, unknowns) -> float.
-    initial_guess, pin_values : callable
-        (grid) -> unknowns, and (grid, unknowns, nodes) -> None, which sets prescribed boundary values.
+        (grid, unknowns) -> the duration of the motion.
+    initial_guess : callable
+        (grid) -> the unknowns of the initial guess.
+    pin_values : callable
+        (grid, unknowns, nodes) -> None. Sets the prescribed boundary values; `nodes` is the view of all nodes.
     unpack : callable
         (grid, unknowns) -> times, positions, momenta, controls, multipliers.
     variable_bounds : callable or None
@@ -149,9 +167,15 @@ class ControlProblem:
     phase_durations : callable or None
         (grid, unknowns) -> lengths of all phases.
     inputs : Loop or None
-        Fills the least and greatest inputs of tables with ranges; `ranges` and `range_names` identify the inputs.
+        Fills the least and greatest inputs of those tables that must not be read outside their ranges.
     data : DataDerivatives or None
-        Derivatives by data, if the module was built with sensitivities.
+        Derivatives with respect to data, if the module was built with sensitivities.
+    ranges, range_names : array of int, tuple of str
+        For each input of these tables, the indices of the limits of its range among the parameters, and its name.
+    tables : mapping
+        The default numbers of each table.
+    observations : tuple of array
+        The default measurements of each body: rows of time, values, standard deviations.
     """
 
     structure: Structure
@@ -178,23 +202,26 @@ class ControlProblem:
 
     @cached_property
     def storage(self):
-        """The storage of finished searches."""
+        """The Storage for arrays of finished searches."""
         return Storage()
 
     @cached_property
     def mixed(self):
-        """The tables of mixed second derivatives by unknowns and data."""
+        """The tables of mixed second derivatives with respect to unknowns and data, see `DataDerivatives.tables`."""
         return self.data.tables(self.structure)
 
     @cached_property
     def system(self):
-        """The address of the linear system of Newton's method; interpreted problems share one for all shapes."""
+        """The address of the compiled linear system of a Newton step.
+
+        Interpreted problems share one system for all shapes.
+        """
         if self.gradient.is_interpreted or config.DISABLE_JIT:
             return any_shape_address()
         return system_address(self.structure.shape)
 
     def kernels(self):
-        """Return the loops, those that take longest to compile first."""
+        """Return the loops of the problem, beginning with the loops that take longest to compile."""
         of_data = self.data.loop if self.data else None
         loops = self.hessians, of_data, self.gradient, self.parts, self.inputs
         return tuple(loop for loop in loops if loop is not None)

@@ -1,9 +1,10 @@
-"""Feasibility restoration: lower the violation of the equations when the line search fails.
+"""Feasibility restoration: the reduction of the constraint violation when the line search fails.
 
-The method minimises half the sum of squares of the residuals c by Levenberg and Marquardt's method, with a barrier for
-bounds. Let A be the Jacobian of the equations, and r and z the distances and duals of bounds as in `descent`. The step
-d solves (A'A + damping + z/r) d = -(A'c - nu s / r). Its matrix is the KKT matrix without cost, with -1 on the
-multipliers' diagonal. Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), section 3.3.
+The method minimises half the sum of squares of the residuals c by the method of Levenberg and Marquardt, with a barrier
+of weight nu for bounds. Let A be the Jacobian of the equations, and let r, z and s be the distances, duals and sides of
+bounds (see `descent`). The step d solves (A'A + damping + z/r) d = -(A'c - nu s / r). Its matrix is the KKT matrix
+without cost, with -1 on the multipliers' diagonal. Sources: Nocedal and Wright (2006), section 10.3; Waechter and
+Biegler (2006), section 3.3.
 """
 
 import numpy as np
@@ -12,21 +13,23 @@ from codegen.runtime.search.iterates import FROM_GUESS, begin, moved, newton_sys
 from codegen.runtime.search.linear_system import factor_kkt, is_factored
 from codegen.runtime.search.point import evaluate
 
-RESTORATION_STEPS = 200
+RESTORATION_STEPS = 200  # largest number of steps of a restoration
 FIRST_DAMPING = 1e-2  # damping of the first step, relative to the squared slope of the residuals
-FEASIBILITY_STEPS = 1000  # largest number for the search of the least violation
-STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # largest slope of the least violation, relative to the residual
-WEIGHT = 1e-2  # the barrier's weight relative to the squared residual
-LARGEST_DAMPING = 1e12  # times the barrier's weight if that exceeds one: squared residuals have their own units
+FEASIBILITY_STEPS = 1000  # largest number of steps of the search for the least violation
+STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # largest slope at the least violation, relative to the residual
+WEIGHT = 1e-2  # first weight of the barrier, relative to the squared residual
+LARGEST_DAMPING = 1e12  # times the barrier's weight if the weight exceeds one: squared residuals have their own units
 HOLDING, NONE_HELD = 1e16, slice(0)  # the curvature that holds unknowns fixed; the empty set of unknowns
-LARGEST_DUAL = 0.1  # at the start; with 1e3, 15 of 30 searches of the space shuttle from noise fail, not 2
+LARGEST_DUAL = 0.1  # at the start; with 1e3, not 2 but 15 of 30 searches for the space shuttle from noise fail
 
 
 def restore(search, iterate, reduction, pairs, is_late):
-    """Lower the violation; return ("restored", an iterate that the filter accepts) or (status, the last iterate).
+    """Lower the constraint violation; return ("restored", iterate) or (another status, the last iterate).
 
-    When restored, the violation is at most `reduction` times the first. `pairs` (k, 2) are the pairs of the filter.
-    `is_late` returns True once the time is up. With bounds, the weight and the duals are those of the restoration.
+    The filter accepts a restored iterate. Its violation is at most `reduction` times the first violation. `pairs` (k,
+    2) are the pairs (violation, objective) of the filter. `is_late` is a function that returns True once the time limit
+    has passed. With bounds, the iterate has the duals of the restoration's barrier, and the weight of this barrier if
+    it is not restored.
     """
     grid, damping = search.grid, 0.0
     largest = LARGEST_DAMPING * max(1.0, WEIGHT * iterate.point.residual**2)
@@ -55,12 +58,15 @@ def restore(search, iterate, reduction, pairs, is_late):
 
 
 def least_violation(search, iterate, tolerance, is_late, held):
-    """Minimise the violation; return ("infeasible", iterate at its minimum) or ("restored", iterate where it is zero).
+    """Minimise the constraint violation from an iterate; return (status, the last iterate).
 
-    Otherwise return (status, the last iterate). "infeasible" means that no small change of the unknowns brings the
-    equations closer to zero, as far as first derivatives tell. The search begins inside the bounds and takes Newton's
-    steps. If residuals do not vanish, steps without the equations' curvature converge slowly or not at all. That
-    curvature is the Hessian of a Lagrangian whose multipliers are the residuals. Unknowns in the slice `held` stay.
+    The status is "restored" if the violation becomes zero to the tolerance. It is "infeasible" if the last iterate is a
+    minimum of the violation. No small change of the unknowns then brings the equations closer to zero, as far as first
+    derivatives tell. Otherwise the status is "stalled" or "time limit".
+
+    The search begins inside the bounds and takes Newton's steps. If residuals do not vanish, Gauss-Newton steps,
+    without the curvature of the equations, converge slowly or not at all. This curvature is the Hessian of a Lagrangian
+    whose multipliers are the residuals. Unknowns in the slice `held` stay fixed.
     """
     grid, damping = search.grid, 0.0
     inside = begin(search, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), FROM_GUESS)
@@ -87,7 +93,7 @@ def least_violation(search, iterate, tolerance, is_late, held):
 
 
 def restoration_start(search, iterate):
-    """Return the iterate without multipliers; with bounds, it has small duals and a small weight."""
+    """Return the iterate without multipliers; with bounds, it has small duals and a small weight of the barrier."""
     grid, unknowns, start = search.grid, iterate.point.unknowns, iterate
     if unknowns[grid.is_multiplier].any():
         start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
@@ -99,31 +105,33 @@ def restoration_start(search, iterate):
 
 
 def residual_gradient(grid, point):
-    """Return A' c, the gradient of half the squared residuals by primal unknowns."""
+    """Return A'c (n,), the gradient of half the squared residuals with respect to primal unknowns."""
     with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
     residual_slope = evaluate(grid, with_residuals).gradient - point.gradient
     return np.where(grid.is_multiplier, 0.0, residual_slope)
 
 
 def first_damping(grid, point, residual_slope):
-    """Return a damping that keeps the first step short where residuals hardly change, in any units.
+    """Return a damping that keeps the first step short in directions in which residuals hardly change, in any units.
 
-    Without damping the step would go far along directions that residuals hardly determine, away from the iterate for
-    which the cost was lowered.
+    Without damping, the step would go far in these directions, away from the iterate with a low cost.
     """
     squares = 2.0 * sum_of_squares(grid, point)
     return max(1e-12, FIRST_DAMPING * (residual_slope @ residual_slope) / squares) if squares > 0.0 else 1e-4
 
 
 def restoration_error(search, current, residual_slope):
-    """Return the error of the optimality conditions of the least violation."""
+    """Return the max-norm of the optimality conditions of the least violation."""
     stationary, bounds = residual_slope.copy(), search.bounds
     np.subtract.at(stationary, bounds.indices, bounds.side * current.duals)
     return max(np.abs(stationary).max(), np.max(current.duals * current.distance, initial=0.0))
 
 
 def lower_weight(nu, error):
-    """Return the weight of the restoration's barrier for the next step."""
+    """Return the weight of the restoration's barrier for the next step.
+
+    `error` is the error of the optimality conditions with the weight `nu`.
+    """
     while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
         nu = max(1e-14, min(0.2 * nu, nu**1.5))
     return nu
@@ -132,9 +140,9 @@ def lower_weight(nu, error):
 def damped_step(search, current, residual_slope, damping, largest, curved=False, held=NONE_HELD):
     """Return (iterate, damping) after a step that lowers the sum of squares; None if no damping gives such a step.
 
-    The step is Newton's if `curved`, else a Gauss-Newton step. For Newton's step any decrease suffices, up to rounding:
-    close to bounds slopes promise more than a step can keep, and duals may still have to settle. Unknowns in the slice
-    `held` stay.
+    The damping grows from `damping` up to `largest`. The step is Newton's if `curved`, else a Gauss-Newton step. For
+    Newton's step any decrease suffices, up to rounding errors. Close to bounds, slopes promise more than a step
+    achieves, and duals may still have to settle. Unknowns in the slice `held` stay fixed.
     """
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
     unknowns = np.where(grid.is_multiplier, point.gradient, point.unknowns) if curved else point.unknowns
@@ -142,7 +150,7 @@ def damped_step(search, current, residual_slope, damping, largest, curved=False,
     while damping < largest:
         slopes, diagonal = newton_system(search, current, residual_slope, damping, 0.0)
         diagonal[held] += HOLDING
-        diagonal[search.equations] = -1.0  # an equation that a node lacks has a one in the matrix, which stays
+        diagonal[search.equations] = -1.0  # an equation that a node lacks keeps the one that the matrix has for it
         right = np.where(grid.is_multiplier, point.gradient, slopes - residual_slope)
         if is_factored(factor_kkt(grid, unknowns, 0.0, diagonal, search.system, right, step)):
             step[grid.is_multiplier] = step[held] = 0.0

@@ -1,21 +1,24 @@
-"""Scaling factors of unknowns, equations and cost, from one look at the guess.
+"""Autoscaling: scaling factors of unknowns, equations and cost, from values and derivatives at the initial guess.
 
 Every quantity (a state at all nodes and stages, a control on all intervals, ...) has one scaling factor. A stage value
-has the factor of its state, and the equations of all stages have the factor of the state's step. The factors then do
-not depend on the scheme, nor on the number of intervals.
+has the factor of its state. The equations of all stages have the factor of the equation for the step of this state. The
+factors therefore depend neither on the scheme nor on the number of intervals.
 
-1. A stated scale is the factor. Otherwise the factor is the largest modulus at the guess, which contains prescribed
-   values. Two bounds limit that factor. A slack has no factor from its guess.
-2. An unknown without a factor has the least factor with which it balances an equation. Each equation of the guess is
-   linearised and applied to a smooth motion of each quantity. So v = x' has the factor of x divided by the duration.
-   An angle has a factor of one radian at most. An unknown without effect has its bound as its factor, or one.
-3. An equation has the largest sum |J_ij| times the factor of unknown j.
+1. If the author states a scale, this is the factor. Otherwise the factor is the largest modulus at the guess, which
+   contains prescribed values. If a quantity has a lower and an upper bound, these limit the factor. The guess of a
+   slack does not count.
+2. An unknown without a factor from rule 1 gets the least factor with which it balances an equation. For that, each
+   equation is linearised at the guess and applied to a smooth motion of each quantity. For example, v = x' gives v the
+   factor of x divided by the duration. An angle has a factor of at most one radian. If the unknown has a single bound,
+   the factor is at least the modulus of this bound. If there is still no factor, the factor is one.
+3. For equation i, |J_ij| times the factor of a quantity is summed over all unknowns j of this quantity, where J is the
+   Jacobian. The largest of these sums is the factor of the equation.
 4. The cost is divided by its largest change, of first or second order, when one quantity changes by its factor.
 5. Factors are rounded to powers of a million if scaled numbers are then between 10^-1.5 and 10^2.9, otherwise to
    powers of a thousand. A problem whose factors are all one is not scaled.
 
-Betts (2010), Practical methods for optimal control, section 4.8, recommends 1 and the same factor for a state and its
-equation.
+Betts (2010), Practical methods for optimal control, section 4.8, recommends rule 1, and the same factor for a state and
+its equation.
 """
 
 from functools import lru_cache
@@ -28,21 +31,40 @@ from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.grid import NONE
 from codegen.runtime.search.point import fill
 
-SAMPLES = 4  # intervals on which derivatives are evaluated
-SMALL, LARGE = -1.5, 2.9  # scaled numbers are between these powers of ten, which are not round on purpose
-LEAST_OF_BOUNDS = 0.3  # part of the larger of two bounds that a factor has at least
-NO_SIZE = 1e-14  # part of the largest number of the guess below which a number counts as zero
-CANCELLED = 1e-14  # part of its terms below which a sum counts as rounding error
-LEAST = 1e-150  # a factor is above it, and below its inverse
+SAMPLES = 4  # number of intervals, in each phase, whose derivatives are used
+SMALL, LARGE = -1.5, 2.9  # scaled numbers are between these powers of ten; these exponents avoid round numbers
+LEAST_OF_BOUNDS = 0.3  # least factor of a quantity with two bounds, relative to the larger modulus of both
+NO_SIZE = 1e-14  # numbers of the guess below this part of the largest number count as zero
+CANCELLED = 1e-14  # a sum below this part of its absolute terms counts as a rounding error
+LEAST = 1e-150  # factors are above LEAST and below 1 / LEAST
 
 
 class Quantities(NamedTuple):
-    """The quantities of a problem, numbered, and the quantity of each unknown.
+    """The quantities of a problem, which have numbers, and the number of the quantity of each unknown.
 
-    `kind` and `multiplies` are those of the unknowns of a node and an interval, then of the linking variables.
-    `local_kind`, `local_multiplies`, `abscissa` (time in lengths of the interval) and `only_at_ends` are those of an
-    element. Each quantity has `is_equation`, `stated` scale (zero for none), one `radian`, `is_slack`, and `is_single`
-    (such as a free duration, which no node equals). `tied` (k, 2) are quantities that equal each other at an end.
+    Attributes
+    ----------
+    kind, multiplies : array
+        The number of the quantity, and True for a multiplier. Both are for the unknowns of a node and an interval, then
+        for the linking variables.
+    local_kind, local_multiplies : array
+        The same for the unknowns of an element, then for the linking variables.
+    abscissa, only_at_ends : array
+        For the same unknowns: the time in lengths of the interval, and True if only end nodes or nodes at inner times
+        have the unknown.
+    is_equation : array
+        True for quantities that are multipliers.
+    stated, radian : array
+        The scale of each quantity that the author states, or zero; the value of one radian, or infinity for no angle.
+    is_slack, is_single : array
+        True for slacks, and for linking variables that no unknown of a node equals, such as a free duration.
+    tied : (k, 2)
+        Pairs of quantities that equal each other at an end.
+    rows, columns, start_rows, start_columns, end_rows, end_columns : array
+        Rows and columns of the second derivatives of an interval and of both ends.
+    start_filling : array
+        One for each second derivative of the start that subtracts a filling one, see `Structure.fillings`; otherwise
+        zero.
     """
 
     kind: np.ndarray
@@ -68,7 +90,7 @@ class Quantities(NamedTuple):
 
 @lru_cache(maxsize=64)
 def quantities_of(problem):
-    """Return the quantities of a problem."""
+    """Return the Quantities of a problem."""
     s, metadata = problem.structure, problem.metadata
     names = [*metadata.node, *metadata.interval, *[f"shared {i}" for i in range(s.shared + s.couplings)]]
     free = metadata.free_parameters
@@ -113,11 +135,11 @@ def quantities_of(problem):
 
 
 def scaled_grid(grid, unknowns, is_solution=False):
-    """Return the same grid with scaling factors of unknowns and cost, or without if all are one.
+    """Return `grid` with scaling factors of unknowns and cost, or without scaling factors if all are one.
 
-    The `unknowns` (n,) are a guess, or a solution, whose residuals are rounding errors. If a guess violates bounds,
-    derivatives are evaluated there and on the bounds, and the smaller ones count. A model may be invalid outside its
-    bounds, and the bounds may be far from the solution.
+    The `unknowns` (n,) are a guess, or with `is_solution` a solution, whose residuals are rounding errors. If a guess
+    violates bounds, derivatives are evaluated at the guess and at the guess moved onto the bounds, and the smaller ones
+    count. A model may be invalid outside its bounds, and the bounds may be far from the solution.
     """
     problem, s = grid.problem, grid.problem.structure
     if s.linear_quadratic:
@@ -128,7 +150,7 @@ def scaled_grid(grid, unknowns, is_solution=False):
     if problem.variable_bounds is not None:
         bounds = bounds_of(grid)
     factors, work = np.empty(unknowns.size), np.empty((3, unknowns.size))
-    entries = np.zeros(s.entry_count(steps))  # loops leave out a root matrix without terms
+    entries = np.zeros(s.entry_count(steps))  # loops do not fill the matrix of linking variables if it has no terms
     weight, is_scaled = fill_scaling_factors(
         q, problem.gradient.address, problem.hessians.address, steps, h, nodes, parameters, is_multiplier, unknowns,
         *bounds, s.ties(steps), kinds, counts, places, lacks, is_solution, entries, work, factors,
@@ -137,7 +159,7 @@ def scaled_grid(grid, unknowns, is_solution=False):
         return grid
     if problem.variable_bounds is None:
         return grid._replace(sizes=factors, forces=weight * factors, weight=weight)
-    # Bounds of slacks below zero, by rounding or where equations determine them, are numbers without a unit.
+    # Bounds of slacks below zero, which allow for rounding errors, are numbers without a unit.
     units = np.where(q.is_slack[kinds], 1.0, factors) if q.is_slack.any() else factors
     bounds = bounds[0] / units, bounds[1] / units
     return grid._replace(sizes=factors, forces=weight * factors, weight=weight, bounds=bounds)
@@ -145,11 +167,11 @@ def scaled_grid(grid, unknowns, is_solution=False):
 
 @lru_cache(maxsize=8)
 def sampled(problem, steps, inner):
-    """Return data for the scaling factors of a grid with nodes at `inner` times: kinds, places, lacks, counts.
+    """Return data for the scaling factors on a grid with nodes at `inner` times: kinds, places, lacks, counts.
 
-    `kinds` (n,) are the numbers of the quantities of all unknowns. Derivatives are evaluated on the intervals at
-    `places`: some of each phase, and those after inner times. `lacks` (places, element + shared) masks the unknowns
-    that an interval lacks.
+    `kinds` (n,) are the numbers of the quantities of all unknowns. `places` are the indices of the intervals whose
+    derivatives are used: some of each phase, and those after inner times. `lacks` (places, element + shared) masks the
+    unknowns that these intervals lack. `counts` are six numbers that the compiled functions read.
     """
     s = problem.structure
     intervals = steps // (s.phases or 1)
@@ -173,12 +195,12 @@ def fill_scaling_factors(
     q, gradient, hessians, steps, h, nodes, parameters, is_multiplier, unknowns, lower, upper, ties, kinds, counts,
     places, lacks, is_solution, entries, work, factors,
 ):  # fmt: skip
-    """Fill the `factors` (n,) of all unknowns; return the weight of the cost, and True unless all are one.
+    """Fill the `factors` (n,) of all unknowns; return the weight of the cost, and True unless all factors are one.
 
-    `gradient` and `hessians` are the addresses of loops, `lower` and `upper` (n,) or empty, `kinds` (n,) the numbers of
-    quantities. `counts` are bodies, steps, phases, linking variables, stride and node. `places` are the sampled
-    intervals, `lacks` (places, element + shared) masks the unknowns that these lack. `entries` takes all second
-    derivatives, `work` (3, n) vectors.
+    `gradient` and `hessians` are the addresses of loops. `lower` and `upper` are (n,), or empty without bounds. `kinds`
+    (n,) are the numbers of quantities. `counts` are numbers of bodies, intervals, phases and linking variables, then
+    stride and node. `places` are the indices of the sampled intervals, and `lacks` (places, element + shared) masks the
+    unknowns that these lack. `entries`, for all second derivatives, and `work` (3, n) are work space.
     """
     primal, inside, slopes, count, largest, is_moved = work[0], work[1], work[2], q.stated.size, 0.0, False
     for i in range(kinds.size):
@@ -233,7 +255,7 @@ def fill_scaling_factors(
     equate_tied(q.tied, size)
     digits = digits_of(q, size)
     slope, curved = change_of_cost(q, slopes, kinds, size, curvature)
-    is_steep = slope >= curved  # the first steps follow the slope, and could end on bounds
+    is_steep = slope >= curved  # then the first steps follow the slope, and could end on bounds
     weight = 1.0 / rounded(max(slope, curved), digits if is_steep else 6.0, is_steep)
     is_scaled = weight != 1.0
     for j in range(count):
@@ -249,7 +271,10 @@ def fill_scaling_factors(
 
 @njit(error_model="numpy")
 def limit_by_bounds(q, lower, upper, kinds, size):
-    """Limit each `size` by two bounds; return the largest bounds of quantities that have one bound and no size."""
+    """Limit the factor `size` of each quantity with two bounds by these, or set it if it is zero.
+
+    Return for each quantity with one bound and without a factor the modulus of the bound, and zero for others.
+    """
     bound, between = np.zeros(size.size), np.zeros(size.size)
     for i in range(lower.size):
         if not q.is_slack[kinds[i]]:
@@ -268,9 +293,10 @@ def limit_by_bounds(q, lower, upper, kinds, size):
 
 @njit(error_model="numpy")
 def balance(q, size, rest, effect):
-    """Give each unknown without a size the least size with which it balances an equation, until no more get one.
+    """Give each unknown without a factor the least factor with which it balances an equation.
 
-    `rest` are the residuals of the guess, `effect` (kinds, kinds) the changes of equations by smooth motions.
+    The rule is repeated until no more unknowns get a factor. `size` are the factors of quantities, zero for none.
+    `rest` are the residuals of the guess, and `effect` (kinds, kinds) the changes of equations by smooth motions.
     """
     for _ in range(size.size):
         balanced, is_new = np.zeros(size.size), False
@@ -292,13 +318,15 @@ def balance(q, size, rest, effect):
 
 @njit(error_model="numpy")
 def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect, curvature):
-    """Fill tables (kinds, kinds) of derivatives, from some intervals and from both ends.
+    """Fill tables (kinds, kinds) of derivatives from sampled intervals and from both ends.
 
-    `terms` are the largest sums of moduli in one equation, by one quantity. `effect` is the largest change of an
-    equation by the motion exp(t / T) of one quantity, which is neither constant nor linear. `curvature` are the sums of
-    the cost's second derivatives. An equation of a node is a sum of shares of two intervals, both taken from the same
-    interval. Each share, such as a momentum, is a term: its change by the motion does not depend on the interval's
-    length.
+    Entry (i, j) of `terms` is the largest sum of |J_ij| in one equation of kind i, over the unknowns of quantity j.
+    Entry (i, j) of `effect` is the largest change of an equation by the motion exp(t / T) of quantity j, which is
+    neither constant nor linear. `curvature` has the sums of the cost's second derivatives.
+
+    The equation of a node is a sum of contributions of two intervals. Both are taken from the same interval. Each
+    contribution, such as a momentum, counts as one term: its change by the motion does not depend on the length of the
+    interval.
     """
     bodies, steps, stride, node = counts[0], counts[1], counts[4], counts[5]
     intervals, count, element = steps // counts[2], q.rows.size, stride + node
@@ -316,7 +344,7 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
             add_entry(q, q.end_rows[j], q.end_columns[j], value, terms, effect, curvature)
         for sample in range(places.size):
             k = places[sample]
-            place, part = (body * steps + k) * count, nodes[k + 1] - nodes[k]  # of a mean length
+            place, part = (body * steps + k) * count, nodes[k + 1] - nodes[k]  # length in mean lengths
             for i in range(5):  # abscissae are multiples of a half
                 growth[i] = np.exp((0.5 * i - 1.0) * part / intervals)
             for i in range(moduli.shape[0]):
@@ -353,7 +381,10 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
 
 @njit(error_model="numpy")
 def add_entry(q, row, column, value, terms, effect, curvature):
-    """Add the modulus of a derivative by two unknowns, numbered as in a node, an interval and the linking variables."""
+    """Add the modulus `value` of one second derivative of an end to the tables of `measure_derivatives`.
+
+    The two unknowns `row` and `column` are numbered as in a node, an interval and the linking variables.
+    """
     if q.multiplies[column]:
         row, column = column, row
     if q.multiplies[column]:
@@ -368,7 +399,10 @@ def add_entry(q, row, column, value, terms, effect, curvature):
 
 @njit(error_model="numpy")
 def add_couplings(q, counts, kinds, entries, terms, effect):
-    """Add the derivatives of conditions between linking variables, which are linear in their multipliers."""
+    """Add the derivatives of conditions between linking variables to the tables of `measure_derivatives`.
+
+    The conditions are linear in their multipliers.
+    """
     root = counts[3]
     first, place = kinds.size - root, entries.size - root * root
     for i in range(root):
@@ -381,7 +415,7 @@ def add_couplings(q, counts, kinds, entries, terms, effect):
 
 @njit(error_model="numpy")
 def lessen(table, other):
-    """Fill `table` with the smaller of both entries, or with the entry that is not NaN."""
+    """Replace each entry of `table` by the smaller entry of both tables, or by the entry that is not NaN."""
     for i in range(table.shape[0]):
         for j in range(table.shape[1]):
             if other[i, j] < table[i, j] or np.isnan(table[i, j]):
@@ -390,7 +424,7 @@ def lessen(table, other):
 
 @njit(error_model="numpy")
 def equate_tied(tied, size):
-    """Give unknowns at the ends and the linking variables that they equal the largest of their sizes."""
+    """Set the factors of quantities that equal each other at an end to the largest of these factors."""
     for _ in range(tied.shape[0]):
         for i in range(tied.shape[0]):
             one, other = tied[i, 0], tied[i, 1]
@@ -399,10 +433,10 @@ def equate_tied(tied, size):
 
 @njit(error_model="numpy")
 def change_of_cost(q, slopes, kinds, size, curvature):
-    """Return the largest changes of the cost, of first and of second order, by the size of one quantity everywhere.
+    """Return the largest changes of the cost, of first and of second order, if one quantity changes by its factor.
 
-    Both are sums over all intervals, and do not depend on the number of intervals. Controls without a slope of the cost
-    at the guess count only for the second order.
+    The quantity changes at all nodes or intervals. Both changes are sums over all intervals, and do not depend on the
+    number of intervals. Controls without a slope of the cost at the guess count only for the second order.
     """
     slope, curved, total = 0.0, 0.0, np.zeros(size.size)
     for i in range(kinds.size):
@@ -417,7 +451,10 @@ def change_of_cost(q, slopes, kinds, size, curvature):
 
 @njit(error_model="numpy")
 def digits_of(q, size):
-    """Return 6.0 if sizes divided by powers of a million are below 10^LARGE, otherwise 3.0."""
+    """Return 6.0 if all factors can be rounded to powers of a million, otherwise 3.0 for powers of a thousand.
+
+    Powers of a million suffice if the factors divided by them are below 10^LARGE.
+    """
     for i in range(size.size):
         if LEAST < size[i] < 1.0 / LEAST and not q.stated[i] > 0.0:
             above = np.log10(size[i]) - SMALL
@@ -428,9 +465,10 @@ def digits_of(q, size):
 
 @njit(error_model="numpy")
 def rounded(value, digits, finer):
-    """Return the highest power of a million (`digits` are six) or of a thousand below about 30 times `value`, or one.
+    """Return the highest power of a million or of a thousand below about 30 times `value`, or one for extreme values.
 
-    With `finer` and three digits, 1, 100 and 10000 times a power of a million replace powers of a thousand.
+    `digits` is 6.0 for powers of a million and 3.0 for powers of a thousand. With `finer` and 3.0, the result is 1, 100
+    or 10000 times a power of a million.
     """
     if not LEAST < value < 1.0 / LEAST:
         return 1.0

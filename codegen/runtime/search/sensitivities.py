@@ -1,11 +1,11 @@
-"""Sensitivities: derivatives of a solution by parameters, boundary values and a prescribed duration.
+"""Sensitivities: derivatives of a solution with respect to parameters, boundary values and a prescribed duration.
 
-The optimality conditions G(y; p) = 0 stay zero as the data p change. The unknowns y therefore follow by
-K dy/dp = -dG/dp with the KKT matrix K at the solution. The matrix is factored once, and each quantity takes one
-substitution. The set of active bounds stays the same, and unknowns at active bounds move with them. The derivative of
-the cost is that of the Lagrangian (the envelope theorem). Sources: Fiacco (1983), Introduction to sensitivity and
-stability analysis in nonlinear programming, chapter 3; Pirnay, Lopez-Negrete and Biegler (2012), Optimal sensitivity
-based on IPOPT.
+The optimality conditions G(y; p) = 0 remain satisfied as the data p change. The unknowns y therefore follow from K
+dy/dp = -dG/dp with the KKT matrix K at the solution. The matrix is factored once, and each quantity takes one
+substitution. The set of active bounds stays the same, and unknowns at active bounds move with these. The derivative of
+the cost is the derivative of the Lagrangian (the envelope theorem). Sources: Fiacco (1983), Introduction to sensitivity
+and stability analysis in nonlinear programming, chapter 3; Pirnay, Lopez-Negrete and Biegler (2012), Optimal
+sensitivity based on IPOPT.
 """
 
 from typing import NamedTuple
@@ -22,27 +22,27 @@ from codegen.runtime.search.point import evaluate, fill, interval_parts
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import scaled_unknowns
 
-# Scaled curvatures that hold an unknown, and shifts of equations, tried in turn. Refinement corrects their effects.
-# Larger curvatures would hide that active bounds contradict equations.
+# Pairs that are tried in turn: the scaled curvature that holds an unknown fixed, and the shift of the equations.
+# Refinement corrects their effects. A larger curvature would hide that active bounds contradict equations.
 ATTEMPTS = ((1e8, 0.0), (1e8, 1e-12), (1e6, 0.0))
 LOOSE = 1e-12  # curvature of unknowns with inactive bounds, which makes the blocks of slacks regular
-DOUBTFUL = 3e-5  # if scaled multiplier and distance of a bound are both smaller, either may be zero
+DOUBTFUL = 3e-5  # if the scaled multiplier and the scaled distance of a bound are both smaller, either may be zero
 EXACT = 1e-10  # residual of the linear equations, relative to their terms, up to which no refinement is needed
-LOST = 1e-8  # residual above which there is no solution
-SUBSTITUTIONS = 6  # largest number for a quantity, with refinement
+LOST = 1e-8  # for a larger residual, there is no solution
+SUBSTITUTIONS = 6  # largest number of substitutions for a quantity, including refinement
 DEPENDENT = "equations, or active bounds, depend on each other at the solution"
 SIGNS = np.where(np.random.default_rng(0).random(10_000) < 0.5, -1.0, 1.0)
 
 
 class Sensitivities(NamedTuple):
-    """Derivatives by all m quantities.
+    """Derivatives of a solution with respect to m quantities.
 
     Attributes
     ----------
     failure : str
-        Reason why there are no derivatives, else empty.
+        The reason why there are no derivatives, or "".
     cost, durations, times, unknowns : (m,), (m, D), (m, N + 1), (m, n)
-        Derivatives of the cost, the lengths of D phases, the times of nodes, and the unknowns.
+        Derivatives of the cost, of the lengths of D phases, of the times of nodes, and of the unknowns.
     doubtful : array of int
         Indices of unknowns at bounds whose multipliers vanish.
     inaccuracy : float
@@ -63,9 +63,10 @@ class Sensitivities(NamedTuple):
 
 
 def sensitivities(grid, unknowns, given=()):
-    """Return the Sensitivities at a solution `unknowns` (n,); quantities in `given`, by name, depend on no others.
+    """Return the Sensitivities at a solution `unknowns` (n,).
 
-    ValueError names a quantity that is unknown.
+    `given` are names of boundary values, or of the duration, that count as numbers of their own. Other boundary values
+    follow parameters by the formulas of the problem. Raise ValueError for an unknown name.
     """
     grid, data, s = plain_grid(grid), grid.problem.data, grid.problem.structure
     for name in given:
@@ -109,9 +110,10 @@ def sensitivities(grid, unknowns, given=()):
 
 
 def active_bounds(grid, scaled, unknowns):
-    """Return masks (n,) of bounded, of held and of unknowns held from below; and indices of doubtful ones.
+    """Return masks (n,) of unknowns with bounds, of unknowns at active bounds, and of unknowns at lower bounds.
 
-    A bound is active if its multiplier exceeds the distance from it, both scaled.
+    The fourth result is an array of indices of unknowns whose bound may or may not be active. A bound is active if its
+    multiplier exceeds the distance to the bound, both scaled with the factors of the grid `scaled`.
     """
     sizes, forces = (scaled.sizes, scaled.forces) if scaled.sizes.size else (1.0, 1.0)
     is_primal, (lower, upper) = free_unknowns(grid) & ~grid.is_multiplier, bounds_of(grid)
@@ -125,7 +127,7 @@ def active_bounds(grid, scaled, unknowns):
 def kernel_times(grid, rates, duration):
     """Return derivatives (m, N + 1) of the times at which kernels are evaluated.
 
-    Nodes at inner times move with these.
+    Nodes at inner times move with the inner times. `duration` (m,) has the derivatives of the duration.
     """
     s = grid.problem.structure
     if not s.inner_times:
@@ -136,7 +138,10 @@ def kernel_times(grid, rates, duration):
 
 
 def node_time_rates(grid, moves, durations, times):
-    """Return derivatives (m, N + 1) of the times of all nodes; `times` are those of `kernel_times`."""
+    """Return derivatives (m, N + 1) of the times of all nodes; `times` is the result of `kernel_times`.
+
+    `moves` (m, n) are derivatives of the unknowns, and `durations` (m, D) derivatives of the lengths of phases.
+    """
     s, clock = grid.problem.structure, grid.problem.data.clock
     if clock is not None:
         return moves[:, clock : grid.steps * s.stride + s.node : s.stride]
@@ -149,17 +154,32 @@ def node_time_rates(grid, moves, durations, times):
 
 
 def follow_ties(s, steps, offsets, moves):
-    """Let unknowns of the ends move with the linking variables that they equal, apart from `offsets` (m, n)."""
+    """Set the derivatives `moves` (m, n) of those unknowns of end nodes that equal linking variables.
+
+    They are the derivatives of the linking variables plus `offsets` (m, n).
+    """
     pairs = s.ties(steps)
     if pairs.size:
         moves[:, pairs[:, 0]] = offsets[:, pairs[:, 0]] + moves[:, pairs[:, 1]]
 
 
 class Case(NamedTuple):
-    """Derivatives of the Lagrangian at a solution, and the scaling `factors` (n,) of products with them.
+    """Derivatives of the Lagrangian at a solution.
 
-    `gradient` (n,) includes pinned unknowns. `entries` are second derivatives by unknowns. The loop of the problem
-    fills `filled`. `begins` (N,) has the number of the inner time at which each interval begins, else -1.
+    Attributes
+    ----------
+    grid : Grid
+        The grid in the problem's own units.
+    factors : (n,)
+        Scaling factors of derivatives of the gradient; zero for unknowns that are not solved for.
+    gradient : (n,)
+        The gradient of the Lagrangian, including prescribed unknowns.
+    entries : array
+        Second derivatives with respect to unknowns.
+    filled : array
+        The numbers that `DataDerivatives.loop` fills: derivatives with respect to data.
+    begins : (N,)
+        The number of the inner time at which each interval begins, or -1.
     """
 
     grid: NamedTuple
@@ -171,7 +191,7 @@ class Case(NamedTuple):
 
 
 def case_at(grid, unknowns, factors, system):
-    """Return the derivatives at `unknowns` (n,) in the problem's own units; `system` stores second derivatives."""
+    """Return the Case at `unknowns` (n,) in the problem's own units; `system` is storage for second derivatives."""
     s, data = grid.problem.structure, grid.problem.data
     of_interval, others = grid.problem.mixed[3]
     filled = np.empty(unknowns.size + grid.steps * of_interval + others)
@@ -192,7 +212,8 @@ def case_at(grid, unknowns, factors, system):
 def changes_along(case, moves, rates, times):
     """Return derivatives of the gradient (m, n), times the factors of the case, and of the Lagrangian (m,).
 
-    Unknowns move by `moves` (m, n), parameters by `rates` (m, bodies, P), nodes by `times` (m, N + 1).
+    There is one derivative for each of m directions. In a direction, unknowns change by a row of `moves` (m, n),
+    parameters by `rates` (m, bodies, P), and nodes by `times` (m, N + 1).
     """
     grid, data, s = case.grid, case.grid.problem.data, case.grid.problem.structure
     products, values = np.zeros_like(moves), moves @ case.gradient
@@ -219,9 +240,10 @@ def change_along(
     moves, rates, times, steps, system_counts, entries, entry_rows, entry_columns, filled, rows, columns, counts,
     acting, begins, products, values,
 ):  # fmt: skip
-    """Add changes of the gradient and of the Lagrangian in m directions to `products` and `values`.
+    """Add the changes of the gradient and of the Lagrangian in m directions to `products` (m, n) and `values` (m,).
 
-    The contribution of an interval is read once for all directions. Most boundary values act on end intervals only.
+    The contribution of an interval is read once for all directions. Most boundary values affect end intervals only. See
+    `changes_along` and `DataDerivatives.tables` for the arguments.
     """
     bodies, element, stride, size = system_counts[0], system_counts[6], system_counts[7], moves.shape[1]
     node, count = element - stride, counts[0]
@@ -264,7 +286,10 @@ def change_along(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def multiply(products, factors):
-    """Multiply `products` (m, n) by `factors` (n,); a factor of zero gives zero for values that are not finite, too."""
+    """Multiply `products` (m, n) by `factors` (n,).
+
+    A factor of zero gives zero even if the product is not finite.
+    """
     for d in range(len(products)):
         for i in range(factors.size):
             products[d, i] = factors[i] * products[d, i] if factors[i] != 0.0 else 0.0
@@ -272,9 +297,9 @@ def multiply(products, factors):
 
 @njit(error_model="numpy", forceinline=True)
 def read_moves(vector, first, body, system_counts, moved):
-    """Fill `moved` with the entries of `vector` (n,) of an element, then of linking variables.
+    """Fill `moved` with the entries of `vector` (n,) for an element and for the linking variables of its body.
 
-    Return True if any is nonzero.
+    The element begins at index `first`. Return True if any entry is nonzero.
     """
     element, is_moved = system_counts[6], False
     for i in range(element):
@@ -289,9 +314,10 @@ def read_moves(vector, first, body, system_counts, moved):
 
 @njit(error_model="numpy", forceinline=True)
 def read_data(rates, begin, end, counts, acting, inner, data):
-    """Fill `data` with derivatives of parameters, of the time and length of an interval, and of inner numbers.
+    """Fill `data` of an interval with derivatives of parameters, of its time and length, and of values at inner times.
 
-    `inner` is the number of the inner time at which the interval begins, or -1. Return True if any is nonzero.
+    `begin` and `end` are derivatives of the times of its nodes. `inner` is the number of the inner time at which the
+    interval begins, or -1. Return True if any derivative is nonzero.
     """
     parametric, acts = counts[1], begin != 0.0 or end != 0.0
     for i in acting:
@@ -307,7 +333,10 @@ def read_data(rates, begin, end, counts, acting, inner, data):
 
 @njit(error_model="numpy", forceinline=True)
 def read_end(rates, time, counts, data):
-    """Fill `data` with derivatives of parameters and of the time of an end; return True if any is nonzero."""
+    """Fill `data` of an end with derivatives of parameters and of the time of the end.
+
+    Return True if any derivative is nonzero.
+    """
     parametric, acts = counts[1], time != 0.0
     for i in range(parametric):
         data[i] = rates[i]
@@ -323,7 +352,11 @@ def add_changes(
     entries, place, entry_rows, entry_columns, first_entry, width, filled, at_mixed, rows, columns, first_mixed, mixed,
     moved, data, part,
 ):  # fmt: skip
-    """Add the change of an element's gradient to `part`: second derivatives times `moved`, mixed ones times `data`."""
+    """Add the change of an element's gradient to `part`.
+
+    The change is the sum of second derivatives times the changes `moved` of unknowns, and mixed derivatives times the
+    changes `data`. In `entries` and `filled`, both kinds of derivatives begin at `place` and `at_mixed`.
+    """
     for j in range(width):
         row, column, value = entry_rows[first_entry + j], entry_columns[first_entry + j], entries[place + j]
         part[row] += value * moved[column]
@@ -334,10 +367,11 @@ def add_changes(
 
 
 def solved_along(case, system, roots, offsets, directions, changes):
-    """Return the changes of unknowns for changes of data, by substitutions until the changes of the gradient vanish.
+    """Return the derivatives of unknowns (m, n) for which the gradient does not change, and the relative residual.
 
-    `directions` are initial moves (m, n), rates and times. `changes` (m, n) are those of the gradient. The second
-    result is the residual of the changes relative to their terms.
+    Substitutions are repeated until the change of the gradient is small relative to its terms. `directions` is a tuple
+    of initial derivatives of the unknowns (m, n), of parameters and of times. `changes` (m, n) are the changes of the
+    gradient for these. `offsets` see `follow_ties`; `roots` (n,) are the scaling factors of all unknowns.
     """
     moves, rates, times = directions
     s, steps, is_multiplier, inaccuracy = case.grid.problem.structure, case.grid.steps, case.grid.is_multiplier, np.inf
@@ -349,7 +383,7 @@ def solved_along(case, system, roots, offsets, directions, changes):
         )  # fmt: skip
         add_steps(solutions, changes, roots, case.factors, is_multiplier, moves, sizes)
         follow_ties(s, steps, offsets, moves)
-        # One scaled sum of all directions, with random signs, shows if any is inaccurate.
+        # One scaled sum of all directions, with random signs, shows if any direction is inaccurate.
         weights = SIGNS[: len(moves)] / sizes[0]
         sums = [(weights @ each.reshape(len(each), -1)).reshape(1, *each.shape[1:]) for each in (moves, rates, times)]
         before, inaccuracy = inaccuracy, largest_residual(changes_along(case, *sums)[0][0], is_multiplier, sizes)
@@ -361,7 +395,7 @@ def solved_along(case, system, roots, offsets, directions, changes):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def solve_all(address, steps, tables, gradients, equations, factors, orders, inverses, counts, solutions):
-    """Fill `solutions` (m, n) with the Newton steps for `gradients` (m, n) by the factors of a system."""
+    """Fill `solutions` (m, n) with the Newton steps for the `gradients` (m, n), with the factors of a linear system."""
     for d in range(len(gradients)):
         at = gradients[d].ctypes.data
         call_system(
@@ -372,9 +406,10 @@ def solve_all(address, steps, tables, gradients, equations, factors, orders, inv
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"nnan", "nsz", "reassoc"})
 def add_steps(steps, changes, roots, factors, is_multiplier, moves, sizes):
-    """Add `steps` (m, n) times `factors` (n,) to `moves` (m, n); fill `sizes` (2, m) of the terms of their equations.
+    """Add `steps` (m, n) times `factors` (n,) to `moves` (m, n), and fill `sizes` (2, m) with the magnitudes of terms.
 
-    Sizes are the largest of the `changes` (m, n) and of moves divided by `roots` (n,), without and with multipliers.
+    The terms are the `changes` (m, n), and the moves divided by `roots` (n,). The first row of `sizes` has the largest
+    term without multipliers, the second row the largest term with multipliers.
     """
     for d in range(len(moves)):
         largest, multiplier = 1e-300, 0.0
@@ -390,9 +425,10 @@ def add_steps(steps, changes, roots, factors, is_multiplier, moves, sizes):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def largest_residual(residual, is_multiplier, sizes):
-    """Return the largest modulus of a `residual` (n,) relative to `sizes` (2, m); NaN if any is not finite.
+    """Return the largest modulus of a `residual` (n,) relative to `sizes` (2, m), or NaN if an entry is not finite.
 
-    Multipliers without limit, as of contradictory equations, do not count for the equations.
+    For equations, the residual is relative to terms without multipliers. Huge multipliers, as of contradictory
+    equations, therefore do not hide a residual.
     """
     of_equations, remaining, ratio = 0.0, 0.0, 1.0
     for d in range(sizes.shape[1]):
@@ -408,9 +444,9 @@ def largest_residual(residual, is_multiplier, sizes):
 
 
 def momentum_rates(grid, unknowns, derivatives, i):
-    """Return derivatives (bodies, N + 1, ...) by quantity i of the momenta at a solution `unknowns` (n,).
+    """Return derivatives (bodies, N + 1, ...) of the momenta at a solution with respect to quantity number i.
 
-    `derivatives` are its Sensitivities. See `point.discrete_momenta`.
+    `unknowns` (n,) is the solution, and `derivatives` are its Sensitivities. See `point.discrete_momenta`.
     """
     s, case = grid.problem.structure, case_at(grid, unknowns, NONE, allocate_system(grid))
     momenta = np.empty((s.bodies, grid.steps + 1, s.equations.size))
@@ -426,7 +462,10 @@ def momenta_along(
     vector, rates, times, steps, system_counts, entries, entry_rows, entry_columns, filled, rows, columns, counts,
     acting, begins, equations, momenta,
 ):  # fmt: skip
-    """Fill derivatives of `momenta` (bodies, N + 1, m) in one direction: `vector` (n,), `rates`, `times`."""
+    """Fill `momenta` (bodies, N + 1, m) with the derivatives of momenta in one direction.
+
+    The direction is a change `vector` (n,) of unknowns, `rates` of parameters and `times` of nodes.
+    """
     bodies, element, stride = system_counts[0], system_counts[6], system_counts[7]
     node, wide = element - stride, counts[0] + counts[5]
     moved, part, data = np.zeros(element + counts[2]), np.zeros(element + counts[2]), np.zeros(counts[0])
@@ -441,5 +480,5 @@ def momenta_along(
             )  # fmt: skip
             for i in range(equations.size):
                 momenta[body, k, i] = -part[equations[i]]
-                momenta[body, k + 1, i] = part[stride + equations[i]]  # stays for the last interval
+                momenta[body, k + 1, i] = part[stride + equations[i]]  # overwritten except for the last interval
             part[:] = 0.0

@@ -1,4 +1,4 @@
-"""The solution of an optimal control problem that `solve` of a generated module returns, and the log of the search."""
+"""The solution of an optimal control problem that `solve` of a generated module returns, and the log of a search."""
 
 import math
 from time import perf_counter
@@ -9,25 +9,34 @@ import numpy as np
 from codegen.runtime.search.grid import Grid, checked_count, checked_tolerance, with_pinned_values
 from codegen.runtime.search.solve import optimise
 
-BETWEEN_LOOKS = 1e-3  # seconds between readings of the clock with a time limit, or one iteration if that takes longer
+BETWEEN_LOOKS = 1e-3  # seconds between readings of the clock with a time limit, but at least one iteration
 
 
 class Solution(NamedTuple):
-    """A solution; `t` is (N + 1,), other arrays have a row for each of the N + 1 nodes, or of the N intervals.
+    """The solution of an optimal control problem with N intervals.
+
+    Arrays of the motion, except `t`, have one row for each of the N + 1 nodes or of the N intervals. They have one
+    column for each quantity, with the columns of several bodies side by side.
 
     Attributes
     ----------
     status, message : str
+        The termination status, such as "solved", and a sentence on the end of the search.
     cost : float
-        If the status is "solved", corrected to first order for the residuals.
+        The discrete cost. If the status is "solved", it is corrected to first order for the residuals.
     residual, stationarity : float
         Max-norms of all discrete equations and of the optimality conditions, both evaluated at the solution.
     iterations : int
-    t, q, p, u, multipliers : array
-        Times, coordinates, momenta, controls, and multipliers, a column for each, of several bodies side by side.
+        The number of iterations of all searches together.
+    t : (N + 1,)
+        Times of the nodes.
+    q, p, u, multipliers : array
+        Coordinates, momenta, controls and multipliers.
     unknowns : (n,)
-        The vector that `guess` takes.
+        All unknowns, which `solve` takes as its `guess`.
     log : (iterates, 5 or 6)
+        For each iterate cost, residual, stationarity, shift of the Hessian, step length, and with bounds the weight of
+        the barrier.
     scaled : Grid
         The grid with the scaling factors with which the search began.
     """
@@ -59,21 +68,21 @@ def solve_on(
     grid : Grid
         Intervals, parameters and the problem.
     guess : (n,) or None
-        Unknowns to start from; None for the problem's own guess.
+        Unknowns of the initial guess; None stands for the problem's own initial guess.
     tolerance : float
-        Tolerance of residuals and stationarity: absolute where their terms exceed one, relative to smaller terms.
+        Tolerance of residuals and stationarity: absolute if their terms exceed one, relative to smaller terms.
     max_iterations : int
-        Limit for all searches together.
+        Largest number of iterations of all searches together.
     time_limit : float
         Seconds after which the search ends.
     warm : bool
-        True if the guess is close to the solution.
+        True for a warm start: the guess is close to the solution.
     scaling : str
-        "auto", or "none" for a solver that works in the problem's own units.
+        "auto" for automatic scaling factors, or "none" for a search in the problem's own units.
     log : bool
         True to print the iterates.
     watch : callable or None
-        Called with the number and the row of the log of every iterate.
+        Function (number, row) that is called with the number and the log row of every iterate.
 
     Returns
     -------
@@ -102,7 +111,11 @@ def solve_on(
 
 
 class Log:
-    """Rows of all iterates, as `parts`, and the deadline; `watch`, if given, is called with each number and row."""
+    """The log of a search, with its time limit in seconds.
+
+    `parts` are arrays of rows of iterates, `watch` is None or a function that is called with the number and the row of
+    each iterate.
+    """
 
     def __init__(self, time_limit=math.inf, watch=None):
         if not time_limit > 0.0:
@@ -111,10 +124,11 @@ class Log:
         self._called, self._iteration = 0.0, math.inf  # time of the last call of the search; seconds of an iteration
 
     def iterations_per_call(self, _done, most, affordable):
-        """Return how many iterations the compiled search may make before it returns: one if someone watches.
+        """Return the largest number of iterations for the next call of the compiled search.
 
-        With a time limit, the search returns after about a millisecond. If the time is up, the search makes no
-        iteration and only tests for convergence.
+        The number is at most `most`, the room in the log array, and `affordable`. It is one if there is a `watch`
+        function. With a time limit, the search returns after about a millisecond. Once the time limit has passed, the
+        number is zero: the search then only tests for convergence.
         """
         if self.deadline < math.inf:
             self._called = perf_counter()
@@ -126,13 +140,13 @@ class Log:
         return max(1, min(most, affordable))
 
     def extend(self, search, rows):
-        """Keep the rows (k, 6) of iterates, in the problem's own units."""
+        """Keep the rows (k, 6) of iterates, which are in the problem's own units."""
         if self.deadline < math.inf:
             self._iteration = max(1e-9, perf_counter() - self._called) / max(1, len(rows))
         self._keep(rows[:, : 6 if search.is_bounded else 5].copy())
 
     def add(self, point, length):
-        """Keep a row about a point of a search without shifts."""
+        """Keep a row for a point of a search that has no shifts of the Hessian."""
         self._keep(np.array([(point.cost, point.residual, point.stationarity, 0.0, length)]))
 
     def _keep(self, rows):
@@ -147,12 +161,12 @@ class Log:
         return np.concatenate(self.parts) if self.parts else np.empty((0, 5))
 
     def is_late(self):
-        """Return True if the time is up."""
+        """Return True if the time limit has passed."""
         return perf_counter() > self.deadline
 
 
 def print_log(rows):
-    """Print rows (iterates, 5 or 6): cost, residual, stationarity, shift of the Hessian, step length, barrier."""
+    """Print the rows (iterates, 5 or 6) of a log as a table."""
     last = "  barrier" if rows.shape[1] > 5 else ""
     print(f"iteration            cost   residual  stationarity     shift     step{last}")
     for i, (cost, residual, stationarity, shift, length, *barrier) in enumerate(rows.tolist()):

@@ -1,12 +1,12 @@
-"""Minimise with scaling factors of unknowns and equations, which follow a change of units.
+"""The solution of a problem with scaling factors of unknowns and equations, so that units do not matter.
 
-Scaled numbers are of ordinary size (see `scaling`). A problem whose factors are all one is solved without scaling.
+Scaled numbers are of ordinary magnitude (see `scaling`). A problem whose factors are all one is solved without scaling.
 Linear-quadratic problems take one Newton step, and at most two more that remove rounding errors.
 
-If the start is given and the end is not, a guess by straight lines is constant. It grossly violates dynamics that grow
-or decay, such as those of epidemics, cells and reactions, and the first steps then go far astray. The motion under the
-controls of the guess obeys the dynamics. It may be a worse guess where the dynamics are unstable. A search therefore
-begins at the motion only if the search from the guess takes long or fails.
+If the start is prescribed and the end is free, an initial guess by straight lines is constant. Such a guess grossly
+violates dynamics that grow or decay, such as those of epidemics, cells and reactions. The first steps then lead far
+away. The motion under the controls of the guess satisfies the dynamics, but may be a worse guess if the dynamics are
+unstable. A search from the motion therefore follows only if the search from the guess takes long or fails.
 """
 
 import numpy as np
@@ -22,23 +22,24 @@ from codegen.runtime.search.point import evaluate, fill, lagrangian
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.termination import final_status, is_solved, unscaled_unknowns
 
-# Largest ratio of the slopes at a solution to those at the guess; factors are powers of a thousand and of a million.
+# If the factors `forces` of the gradient at a solution exceed those at the guess by a larger ratio, the problem is
+# scaled again. The ratios are for equations and for primal unknowns. Factors are powers of a thousand or of a million.
 STEEPER, STEEPER_COST = 3e3, 3e6
-RESCALINGS = 10  # largest number of rescalings: each of two sets of factors may be coarse compared with the other
-LARGE_CORRECTION = 1e-3  # relative to the cost
+RESCALINGS = 10  # largest number of rescalings, so that two sets of factors cannot alternate for ever
+LARGE_CORRECTION = 1e-3  # a larger correction of the cost, relative to the cost, is not used
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
 SLOW = 150  # iterations after which a search from a motion follows; most searches need 10 to 100
-FROM_MOTION = 300  # iterations of the search from a motion
-STEEP = 1e-3  # slopes of the Lagrangian above it, relative to the cost's slopes or to one, belong to no optimum
-VARIED, FROM_VARIED = 5, 500  # varied guesses after a search has stalled, and iterations for each of them
-ROUNDED, RUN_AWAY = 1e-8, 1e6  # larger residuals do not hold if an unknown is larger than the guess by this factor
+FROM_MOTION = 300  # largest number of iterations of the search from a motion
+STEEP = 1e-3  # a larger slope of the Lagrangian, in itself and relative to the cost's slope, belongs to no optimum
+VARIED, FROM_VARIED = 5, 500  # largest number of varied guesses after a search has stalled; iterations for each
+ROUNDED, RUN_AWAY = 1e-8, 1e6  # a larger residual is doubtful if unknowns exceed the guess by this factor
 
-NEWTON_STEPS = 20  # on one interval of a motion
-RELATIVE = 1e-10  # largest relative change by the last of these steps
+NEWTON_STEPS = 20  # largest number of Newton steps on one interval of a motion
+RELATIVE = 1e-10  # largest relative change by the last Newton step
 BEYOND = 1e6  # a motion that grows by this factor diverges
 
-CONTRADICTORY = 1e-6  # least violation of contradictory equations, relative to the first residual
-ROUNDINGS = 4.0  # residuals that one Newton step leaves, in rounding errors of the equations' terms
+CONTRADICTORY = 1e-6  # equations contradict each other if their least violation, relative to the first, exceeds it
+ROUNDINGS = 4.0  # residual that one Newton step may leave, in rounding errors of the equations' terms
 LARGE = 1e6  # a larger step, relative to the unknowns, means that the problem is unbounded
 
 
@@ -46,8 +47,8 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise with scaling factors, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
 
     `scaled` is the grid with the scaling factors of the guess. A search may stall, for example from a symmetric guess
-    through the middle of an obstacle. Then searches from up to VARIED varied guesses follow. The message names the
-    guess that succeeded, or the number of guesses tried.
+    through the middle of an obstacle. Searches from up to VARIED varied guesses then follow. The message names the
+    guess that has succeeded, or the number of guesses that have failed.
     """
     outcome = optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
     status, message, point, iterations, scaled = outcome
@@ -73,14 +74,14 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
 def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise from one guess; return (status, message, point, iterations, scaled) as `optimise` does.
 
-    `scaled` is the grid with the scaling factors of the guess. The tolerance means little if equations or cost have far
-    larger factors at the guess than at the solution. The search then goes on from the solution, with the factors there.
-    After a failure the problem is solved in its own units.
+    `scaled` is the grid with the scaling factors of the guess. If equations or cost have much larger factors at the
+    guess than at the solution, the tolerance means little. The search then continues from the solution, with the
+    factors there. After a failure the problem is solved in its own units.
     """
     if scaling not in ("auto", "none"):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     s = grid.problem.structure
-    if s.linear_quadratic:  # needs no scaling: one Newton step is the same in all units
+    if s.linear_quadratic:  # without scaling: one Newton step is the same in all units
         status, point, iterations = solve_linear_quadratic(grid, unknowns, tolerance, log)
         status = final_status(grid, unknowns, point, status)
         status, message = describe(grid, unknowns, point, status)
@@ -110,13 +111,13 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
         iterations += further
     status = corrected_status(grid, unknowns, point, status)
     if grid.sizes.size and status in FAILED and iterations < max_iterations:
-        # The factors at the guess may differ much from those at the solution.
+        # The scaling factors at the guess may differ much from those at the solution.
         grid = plain_grid(grid)
         status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
         iterations += further
         status = corrected_status(grid, unknowns, point, status)
     unscaled = point
-    if grid.sizes.size:  # stationarity stays the change of the cost by scaling factors
+    if grid.sizes.size:  # stationarity remains the change of the cost if unknowns change by their scaling factors
         stationarity, plain = point.stationarity / grid.weight, plain_grid(grid)
         unscaled = evaluate(plain, with_pinned_values(plain, point.unknowns * grid.sizes))
         unscaled = unscaled._replace(stationarity=stationarity, error=max(unscaled.residual, stationarity))
@@ -126,10 +127,11 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
 
 
 def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log):
-    """Search, and begin again at a motion if that takes long or fails; return (status, grid, point, iterations).
+    """Search from a guess, then from a motion if that takes long or fails; return (status, grid, point, iterations).
 
     The motion under the controls of the guess `unknowns` (n,) is another guess, with its own scaling factors. If the
-    search from the motion finds no optimum, the first search is repeated without its limit.
+    search from the motion finds no optimum, and the first search has only reached its limit, the first search is
+    repeated without limit.
     """
     start = scaled_unknowns(grid, unknowns)
     status, point, total = minimise(grid, start, tolerance, min(max_iterations, SLOW), False, log)
@@ -155,8 +157,9 @@ def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log):
 def corrected_status(grid, guess, point, status):
     """Return the status of a search on a grid, or a more precise status.
 
-    Huge multipliers would make any slope look like a rounding error. Far beyond the guess, any residual may be one. The
-    guess (n,) is in the problem's own units.
+    "solved" becomes "stalled" if multipliers are so huge that any slope looks like a rounding error. It becomes
+    "unbounded" if unknowns are so far from the guess that any residual may be a rounding error. The guess (n,) is in
+    the problem's own units.
     """
     if status == "solved" and point.stationarity > STEEP:
         without_multipliers = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
@@ -171,10 +174,10 @@ def corrected_status(grid, guess, point, status):
 
 
 def has_run_away(scaled, guess, unknowns):
-    """Return True if unknowns are far beyond the guess, so that any residual may be a rounding error.
+    """Return True if unknowns are so far from the guess that any residual may be a rounding error.
 
-    Guess and unknowns are in the problem's own units. They must be far apart in these units and with the scaling
-    factors of the guess, since either scale alone may mean little.
+    Guess and unknowns are in the problem's own units. They must be far apart both in these units and with the scaling
+    factors of the grid `scaled`, because one of both tests alone may mean little.
     """
     is_primal = ~scaled.is_multiplier
     size, guess_size = np.abs(unknowns[is_primal]).max(), np.abs(guess[is_primal]).max()
@@ -185,15 +188,15 @@ def has_run_away(scaled, guess, unknowns):
 
 
 def scaled_unknowns(grid, unknowns):
-    """Return unknowns in multiples of their scaling factors if the grid has them."""
+    """Return `unknowns` (n,) divided by the scaling factors of the grid, if it has any."""
     return unknowns / grid.sizes if grid.sizes.size else unknowns
 
 
 def corrected_cost(grid, point):
-    """Return the cost of an optimum in its own units, corrected for residuals and distances to active bounds.
+    """Return the cost of an optimum in its own units, corrected for residuals and for distances to active bounds.
 
-    The correction is of first order. If equations force unknowns onto their bounds, multipliers have no limit and the
-    correction is large and meaningless. Then the cost stays unchanged.
+    The correction is of first order. If equations force unknowns onto their bounds, multipliers have no limit, and the
+    correction is large and meaningless. The cost then remains unchanged.
     """
     lower, upper = (NONE, NONE) if grid.problem.variable_bounds is None else bounds_of(grid)
     corrected = point.cost + correction(point.unknowns, point.gradient, grid.is_multiplier, lower, upper)
@@ -204,9 +207,10 @@ def corrected_cost(grid, point):
 
 @njit(cache=True, error_model="numpy")
 def correction(unknowns, gradient, is_multiplier, lower, upper):
-    """Return the sum of multipliers times residuals, less that of duals times distances of active bounds.
+    """Return the sum of multipliers times residuals, minus the sum of duals times distances of active bounds.
 
-    The dual of a bound is the Lagrangian's slope there. `lower` and `upper` are (n,), or empty.
+    The dual of a bound is the slope of the Lagrangian at the bound. `lower` and `upper` are (n,), or empty without
+    bounds.
     """
     total = 0.0
     for i in range(unknowns.size):
@@ -222,15 +226,16 @@ def correction(unknowns, gradient, is_multiplier, lower, upper):
 
 
 def forward_motion(grid, unknowns):
-    """Return the unknowns (n,) of the motion under the controls of a guess (n,), without multipliers, or None.
+    """Return the unknowns (n,) of the motion under the controls of a guess (n,), without multipliers.
 
-    Controls are moved inside their bounds. Everything is in the problem's own units.
+    Return None if the motion diverges, or if Newton's method fails. Controls are moved inside their bounds. Everything
+    is in the problem's own units.
     """
     s, (lower, upper) = grid.problem.structure, bounds_of(grid)
     motion = np.minimum(np.maximum(np.where(grid.is_multiplier, 0.0, unknowns), lower), upper)
     limit, linking = BEYOND * max(1.0, np.abs(motion).max()), motion[motion.size - s.root :]
     piece, inside = np.concatenate([motion[: s.element], linking]), s.motion_unknowns[s.motion_unknowns < s.stride]
-    # Number, row and column of the entries of an interval's Hessian that belong to the motion.
+    # The entries of an interval's Hessian that belong to the motion: number, row and column.
     row, column = ({int(j): i for i, j in enumerate(kind)} for kind in (s.motion_equations, s.motion_unknowns))
     pairs = list(enumerate(zip(s.rows.tolist(), s.columns.tolist(), strict=True)))
     entries = [(k, row[i], column[j]) for k, (i, j) in pairs if i in row and j in column]
@@ -241,7 +246,7 @@ def forward_motion(grid, unknowns):
         piece[: s.element] = motion[first : first + s.element]
         piece[s.stride : s.element] = piece[: s.node]
         if k > 0:
-            piece[inside] = solved  # stages begin as in the interval before
+            piece[inside] = solved  # the stages of the previous interval are the initial guess
         if not is_solved_for_motion(grid, k, piece, entries) or not np.abs(piece).max() <= limit:
             return None
         motion[first + s.motion_unknowns] = piece[s.motion_unknowns]
@@ -249,9 +254,10 @@ def forward_motion(grid, unknowns):
 
 
 def is_solved_for_motion(grid, k, piece, entries):
-    """Return True if Newton's method finds the state after interval k, and its stages, from the state before it.
+    """Return True if Newton's method finds the state after interval k, and the stages, from the state before it.
 
-    `piece` (element + root,) has the unknowns of the interval, both its nodes, and linking variables.
+    `piece` (element + root,) has the unknowns of the interval and both its nodes, then linking variables. The result is
+    stored in `piece`. `entries` are numbers, rows and columns of the entries of the Jacobian.
     """
     s, (entry, row, column) = grid.problem.structure, entries
     times, gradient, values = grid.nodes[k : k + 2].copy(), np.empty(piece.size), np.empty(s.entry_count(1))
@@ -278,8 +284,8 @@ def is_solved_for_motion(grid, k, piece, entries):
 def solve_linear_quadratic(grid, unknowns, tolerance, log, system=None):
     """Solve a linear-quadratic problem; return (status, point, iterations).
 
-    A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate. `system`
-    is the storage of the linear system, if it is allocated already.
+    A row (cost, residual, stationarity, 0, step length) is appended to `log` at every iterate. `system` is storage for
+    the linear system; without it, new storage is allocated.
     """
     system = system or allocate_system(grid)
     none, step = np.zeros(unknowns.size), np.empty(unknowns.size)
@@ -300,9 +306,9 @@ def solve_linear_quadratic(grid, unknowns, tolerance, log, system=None):
 
 
 def without_minimum(grid, point, system):
-    """Return (status, point) if the KKT matrix is singular, or has another inertia than at a minimum.
+    """Return (status, point) for a problem whose KKT matrix is singular, or has not the inertia of a minimum.
 
-    The point is the nearest point where the equations hold, or where they are violated least.
+    The point is the nearest point where the equations hold, or where their violation is least.
     """
     step, residual = np.empty_like(point.unknowns), point.residual
     least = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))

@@ -1,7 +1,8 @@
 """The structure of an optimal control problem: its unknowns, and the derivatives that may be nonzero.
 
-Unknowns lie in one vector of length n. For each body this has node 0, interval 0, node 1, interval 1, ..., node N, in
-all N stride + node unknowns. Then follow the linking variables with the multipliers of conditions between them.
+All unknowns are in one vector of length n, which includes the multipliers. For each body the vector has node 0,
+interval 0, node 1, interval 1, ..., node N. These are N stride + node unknowns. After all bodies follow the linking
+variables, with the multipliers of conditions between them.
 """
 
 from dataclasses import dataclass, field
@@ -25,7 +26,7 @@ def _no_mask():
 
 
 def last_results(method):
-    """Return a method that caches its last four results for each object."""
+    """Return a decorated method that caches, for each object, its results for the last four arguments."""
     return cached_property(lambda own: lru_cache(maxsize=4)(partial(method, own)))
 
 
@@ -33,46 +34,66 @@ def last_results(method):
 class Structure:
     """Numbers and indices of the unknowns of an optimal control problem.
 
+    Unknowns of an interval and its two nodes have local indices: left node, interval, right node, linking variables.
+    The unknowns without linking variables are an element.
+
     Attributes
     ----------
     node, stride : int
-        Unknowns of a node, and of a node with the interval after it.
+        Number of unknowns of a node, and of a node with the interval after it.
     condensed : int
-        Unknowns of an interval that are eliminated before all others: its last ones.
+        Number of unknowns of an interval that are eliminated before all others. They come last in the interval.
     stages : int
-        Stages of an interval, its first unknowns, which are eliminated with the multipliers of their equations, the
-        next ones.
-    bodies, own, shared, couplings : int
-        Bodies; linking variables of one body alone, and with those of the whole problem; conditions between them.
+        Number of stage values of an interval, which are its first unknowns. The multipliers of their equations come
+        next. Both are eliminated together.
+    bodies : int
+        Number of bodies.
+    own, shared, couplings : int
+        Number of linking variables that each body has for itself; number of linking variables of one body, including
+        the variables of the whole problem; number of conditions between linking variables.
     phases : int
-        Phases, 0 if there is only one.
+        Number of phases, 0 for a single phase.
     rows, columns : array of int
-        Rows and columns of the entries of an interval's Hessian, lower triangle; `start_rows` and so on of the ends.
+        Local rows and columns of the entries of an interval's Hessian, lower triangle.
+    start_rows, start_columns, end_rows, end_columns : array of int
+        The same for the Hessians of both ends, with the unknowns of the node first, then the linking variables.
     is_multiplier, shared_is_multiplier : array of bool
-        Multipliers among the unknowns of a node and an interval, and among the linking variables.
+        Masks of the multipliers among the unknowns of a node and an interval, and among the linking variables.
     start_pinned, end_pinned : array of int
-        Unknowns of the first and the last node that boundary conditions give; those that equal linking variables are
-        among them, and in `start_tied`, `end_tied`, with these variables in `start_shared`, `end_shared`.
+        Indices of the unknowns of the first and the last node that boundary conditions prescribe, or that equal linking
+        variables.
+    start_tied, end_tied, start_shared, end_shared : array of int
+        Indices of the unknowns of the first and the last node that equal linking variables, and of these variables.
     only_at_ends : array of int
-        Unknowns that only the first and the last node have.
+        Indices of the unknowns that only the first and the last node have.
     backward, bordered, carried, constant : bool
         See `kkt.shape.Shape`.
     equations : array of int
-        Multipliers of the equations of motion in a node, if these give the momenta.
+        Indices of the multipliers of the equations of motion in a node, if these equations give the momenta.
     slacks, slack_multipliers : array of int
-        Slacks of an interval, and the multipliers of the equations that define them.
+        Local indices of the slacks of an interval, and of the multipliers of the equations that define them.
     motion_equations, motion_unknowns : array of int
-        Multipliers of the equations of a step, and what these determine, if a motion follows from the start.
+        Local indices of the multipliers of the equations of a time step, and of the unknowns that these equations
+        determine, if a motion follows from the start.
     inner_times, inner_first : int
-        Number of inner times, and their place among the parameters; `inner_unknowns` of nodes belong to them, those
-        `inner_present` (times, unknowns) to each; intervals after them lack `inner_lacks`.
+        Number of inner times, and the index of the first one among the parameters.
+    inner_unknowns, inner_present : array of int, array of bool
+        Indices of the unknowns that only nodes at inner times have. The mask (times, unknowns) is True for those that
+        the node at each inner time has.
+    inner_lacks : array of int
+        Local indices of the unknowns that intervals after inner times lack.
     phase_lacks, switch_lacks : array of bool
-        Unknowns that intervals of each phase, and the first after each switch, lack.
-    tabled, sample, first_sample : int
-        Numbers of tables behind the parameters; numbers of a sample, and the place of the first one.
-    inequalities, linear_quadratic, costless, forward : bool
-        Features of the problem: bounds; one Newton step suffices; any feasible motion will do; a motion follows from
-        the start.
+        Masks of the unknowns that the intervals of each phase lack, and that the first interval after each switch
+        lacks.
+    tabled : int
+        Total length of all tables, whose numbers follow the parameters.
+    sample, first_sample : int
+        Length of the sample of one measurement, and index of the first sample in the array of parameters.
+    inequalities, linear_quadratic : bool
+        True if unknowns have bounds; True if one Newton step suffices.
+    costless, forward : bool
+        True if the cost is zero, so that any feasible motion is optimal; True if a motion follows from the start and
+        the controls.
     """
 
     node: int
@@ -125,46 +146,49 @@ class Structure:
 
     @cached_property
     def element(self):
-        """Unknowns of an interval with both its nodes."""
+        """The number of unknowns of an interval with both its nodes."""
         return self.stride + self.node
 
     @cached_property
     def root(self):
-        """Linking variables of all bodies, with the multipliers of conditions between them."""
+        """The number of linking variables of all bodies, including the multipliers of conditions between them."""
         return self.bodies * self.own + self.shared - self.own + self.couplings
 
     @cached_property
     def is_tied(self):
-        """True if unknowns of the end nodes equal linking variables."""
+        """True if unknowns of the first or the last node equal linking variables."""
         return bool(self.start_tied.size + self.end_tied.size)
 
     @cached_property
     def local_is_multiplier(self):
-        """Mask of multipliers among the unknowns of an interval, both its nodes, and the linking variables."""
+        """The mask of multipliers among the unknowns of an interval, both its nodes, and the linking variables."""
         shared = self.shared_is_multiplier if self.shared_is_multiplier.size else np.zeros(self.shared, bool)
         return np.concatenate([self.is_multiplier, self.is_multiplier[: self.node], shared])
 
     @cached_property
     def first_pinned(self):
-        """Unknowns that are given in the node that is eliminated first."""
+        """The indices of the prescribed unknowns of the node that is eliminated first."""
         return self.end_pinned if self.backward else self.start_pinned
 
     @cached_property
     def border(self):
-        """Unknowns of block 0 that stay to the end of the elimination."""
+        """The indices of the unknowns of block 0 that stay until the end of the elimination.
+
+        A block has the unknowns of a node and of its interval, without stages and condensed unknowns.
+        """
         block = self.stride - self.condensed - 2 * self.stages
         return np.setdiff1d(np.arange(block), self.first_pinned) if self.bordered else NO_INDICES
 
     @cached_property
     def shape(self):
-        """The constants of the factorisation of the KKT matrix."""
+        """The Shape of the linear system: the constants of the factorisation of the KKT matrix."""
         block = self.stride - self.condensed - 2 * self.stages
-        # Unknowns of the ends alone are zero in inner nodes, and are left out if they come last.
+        # Unknowns that only the ends have are zero in inner nodes. They are left out if they come last.
         inner = block - self.only_at_ends.size
         if self.only_at_ends.min(initial=block) < inner:
             inner = block
         flags = self.backward, self.bordered, self.carried, self.constant
-        # Explicit schemes: stages depend on earlier ones only, and every equation contains its own stage.
+        # For explicit schemes, stages depend on earlier stages only, and every equation contains its own stage.
         _, rows, columns = self.stage_entries[0]
         is_triangular = bool((columns <= rows).all()) and np.count_nonzero(columns == rows) == self.stages > 0
         return Shape(
@@ -174,9 +198,10 @@ class Structure:
 
     @cached_property
     def stage_entries(self):
-        """Entries with stages, by kind, each with its rows and columns: slopes, outer, curved, cross; see `kkt.shape`.
+        """The entries of an interval's Hessian that belong to stages: four tuples (entries, rows, columns).
 
-        Stages are numbered from zero, other unknowns are local.
+        The tuples are the kinds slopes, outer, curved and cross, which `kkt.shape` defines. Rows and columns of stages
+        and of their equations are numbered from zero. For other unknowns, rows and columns are local indices.
         """
         node, stages = self.node, self.stages
         local = np.arange(self.element + self.shared)
@@ -201,17 +226,17 @@ class Structure:
 
     @cached_property
     def staged(self):
-        """Entries of an interval's Hessian with stages, or with multipliers of their equations."""
+        """The indices of the entries of an interval's Hessian that belong to stages or to their equations."""
         return np.concatenate([entries for entries, _, _ in self.stage_entries])
 
     @cached_property
     def stage_reach(self):
-        """Local unknowns, other than stages, that the equations of stages contain."""
+        """The local indices of the unknowns, other than stages, that the equations of stages contain."""
         return np.unique(self.stage_entries[1][2])
 
     @cached_property
     def tables(self):
-        """The index tables of the linear system, packed."""
+        """The index tables of the linear system in one array of integers, see `kkt.shape`."""
         node, block = self.node, self.stride - self.condensed - 2 * self.stages
         tail = block + node + self.border.size
         left, right = (block, 0) if self.backward else (0, block)
@@ -276,20 +301,23 @@ class Structure:
 
     @cached_property
     def counts(self):
-        """Numbers that compiled functions read: see `linear_system.System`."""
+        """Numbers that compiled functions read, in the order that `linear_system.System` states."""
         sizes = self.rows.size, self.start_rows.size, self.end_rows.size
         return np.array([self.bodies, *sizes, self.own, self.root, self.element, self.stride])
 
     @cached_property
     def entries(self):
-        """Rows and columns, in the unknowns of an element, of second derivatives of an interval and of both ends."""
+        """The rows and the columns of all second derivatives of an interval and of both ends.
+
+        Both are local indices of an element, followed by the linking variables.
+        """
         sides = (self.rows, self.start_rows, self.end_rows), (self.columns, self.start_columns, self.end_columns)
         return tuple(self.in_element(*side) for side in sides)
 
     def in_element(self, of_interval, of_start, of_end):
-        """Return indices in the unknowns of an element: those of an interval, then those of both ends.
+        """Return local indices of an interval, of the start and of the end as one array of local indices of an element.
 
-        In an end the unknowns of the node come first, then linking variables.
+        In `of_start` and `of_end` the unknowns of the node come first, then the linking variables.
         """
         ends = [
             np.where(part < self.node, part + first, part - self.node + self.element)
@@ -299,9 +327,9 @@ class Structure:
 
     @cached_property
     def without_cost(self):
-        """Factors of second derivatives of an interval, of both ends and of coupling conditions.
+        """The factors that remove the cost from second derivatives of an interval, both ends and coupling conditions.
 
-        A factor is 0 for a derivative by primal unknowns alone, otherwise 1.
+        A factor is 0 for a derivative with respect to primal unknowns alone, otherwise 1.
         """
         few, (rows, columns), is_multiplier = self.phases or 1, self.entries, self.local_is_multiplier
         root = self.layouts(few).is_multiplier[self.size(few) - self.root :]
@@ -311,22 +339,25 @@ class Structure:
         return np.where(is_of_multiplier, 1.0, 0.0)
 
     def size(self, steps):
-        """Return the number n of unknowns on a number of intervals."""
+        """Return the number n of all unknowns for a number of intervals."""
         return self.bodies * (steps * self.stride + self.node) + self.root
 
     def entry_count(self, steps):
-        """Return the number of second derivatives: of intervals, both ends of each body, and coupling conditions."""
+        """Return the number of second derivatives of intervals, both ends of each body, and coupling conditions."""
         of_ends = self.start_rows.size + self.end_rows.size
         return self.bodies * (steps * self.rows.size + of_ends) + self.root**2
 
     def root_indices(self):
-        """Return the indices (bodies, shared) of the linking variables of each body, among all linking variables."""
+        """Return the indices (bodies, shared) of the linking variables of each body.
+
+        The indices are counted from the first of all linking variables.
+        """
         bodies, variables = np.arange(self.bodies)[:, None], np.arange(self.shared)
         return np.where(variables < self.own, bodies * self.own, (self.bodies - 1) * self.own) + variables
 
     @last_results
     def layouts(self, steps):
-        """Return the Layout of `steps` intervals."""
+        """Return the Layout for `steps` intervals."""
         s, chain, size = self, steps * self.stride + self.node, self.size(steps)
         is_multiplier, is_free = np.zeros(size, dtype=bool), np.ones(size, dtype=bool)
         chains = is_multiplier[: s.bodies * chain].reshape(s.bodies, chain)
@@ -352,7 +383,7 @@ class Structure:
 
     @last_results
     def inner_layouts(self, steps, numbers):
-        """Return the Layout of `steps` intervals with the nodes of these `numbers` at inner times."""
+        """Return the Layout for `steps` intervals if the nodes with the given `numbers` are at inner times."""
         plain, chain = self.layouts(steps), steps * self.stride + self.node
         is_free = plain.is_free.copy()
         for first in range(0, self.bodies * chain, chain):
@@ -366,7 +397,7 @@ class Structure:
 
     @last_results
     def ties(self, steps):
-        """Return pairs (k, 2) of an unknown of an end and the linking variable that it equals."""
+        """Return pairs (k, 2) of indices: an unknown of an end node, and the linking variable that it equals."""
         chain, pairs = steps * self.stride + self.node, []
         if self.is_tied:
             for body, indices in enumerate(self.size(steps) - self.root + self.root_indices()):
@@ -376,7 +407,11 @@ class Structure:
 
     @last_results
     def fillings(self, steps):
-        """Return pairs (k, 2) of the entry by which a start cancels a one on the diagonal of intervals, and its row."""
+        """Return pairs (k, 2) of indices: a second derivative of a start that contains a minus one, and its row.
+
+        Intervals put a one on the diagonal for each unknown that only the ends have. At the start, where the unknown
+        exists, the second derivative of the start subtracts this one again.
+        """
         chain, first = steps * self.stride + self.node, self.bodies * steps * self.rows.size
         is_one = (self.start_rows == self.start_columns) & np.isin(self.start_rows, self.only_at_ends)
         pairs = [
@@ -388,14 +423,25 @@ class Structure:
 
     @last_results
     def kinds(self, steps):
-        """Return the kind of each unknown: its index in a node with the interval after it, then linking variables."""
+        """Return the kind (n,) of each unknown, so that unknowns of the same meaning have the same number.
+
+        The kind is the index in a node with the interval after it. The kinds of linking variables follow.
+        """
         chain = np.tile(np.arange(steps * self.stride + self.node) % self.stride, self.bodies)
         own, common = np.tile(np.arange(self.own), self.bodies), np.arange(self.own, self.shared + self.couplings)
         return np.concatenate([chain, self.stride + own, self.stride + common])
 
 
 class Layout(NamedTuple):
-    """Masks (n,) of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
+    """Masks and indices of the multipliers and of the free unknowns on a grid.
+
+    Attributes
+    ----------
+    is_multiplier, is_free : (n,)
+        Masks of the multipliers, and of the unknowns that exist and are not prescribed.
+    primal, multipliers : array of int
+        Indices of the free primal unknowns, and of the free multipliers.
+    """
 
     is_multiplier: np.ndarray
     is_free: np.ndarray
@@ -404,7 +450,7 @@ class Layout(NamedTuple):
 
     @classmethod
     def of(cls, is_multiplier, is_free):
-        """Return the layout with these masks; all arrays become read-only."""
+        """Return the Layout with these masks, and make all its arrays read-only."""
         primal, multipliers = np.flatnonzero(is_free & ~is_multiplier), np.flatnonzero(is_free & is_multiplier)
         for array in (is_multiplier, is_free, primal, multipliers):
             array.flags.writeable = False

@@ -1,7 +1,7 @@
 """The termination status of a search, and the convergence test for points that Python evaluates.
 
-The convergence test compares residuals with the largest terms of the equations. `final_status` corrects the status that
-a search reports by measures that are too expensive during the search.
+The convergence test compares residuals with the largest terms of the equations. `final_status` corrects the status of a
+search by tests that are too expensive during the search.
 """
 
 import numpy as np
@@ -15,18 +15,19 @@ from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.runtime.search.point import evaluate, hessian, jacobian
 
 GROWTH = 1e3  # an unknown diverges if it exceeds this multiple of max(1, |guess|)
-FALL = 0.5  # least fall of the cost, relative to the first cost, if an unknown diverges
-HELD = 1e-6  # largest residual, relative to the largest unknown, if an unknown diverges
+FALL = 0.5  # and if the cost has fallen by more than this part of the first cost
+HELD = 1e-6  # and if the residual is at most this part of the largest unknown
 HUGE = 1e6  # larger multipliers belong to dependent equations
 VIOLATED = 1e-6  # larger residuals are not rounding errors
 
 
 def final_status(grid, guess, point, status):
-    """Return the status of a search, or a more precise status.
+    """Return the termination status of a search, or a more precise status.
 
-    A problem is unbounded if unknowns grow while the cost falls, or if a duration is not positive. A search that cannot
-    continue at a point where the equations hold has met dependent equations, not infeasible ones. If the equations do
-    not hold and outnumber the unknowns, the problem is infeasible.
+    `guess` and `point` have the scaling factors of the grid. A problem is unbounded if unknowns grow while the cost
+    falls, or if a duration is not positive. If a search cannot continue at a point where the equations hold, the
+    equations are dependent, not infeasible. If the equations do not hold and outnumber the unknowns, the problem is
+    infeasible.
     """
     s = grid.problem.structure
     if status in ("unbounded", "saddle point") or (status == "solved" and not s.root):
@@ -57,9 +58,9 @@ def unscaled_unknowns(grid, unknowns):
 
 
 def diverging_unknowns(grid, guess, point, is_stationary):
-    """Return a mask of the unknowns that are large and continue to grow.
+    """Return the mask (n,) of the unknowns that are large and continue to grow.
 
-    At a stationary point only linking variables are tested, such as a free duration. The cost may fall for ever as a
+    With `is_stationary`, only linking variables are tested, such as a free duration. The cost may fall for ever as a
     linking variable grows. Newton's step then does not tend to zero relative to that variable.
     """
     unknowns, diverges = point.unknowns, np.zeros(guess.size, bool)
@@ -80,7 +81,10 @@ def diverging_unknowns(grid, guess, point, is_stationary):
 
 
 def newton_step(grid, point):
-    """Return Newton's step with unknowns at their bounds held fixed; infinite if the inertia is wrong."""
+    """Return Newton's step (n,) with unknowns at their bounds held fixed.
+
+    The step is infinite if the KKT matrix does not have the inertia of a minimum.
+    """
     system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
     shift[at_bounds(grid, point.unknowns) & ~grid.is_multiplier] = 1e12
     if factor_kkt(grid, point.unknowns, 1.0, shift, system, point.gradient, step) != 0:
@@ -89,17 +93,20 @@ def newton_step(grid, point):
 
 
 def sizes_of_terms(grid, unknowns, system=None):
-    """Return the largest sums of absolute terms in an equation and in a stationarity condition, scaled."""
+    """Return the largest sum of absolute terms in an equation, and in a stationarity condition, both scaled.
+
+    `system` is storage for the linear system; without it, new storage is allocated.
+    """
     problem, data, storage = arguments_of(grid, system or allocate_system(grid))
     vectors, is_costless = np.empty((descent.VECTORS, unknowns.size)), int(grid.problem.structure.costless)
     return descent.terms(problem, data, storage, unknowns, is_costless, vectors)
 
 
 def is_solved(grid, point, tolerance, roundings=1.0, system=None):
-    """Return True if residual and stationarity are within the tolerance, or within some rounding errors of their terms.
+    """Return True if residual and stationarity are within the tolerance, or at the rounding level of their terms.
 
-    The tolerance is absolute where the terms of the equations exceed one, and relative to smaller terms. A problem in
-    small units is therefore not called solved too early.
+    The tolerance is absolute if the terms of the equations exceed one, and relative to smaller terms. A problem in
+    small units is therefore not called solved too early. `roundings` is the largest number of rounding errors.
     """
     if not grid.problem.structure.linear_quadratic and point.error > max(tolerance, WORTH_MEASURING):
         return False
@@ -110,11 +117,14 @@ def is_solved(grid, point, tolerance, roundings=1.0, system=None):
 
 
 def is_small(value, size, tolerance, roundings):
-    """Return True if a sum of terms of a given size is zero to the tolerance, or to rounding."""
+    """Return True if a residual `value` is zero to the tolerance, or to the given number of rounding errors.
+
+    `size` is the sum of the absolute terms whose sum is the residual.
+    """
     return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size, VANISHED)
 
 
 def is_at_rounding_level(grid, point, system=None):
-    """Return True if residual and stationarity are no larger than a thousand rounding errors."""
+    """Return True if residual and stationarity are at most a thousand rounding errors of their terms."""
     sizes = sizes_of_terms(grid, point.unknowns, system)
     return point.residual <= 1e3 * UNIT_ROUNDOFF * sizes[0] and point.stationarity <= 1e3 * UNIT_ROUNDOFF * sizes[1]
