@@ -1,7 +1,7 @@
 """Names of the user's quantities: without conflicts in generated code, and in LaTeX.
 
-Any identifier may name a quantity. If a generated module, or a derived quantity, needs the same name, a mark is added
-to the name of the user's symbol in all stages, so that the two are never confused. In the code of the module an
+Any identifier may name a quantity. A generated module, or a derived quantity, may need the same name. A mark is then
+added to the name of the user's symbol in all stages, so that the two are never confused. In the code of the module an
 underscore replaces the mark: `steps` becomes the argument `steps_` of `solve`. Metadata, docstrings, comments and
 messages show the name of the user.
 """

@@ -54,8 +54,9 @@ class PointSet:
 def read_points(path: Path, dimension: int) -> PointSet:
     """Return the points in a file; `dimension` is the dimension of space.
 
-    Raise PointsError, which names the file and the line, in these cases: the file is missing, empty or no text; rows
-    have different lengths; columns are missing; a value is no finite number; there are too many points for the memory.
+    Raise PointsError, which names the file and the line, if the file is missing, empty or no text. The same error is
+    raised for rows of different lengths, missing columns, values that are no finite numbers, and too many points for
+    the memory.
     """
     import numpy as np
 

@@ -315,7 +315,7 @@ def _fresh_module(path: Path) -> Iterator[ModuleType]:
                     del sys.modules[name]
 
 
-# Errors of authors
+# Errors in the user's code
 
 
 def _unusable(location: Path | str, finding: str, remedy: str) -> ProblemFileError:
@@ -416,7 +416,7 @@ def _arguments(path: Path) -> list[tuple[ast.arg, ast.expr | None]]:
     """
     try:
         tree = ast.parse(source_text(path))
-    except (SyntaxError, ValueError, RecursionError, MemoryError):  # reported where the file is run
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # an error is raised later, when the file is run
         return []
     for node in tree.body:
         if isinstance(node, ast.FunctionDef) and node.name == "problem":

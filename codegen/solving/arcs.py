@@ -55,8 +55,8 @@ NEGLIGIBLE = 1e-12
 STEPS, CONTRACTION, SETTLED = 4, 0.5, 0.1
 """Limits of Newton's method on double steps.
 
-The limits are the number of Newton steps, the ratio of the lengths of two successive steps, and the ratio of the last
-step to the whole change, below which the method ends.
+The limits are the largest number of Newton steps, and the largest ratio of the lengths of two successive steps. The
+method ends if the ratio of the last step to the whole change is below the third limit.
 """
 HELD, LOOSE = 1e8, 1e-12
 """Scaled curvatures that are added to the KKT matrix for unknowns at active bounds, and for other bounded unknowns."""

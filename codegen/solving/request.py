@@ -173,7 +173,7 @@ class Request:
         try:
             with Path(self.problem).open("rb") as file:
                 return file.read(len(_GENERATED)) == _GENERATED
-        except OSError:  # reported where the file is read
+        except OSError:  # an error is raised later, when the file is read
             return False
 
     def driver_for(self, module: GeneratedModule) -> Driver:

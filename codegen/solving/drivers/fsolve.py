@@ -42,7 +42,7 @@ LIMIT = 3000
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Solve residual = 0 and stationarity = 0 for primal unknowns and multipliers together, and return the answer.
+    """Solve residual = 0 and stationarity = 0 for primal unknowns and multipliers together, and return the attempt.
 
     The stationary point need not be a minimum. Equations are not scaled; the method itself scales the unknowns. In a
     test with four problems and 10 to 30 steps, 55 of 60 searches succeeded, and fewer than half with scaled equations.
@@ -76,7 +76,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
-    """Solve the equations of all time steps, each from the prediction of the scheme, and return the answer.
+    """Solve the equations of all time steps, each from the prediction of the scheme, and return the attempt.
 
     The number of iterations is the number of evaluations of the residual. Raise ArgumentError for an explicit scheme,
     and for particles.
@@ -123,7 +123,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
-    """Connect particles by solving the equations for the initial momenta or for all nodes, and return the answer.
+    """Connect particles by solving the equations for the initial momenta or for all nodes, and return the attempt.
 
     The Jacobian of the equations is generated.
     """

@@ -44,7 +44,7 @@ _REASONS = {
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Minimise the cost with the default options of IPOPT, and return its answer.
+    """Minimise the cost with the default options of IPOPT, and return its attempt.
 
     The defaults include the scaling and the iteration limit of IPOPT, and bounds that are relaxed by a relative 1e-8.
     The solution is projected onto the bounds. Raise ArgumentError if cyipopt is not installed.

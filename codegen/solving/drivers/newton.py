@@ -108,7 +108,7 @@ _CLAIMED: dict[type, tuple[str, ...]] = {
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Call `solve` of the module; return its answer."""
+    """Call `solve` of the module; return the attempt."""
     warm = run.guess is not None and run.near
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
     options: dict[str, Any] = {"max_iterations": run.max_iterations, "time_limit": run.time_limit}
@@ -126,7 +126,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
-    """Call `solve` of the module; return its answer.
+    """Call `solve` of the module; return the attempt.
 
     Raise ArgumentError for an iteration limit for particles, because their modules use a limit of their own.
     """
@@ -138,7 +138,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
-    """Call `solve_case` of the module, or integrate with scipy if the scheme is adaptive; return the answer."""
+    """Call `solve_case` of the module, or integrate with scipy if the scheme is adaptive; return the attempt."""
     case = case_of(module, run)
     if module.metadata.adaptive:
         return adaptive(module, case, run)

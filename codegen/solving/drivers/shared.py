@@ -3,8 +3,8 @@
 The optimal-control problem for scipy has only free unknowns, and its equations have comparable magnitudes. Each
 equation is divided by the largest entry of its row of the Jacobian at the initial guess. The cost is divided by its
 largest derivative at the guess, if this derivative exceeds one, as in section 3.8 of Waechter and Biegler (2006).
-Unknowns are not scaled. A multiplier nu of the scaled problem corresponds to the multiplier lambda = r nu / f of the
-problem, with the scaling factors r of the equation and f of the cost.
+Unknowns are not scaled. With the scaling factors r of an equation and f of the cost, a multiplier nu of the scaled
+problem corresponds to the multiplier lambda = r nu / f of the problem.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ _FAILURES = {2: "rank-deficient", 4: "infeasible", 5: "rank-deficient", 6: "rank
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Minimise the cost, and return the answer of SLSQP with least-squares estimates of the multipliers."""
+    """Minimise the cost, and return the attempt of SLSQP with least-squares estimates of the multipliers."""
     problem = ScaledProblem.on_grid(module, run)
     require_small(problem.program, LIMIT, "slsqp")
     start = problem.program.x0
@@ -52,7 +52,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
-    """Minimise the discrete action of particles, and return the answer of SLSQP."""
+    """Minimise the discrete action of particles, and return the attempt of SLSQP."""
     return minimised(module, run, "slsqp", _action)
 
 

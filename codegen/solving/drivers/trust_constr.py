@@ -21,9 +21,9 @@ _GRADIENT_SMALL, _STEP_SMALL = 1, 2
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Minimise the cost, and return the answer of trust-constr.
+    """Minimise the cost, and return the attempt of trust-constr.
 
-    The multipliers are those of the method, or least-squares estimates if these satisfy the conditions better.
+    The multipliers are the multipliers of trust-constr, or least-squares estimates if the estimates are more accurate.
     """
     problem = ScaledProblem.on_grid(module, run)
     with quiet_single_thread():
@@ -62,7 +62,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
-    """Minimise the discrete action of particles with exact second derivatives, and return the answer."""
+    """Minimise the discrete action of particles with exact second derivatives, and return the attempt."""
     return minimised(module, run, "trust-constr", _action)
 
 

@@ -429,7 +429,7 @@ def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector
     for level in range(LEVELS):
         width = (BESIDE / PARTS) * (2.0 * BESIDE / PARTS) ** level
         cuts = evenly.copy()
-        for suspect in suspects:  # PARTS parts around the middle, and one longer part on each side
+        for suspect in suspects:  # PARTS short parts around the middle, and the rest of the interval on each side
             begin, end = max(0.0, suspect.middle - width), min(1.0, suspect.middle + width)
             parts = np.diff(np.concatenate([[0.0], np.linspace(begin, end, PARTS + 1), [1.0]]))
             parts = np.maximum(parts, max(SHORTEST, ROOM / lengths[suspect.interval]))

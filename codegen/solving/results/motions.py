@@ -100,7 +100,7 @@ def connect_result(
 ) -> Result:
     """Return the result of an attempt, with residuals that are evaluated independently of the driver.
 
-    The residuals are those of all steps and of the arrival at the targets. `seconds` is the time of the fastest run.
+    The equations of all steps and the arrival at the targets are evaluated. `seconds` is the time of the fastest run.
     """
     metadata, case, path = module.metadata, case_of(module, run), attempt.path
     energy = np.array([module.hamiltonian(np.ascontiguousarray(z), case.own, case.parameters) for z in path])

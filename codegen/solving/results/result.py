@@ -172,7 +172,7 @@ class Run:
 
 @dataclass(frozen=True)
 class ConnectAttempt:
-    """The answer of a driver to a connect problem, before its residuals are checked.
+    """The attempt of a driver at a connect problem, before its residuals are checked.
 
     `path` (N + 1, 2, n, d) has the positions and momenta of n particles in d dimensions at the nodes. `attempts`
     describes the initial guesses that were tried. `tangents` is the number of tangent vectors that were propagated.
@@ -191,7 +191,7 @@ class ConnectAttempt:
 
 @dataclass(frozen=True)
 class ControlAttempt:
-    """The answer of a driver to an optimal-control problem, before its residuals are checked.
+    """The attempt of a driver at an optimal-control problem, before its residuals are checked.
 
     The driver promises residuals below `tolerance`. It may add `trajectories`, the arrays t, q, p, u and multipliers,
     and `scaled`, the grid with the scaling factors at the initial guess. `is_explained` is True if `message` already
@@ -212,7 +212,7 @@ class ControlAttempt:
 
 @dataclass(frozen=True)
 class SimulateAttempt:
-    """The answer of a driver to a simulation, before its residuals are checked; arrays have a row per stored step.
+    """The attempt of a driver at a simulation, before its residuals are checked; arrays have a row per stored step.
 
     `steps` is the number of computed steps. `generated` is True if the driver is the generated solver.
     """
