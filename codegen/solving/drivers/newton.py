@@ -99,7 +99,10 @@ _ROUNDED = 1e-9
 Neighbours that move apart have large momenta, so that rounding errors of positions come close to this value.
 """
 _OWN = ("tolerance", "trajectories", "scaled", "is_explained", "generated")
-"""Fields of an attempt that the return value of `solve` of a module does not have."""
+"""Fields of an attempt that are not copied from the return value of `solve` of a module.
+
+Modules of earlier versions return no `scaled`.
+"""
 _CLAIMED: dict[type, tuple[str, ...]] = {
     attempt: tuple(f.name for f in fields(attempt) if f.name not in _OWN)
     for attempt in (ControlAttempt, SimulateAttempt)

@@ -230,7 +230,7 @@ class _Conditions:
 
 
 def _misses(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
-    """Return the deviations (n,) of pinned unknowns from their boundary values; empty if all are zero."""
+    """Return the deviations (n,) of prescribed unknowns from their boundary values; empty if all are zero."""
     pinned = module.with_pinned_values(grid, unknowns)
     if (pinned == unknowns).all():  # always true for the generated solver, which inserts prescribed values
         return np.empty(0)
