@@ -1,11 +1,11 @@
 """The motion of a solution inside intervals: violated path conditions, poles, and stages beyond bounds.
 
-Path conditions on states alone are imposed at the nodes and stages of the scheme. On a coarse grid a motion may still
-pass through a thin obstacle, or jump from one branch of an equality to another. The solution is therefore transferred
-to two finer grids. The first one divides every interval into `PARTS` equal parts. The second one has a node at the
-largest violation inside every interval, which a parabola through the values on the first grid predicts. The value of a
-condition is the derivative of the Lagrangian with respect to its multiplier. Compiled code of the module evaluates the
-gradient of the Lagrangian.
+Path conditions on states alone hold at nodes, and at the points where the scheme evaluates. On a coarse grid a motion
+may still pass through a thin obstacle, or jump from one branch of an equality to another. The solution is therefore
+transferred to two finer grids. The first one divides every interval into `PARTS` equal parts. The second one has a node
+at the largest violation inside every interval, which a parabola through the values on the first grid predicts. The
+value of a condition is the derivative of the Lagrangian with respect to its multiplier. Compiled code of the module
+evaluates the gradient of the Lagrangian.
 
 A pole of the equations of motion may lie between two nodes, for example if a thrust is divided by a mass that passes
 through zero. The discrete equations hold on both sides of a pole, but no motion crosses it. The solution is
