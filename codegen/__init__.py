@@ -1,4 +1,4 @@
-"""Derive, emit and solve discrete mechanics: problems in sympy become numba solvers."""
+"""Discrete mechanics and optimal control: problems in sympy are converted to numba solvers, and solved."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> object:
-    # Imports happen on first use, so that `codegen --help` and users of generated modules do not wait for sympy.
+    # Names are imported on first use, so that `codegen --help` and generated modules do not wait for sympy.
     if name not in _MODULES:
         raise AttributeError(f"module 'codegen' has no attribute {name!r}")
     return getattr(import_module(_MODULES[name]), name)

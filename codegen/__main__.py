@@ -1,4 +1,4 @@
-"""The command `codegen`, as `python -m codegen` and as a script, which an interrupt ends at any time in one line."""
+"""The command `codegen`, for `python -m codegen` and for the script; an interrupt ends it with a one-line message."""
 
 import gc
 import sys
@@ -7,7 +7,7 @@ from codegen.errors import INTERRUPTED
 
 
 def run() -> None:
-    """Run the command line and exit; importing it takes a while, in which it may be interrupted already."""
+    """Run the command line and exit; interrupts are also handled during the import of the command line."""
     try:
         from codegen.cli import main
 
@@ -16,7 +16,7 @@ def run() -> None:
         print(INTERRUPTED, file=sys.stderr)
         sys.exit(130)
     finally:
-        gc.freeze()  # to look through all that a derivation leaves behind would take a quarter of a second at the end
+        gc.freeze()  # garbage collection at the end of a derivation would take a quarter of a second
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""Functions that are imported on their first call, by name: the only imports by strings inside the package."""
+"""Functions that are imported by name on their first call.
+
+Other files of the package do not import modules by strings.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,10 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Deferred:
-    """A function given by its module below `codegen` and its name, and called like the function itself.
+    """A function that is imported on the first call, and is called like the function itself.
 
-    `tests/test_import_graph.py` reads the strings, and lists those that name a higher floor.
+    `file` is the dotted name of its module below `codegen`. `tests/test_import_graph.py` reads these names, and lists
+    all that refer to a higher layer of the package.
     """
 
     file: str
@@ -26,5 +30,5 @@ class Deferred:
 
 @cache
 def _imported(file: str) -> ModuleType:
-    """Return a module below `codegen`; the import system takes longer than some of the functions."""
+    """Return a module below `codegen`, from a cache because the import system is slower than some of the functions."""
     return import_module(f"codegen.{file}")

@@ -1,9 +1,9 @@
 """Items of the drawing of a system: rods, masses, boxes, arrows, trails, circles, marks and ground.
 
-A problem's `drawing` is a list of items. Every number may be an expression of coordinates (or states), controls,
-parameters, time and the number of the body. Lengths have the unit of the problem. A motion in space is projected onto
-the plane by these expressions. The optional `label` names an item in legends. This module does not import sympy: in a
-scene the same classes hold arrays (bodies, times).
+The `drawing` of a problem is a list of items. Every number of an item may be an expression of coordinates (or states),
+controls, parameters, time and the number of the body. Lengths have the unit of the problem. For a motion in space the
+expressions must project positions onto a plane. The optional `label` names an item in legends. In a Scene the same
+classes have arrays (bodies, times) in place of expressions. This module does not import sympy.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _Item = TypeVar("_Item", bound="Item")
 
 
 class _Kind(type):
-    """Metaclass of items: a call with a wrong argument raises an error that lists the valid ones."""
+    """The metaclass of items: a call with a wrong argument raises an error that lists the valid arguments."""
 
     def __call__(cls, *values: Any, **named: Any) -> Any:
         signature = inspect.signature(vars(cls)["__init__"])
@@ -46,21 +46,21 @@ class _Kind(type):
 
 @dataclass(frozen=True)
 class Item(metaclass=_Kind):
-    """An item of a drawing, drawn once for each body if it depends on the body."""
+    """The base class of items of a drawing; an item that depends on the body is drawn for each body."""
 
     label: str = field(default="", kw_only=True)
 
     def parts(self) -> Iterator[tuple[str, Any]]:
-        """Yield names and values of all fields except the label: points and single expressions."""
+        """Yield the names and values of all fields except the label; values are points or single expressions."""
         return ((part.name, getattr(self, part.name)) for part in fields(self) if part.name != "label")
 
     def expressions(self) -> Iterator[tuple[str, Expression]]:
-        """Yield every single expression with the name of its field."""
+        """Yield the name of the field and the expression for every expression of the item; a point has two."""
         for name, value in self.parts():
             yield from ((name, part) for part in (value if isinstance(value, tuple) else (value,)))
 
     def mapped(self: _Item, function: Callable[[Expression], Any]) -> _Item:
-        """Return the item with a function applied to every expression."""
+        """Return a copy of the item in which every expression is replaced by `function(expression)`."""
         changes: dict[str, Any] = {
             name: tuple(map(function, value)) if isinstance(value, tuple) else function(value)
             for name, value in self.parts()
@@ -86,7 +86,7 @@ class Mass(Item):
 
 @dataclass(frozen=True)
 class Box(Item):
-    """A rectangle, turned by an angle in radians about its centre."""
+    """A rectangle that is rotated about its centre by `angle` in radians."""
 
     centre: Point
     width: Expression
@@ -96,7 +96,7 @@ class Box(Item):
 
 @dataclass(frozen=True)
 class Arrow(Item):
-    """A force, a velocity or a heading: a vector at a point."""
+    """An arrow from the point `start` for a vector, such as a force, a velocity or a heading."""
 
     start: Point
     vector: Point
@@ -104,7 +104,7 @@ class Arrow(Item):
 
 @dataclass(frozen=True)
 class Trail(Item):
-    """The path of a point."""
+    """The path of a moving point."""
 
     point: Point
 
@@ -126,7 +126,7 @@ class Mark(Item):
 
 @dataclass(frozen=True)
 class Ground(Item):
-    """A straight line that nothing passes, hatched at its right side in the direction from start to end."""
+    """A straight line that represents the ground or a wall, hatched on its right side seen from start to end."""
 
     start: Point
     end: Point
@@ -138,7 +138,10 @@ ITEMS = (Rod, Mass, Box, Arrow, Trail, Circle, Mark, Ground)
 
 @dataclass(frozen=True)
 class Scene:
-    """A drawing at given times: items of arrays (bodies, times), with one entry where an item depends on neither."""
+    """A drawing at the times `t`, whose items have arrays in place of expressions.
+
+    The arrays have the shape (bodies, times). An axis has length 1 if the expression does not depend on it.
+    """
 
     t: NDArray[np.float64]
     items: tuple[Item, ...]

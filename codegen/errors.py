@@ -1,41 +1,42 @@
-"""The errors that users can cause; each names the problem, its location and the remedy."""
+"""The errors that users can cause; each message states the mistake, its location and the remedy."""
 
 from __future__ import annotations
 
 from codegen.identifiers import plain
 
 INTERRUPTED = "codegen: interrupted; no file was left half written"
-"""Message of an interrupted command; files are replaced atomically."""
+"""Message of an interrupted command; no file is incomplete, because files are replaced atomically."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """An interrupt of work that can be resumed; its text names the stored part and the way to resume."""
+    """An interrupt of work that can be resumed; its text states what is stored and how to resume."""
 
 
 def one_line(text: str, limit: int = 1000) -> str:
-    """Return the text without line breaks, cut at `limit` characters."""
+    """Return the text without line breaks; a text of more than `limit` characters is cut and ends with " ..."."""
     line = " ".join(text.split())
     return line if len(line) <= limit else line[:limit] + " ..."
 
 
 def clause(text: str) -> str:
-    """Return a part of a message on one line of at most 400 characters."""
+    """Return a part of a message without line breaks, cut at 400 characters."""
     return one_line(text, 400)
 
 
 class CodegenError(Exception):
-    """Base of all errors that are reported as one line with exit status 2, without a traceback.
+    """The base class of all errors that commands report as one line with exit status 2, without a traceback.
 
-    Parameters are the finding, which names the symbol, equation or file, and the remedy, each as one clause.
+    `finding` states the mistake, and names the symbol, equation or file. `remedy` states the correction. Each is one
+    clause; the message is "finding; remedy".
     """
 
     def __init__(self, finding: str, remedy: str) -> None:
-        # Names of generated code are replaced by the author's names.
+        # Names of generated code are replaced by the names of the user.
         self.finding, self.remedy = plain(finding), plain(remedy)
         super().__init__(f"{self.finding}; {self.remedy}")
 
     def __reduce__(self) -> tuple[type[CodegenError], tuple[str, str]]:
-        """Pickle the two parameters, not the message."""
+        """Return the class and the two arguments, from which a pickle restores the error."""
         return type(self), (self.finding, self.remedy)
 
 
@@ -52,7 +53,7 @@ class SymbolError(CodegenError):
 
 
 class ExpressionError(CodegenError):
-    """A Lagrangian, Hamiltonian, force, cost or boundary value cannot be used as it is written."""
+    """A Lagrangian, Hamiltonian, force, cost or boundary value is unusable."""
 
 
 class UnitError(CodegenError):
@@ -60,11 +61,11 @@ class UnitError(CodegenError):
 
 
 class DegenerateError(CodegenError):
-    """A Legendre transform does not exist because velocities (or momenta) cannot be solved for."""
+    """A Legendre transform does not exist, because its equations have no unique solution for velocities or momenta."""
 
 
 class SizeError(CodegenError):
-    """A problem is too large for a derivation."""
+    """A problem is too large: the derivation of its equations would take too long."""
 
 
 class BoundaryError(CodegenError):
@@ -84,7 +85,7 @@ class FileError(CodegenError):
 
 
 class VerificationError(CodegenError):
-    """A derivative in an emitted text differs from that of the expression; nothing is written."""
+    """A derivative in the text of a module differs from the derivative of the expression; no module is written."""
 
 
 class NumericsError(CodegenError):
@@ -100,11 +101,11 @@ class TableError(CodegenError):
 
 
 class LandmarkError(CodegenError):
-    """Landmarks that no map can match: not finite, different numbers in both images, or two at one position."""
+    """Landmarks that no map can match: not finite, different numbers in both images, or two at the same position."""
 
 
 class RegistrationError(CodegenError):
-    """The numerics found no map that matches the landmarks; the finding names the position."""
+    """The solver found no map that matches the landmarks; the finding names the position."""
 
 
 class ImageError(CodegenError):
@@ -116,4 +117,4 @@ class ExtraError(CodegenError):
 
 
 class ClusterError(CodegenError):
-    """The scheduler of a cluster does not answer, has no workers, or was lost; written chunks stay."""
+    """The scheduler of a cluster does not answer, has no workers, or was lost; chunks that are written remain."""

@@ -1,9 +1,9 @@
-"""Names of an author's quantities: without conflicts in generated code, and in LaTeX.
+"""Names of the user's quantities: without conflicts in generated code, and in LaTeX.
 
-Any identifier may name a quantity. If a generated module, or a derived quantity, needs the same name, the author's
-symbol has a mark in all stages, so that the two are never confused. In the text of the module, code has an underscore
-in place of the mark: `steps` becomes the argument `steps_` of `solve`. Metadata, docstrings, comments and messages show
-the author's name.
+Any identifier may name a quantity. A generated module, or a derived quantity, may need the same name. A mark is then
+added to the name of the user's symbol in all stages, so that the two are never confused. In the code of the module an
+underscore replaces the mark: `steps` becomes the argument `steps_` of `solve`. Metadata, docstrings, comments and
+messages show the name of the user.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from functools import cache
 from importlib import resources
 
 MARK = "\ua78f"
-"""A letter, so that marked names are identifiers; it is in no author's name."""
+"""The mark: a letter, so that marked names are identifiers. Names of quantities must not contain it."""
 
 _TEMPLATES = {
     "control": ("header", "kernel", "control"),
@@ -27,7 +27,7 @@ _TEMPLATES = {
     "particles": ("header", "pair_loop", "particle_loop", "particles"),
     "connect": ("header", "pair_loop", "particle_loop", "gathered_loop", "passive_loop", "connect"),
 }
-"""The templates that make the module of each kind of problem."""
+"""The templates from which the module of each kind of problem is generated."""
 _IN_KERNELS = {
     "control": "unknowns t h parameters gradient hessian block values slopes curvatures common duration body own "
     "shared_views lower_own upper_own lower_common upper_common NODE START END BODIES PHASES node_times interval_times "
@@ -39,22 +39,29 @@ _IN_LOOPS = (
     "half row_i row_j slope velocity matrix accurate_dot x_minus_log1p log1p_minus_ratio CLOSEST BLOCK factor i j row "
     "count columns carray Kernel Value Contracted energy"
 )
-"""Names of arguments and locals of kernels and loops, and of functions that these call."""
+"""Names of arguments and local variables of kernels and loops, and of functions that they call."""
 _AT_NODES = re.compile(r"(_k|_k1|_stage\d+)$|^_")
-"""Names of values at nodes and stages, and of temporaries."""
+"""Pattern of the names of values at nodes and stages, and of temporary variables, in generated code."""
 _IN_PAIRS = re.compile(r"_alone$|^[hmsxy]\d+$|^(by|d)_|_[ij]$")
-"""Names of scalars of a pair and of derivatives by them, and of quantities of one of the two particles."""
+"""Pattern of names in the code of pair terms.
+
+It matches scalars that depend on both particles, derivatives with respect to these scalars, and quantities of one
+particle.
+"""
 _OF_TIME = ("t", "h", "h_1", "h_2", "duration")
-"""Symbols of discrete equations in addition to the author's."""
+"""Symbols that discrete equations contain in addition to the symbols of the user."""
 _DERIVED = "lambda mu nu p pi psi start end switch coupled periodic d".split()
-"""First parts of the names of multipliers, partners and boundary values of a quantity."""
+"""Prefixes in the names of multipliers, partners and boundary values of a quantity."""
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)$")
+"""Pattern of the Unicode names of Greek letters."""
 
 
 def marked(name: str, task: str, others: Collection[str], *, moving: bool) -> str:
-    """Return a name, with a mark at its end if a module for the task needs it, or derives it from one of the others.
+    """Return the name of a quantity, with a mark at its end if generated code may need the same name.
 
-    A `moving` quantity has values at nodes, whose names are longer.
+    `task` is the kind of module, whose code needs certain names. `others` are the names of other quantities, from which
+    names such as `lambda_x` are derived. The code has no variable with the name of a `moving` quantity itself, but only
+    longer names for its values at nodes.
     """
     derived = {f"{stem}_{other}" for stem in _DERIVED for other in others}
     made = bool(_AT_NODES.search(name) or (task in ("particles", "connect") and _IN_PAIRS.search(name)))
@@ -64,14 +71,15 @@ def marked(name: str, task: str, others: Collection[str], *, moving: bool) -> st
 
 
 def plain(text: str) -> str:
-    """Return a text with the author's names."""
+    """Return a text without marks, which then has the names of the user."""
     return text.replace(MARK, "")
 
 
 def renamed(text: str) -> str:
     """Return the text of a module with underscores in place of marks in code, and without marks in other text.
 
-    A name that is taken has further underscores; letters that are not ASCII are spelled out.
+    If the name with an underscore exists already, further underscores are added. Letters that are not ASCII are spelled
+    out, for example `theta`.
     """
     if MARK not in text:
         return text
@@ -88,7 +96,7 @@ def renamed(text: str) -> str:
 
 
 def renamed_arguments(names: Iterable[str]) -> list[str]:
-    """Return lines of a module's docstring that list the arguments with other names than their parameters."""
+    """Return lines for the docstring of a module, which list arguments whose names differ from their parameters."""
     marks = [name for name in names if MARK in name]
     listed = ", ".join(f"{name}{MARK} for {name}" for name in marks)
     return ["", f"Arguments whose names mean something else here are called: {listed}."] if marks else []
@@ -106,7 +114,7 @@ def _new_names(names: Iterable[str], taken: set[str]) -> dict[str, str]:
 
 
 def _spelled(name: str) -> str:
-    """Return a name in ASCII: Greek letters by their names, others by their numbers."""
+    """Return a name in ASCII; Greek letters are replaced by their names, other letters by their Unicode numbers."""
     return "".join(letter if letter.isascii() else _word(letter) for letter in name)
 
 
@@ -119,7 +127,7 @@ def _word(letter: str) -> str:
 
 @cache
 def _needed(task: str) -> frozenset[str]:
-    """Return the names in templates and in lowering, and the names of Python."""
+    """Return the names that the code of a module for the task needs: in templates, in kernels, and in Python itself."""
     words = {*dir(builtins), *keyword.kwlist, *keyword.softkwlist, "np", "math", "prange", "body"}
     words |= {*_IN_KERNELS.get(task, _IN_LOOPS).split(), *_OF_TIME}
     for template in _TEMPLATES[task]:
@@ -135,7 +143,7 @@ _SMALL = set(
     "omega".split()
 )
 _CAPITAL = set("Gamma Delta Theta Lambda Xi Pi Sigma Upsilon Phi Psi Omega".split())
-"""Capital letters of LaTeX; the others look like Latin letters."""
+"""Capital Greek letters that LaTeX has; the other ones look like Latin letters."""
 _VARIANTS = {"phi": r"\varphi", "epsilon": r"\varepsilon"}
 _NUMBERED = re.compile(r"(?<=[^\W\d_])(\d+)$")
 
@@ -145,7 +153,11 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def in_latex(name: str) -> str:
-    """Return a name in LaTeX: `theta1` and `theta_1` are a letter with an index, `rod` is a word, `m_dry_1` has two."""
+    """Return a name in LaTeX.
+
+    Both `theta1` and `theta_1` become a Greek letter with an index, `rod` becomes an upright word, and `m_dry_1`
+    becomes a letter with two indices.
+    """
     parts = [part for part in name.split("_") if part]
     if not parts:
         return word(name)
@@ -155,7 +167,10 @@ def in_latex(name: str) -> str:
 
 
 def word(text: str) -> str:
-    """Return a word without indices: one letter is italic, a Greek letter's name is that letter, others are upright."""
+    """Return a word without indices in LaTeX.
+
+    A single letter is italic, the name of a Greek letter becomes the letter, and other words are upright.
+    """
     match = _GREEK.match(unicodedata.name(text, "")) if len(text) == 1 else None
     if match:
         text = match[2].lower().replace("lamda", "lambda")
@@ -167,7 +182,7 @@ def word(text: str) -> str:
 
 
 def written_unit(unit: str) -> str:
-    """Return an author's unit with mathematical signs; an empty string for pure numbers."""
+    """Return a unit with a dot for `*` and raised exponents; an empty string for pure numbers."""
     if unit.strip() in ("", "1", "dimensionless"):
         return ""
     return _POWER.sub(lambda match: match[1].translate(_RAISED), unit).replace("*", "·")

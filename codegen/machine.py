@@ -1,4 +1,4 @@
-"""Versions and processor, as pages of measurements report them."""
+"""The versions of packages and the processor of the machine, for pages that report measured times."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _PACKAGES = ("numpy", "scipy", "numba", "sympy", "matplotlib")
 
 
 def machine() -> dict[str, Any]:
-    """Return versions, processor and present load by name."""
+    """Return the versions of packages, the processor and the present load of the machine, by name."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    # Waiting processes in the mean of 15 minutes; other work makes measured times longer.
+    # The load is the mean number of running or waiting processes in the last 15 minutes. Other work increases times.
     load = round(os.getloadavg()[2], 1) if hasattr(os, "getloadavg") else None
     return {
         **versions(),
@@ -32,11 +32,11 @@ def machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of codegen, Python and the packages that determine numbers and times."""
+    """Return the versions of codegen, Python and the packages on which results and measured times depend."""
     return {"codegen": __version__, "python": platform.python_version(), **dict(_packages())}
 
 
 @cache
 def _packages() -> tuple[tuple[str, str], ...]:
-    """Return versions of packages; reading them takes longer than some sweeps."""
+    """Return the versions of packages, from a cache because reading the versions takes longer than some sweeps."""
     return tuple((name, metadata.version(name)) for name in _PACKAGES)

@@ -1,4 +1,4 @@
-"""The class of compiled problems, and the function `codegen.compile` that makes them of files and objects."""
+"""The class `Solver` of compiled problems, and the function `codegen.compile`, which creates a Solver."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ class Solver:
     Attributes
     ----------
     problem : ProblemFile or ProblemObject
-        The origin of the problem, with `name` and `title`.
+        The source of the problem, with its name.
     arguments : dict
         Arguments of problem() in a problem file.
     choices : Choices
         Scheme, method, controls and sensitivities of the build.
     out : Path or None
-        Folder of the module.
+        Folder of the module; None means the cache.
     build : Build
-        Path of the module; `build.cached` is True for a cache hit.
+        Information on the build, such as the path of the module; `build.cached` is True for a cache hit.
     """
 
     problem: Source
@@ -70,12 +70,12 @@ class Solver:
 
     @property
     def title(self) -> str:
-        """Title of the problem, one line."""
+        """Title of the problem in one line."""
         return str(self.module.metadata.title)
 
     @property
     def module(self) -> GeneratedModule:
-        """The loaded module."""
+        """The generated module, which is loaded on first use."""
         from codegen.solving.loading import load
 
         return load(self.build.path)
@@ -89,7 +89,8 @@ class Solver:
     def parameters(self) -> dict[str, float | None]:
         """Names that `parameters={...}` of `solve` may override, with their default values.
 
-        A default is None for durations and prescribed ends, which follow from the formulas of the problem.
+        The default value is None for durations and prescribed boundary values, which the problem may define by
+        formulas.
         """
         from codegen.solving.request import overridable
 
@@ -98,7 +99,7 @@ class Solver:
 
     @cached_property
     def build_options(self) -> dict[str, Any]:
-        """The options with which a solve, a sweep or a controller builds the same module."""
+        """The options of `codegen.solve`, `codegen.sweep` or `codegen.Controller` that lead to the same module."""
         choices = self.choices
         named = {"scheme": choices.scheme, "method": choices.method, "controls": choices.controls, "out": self.out}
         sensitivities = {"sensitivities": True} if choices.sensitivities else {}
@@ -112,8 +113,8 @@ class Solver:
         driver : str
             As for `codegen.solve`.
         **options
-            Options of `codegen.solve` except choices of the build. `accuracy` without a scheme, and `sensitivities`,
-            derive modules of their own on first use.
+            Options of `codegen.solve` except options of the build. The option `accuracy` without a scheme and the
+            option `sensitivities` may need another module, which is built on first use.
 
         Returns
         -------
@@ -150,14 +151,14 @@ class Solver:
         )  # fmt: skip
 
     def show(self) -> Equations:
-        """Return the derived equations, continuous and discrete: text, LaTeX, and formulas in a notebook."""
+        """Return the derived equations, continuous and discrete, as text, as LaTeX, and as formulas in a notebook."""
         from codegen.show.equations import derived_equations
 
         choices = self.choices
         return derived_equations(self.problem, self._settings, choices.scheme, choices.method, choices.controls)
 
     def sweep(self, vary: Mapping[str, Any] | None = None, **options: Any) -> Dataset:
-        """Solve the problem for many values.
+        """Solve the problem for many values of its parameters.
 
         Parameters
         ----------
@@ -175,12 +176,12 @@ class Solver:
         return sweep(self, vary, **options)
 
     def controller(self, **options: Any) -> Controller:
-        """Return a controller with a moving horizon.
+        """Return a model-predictive controller with a moving horizon.
 
         Parameters
         ----------
         **options
-            Options of `codegen.Controller` except choices of the build.
+            Options of `codegen.Controller` except options of the build.
         """
         from codegen.mpc.controller import Controller
 
@@ -204,7 +205,7 @@ class Solver:
             ("built", "from the cache" if self.build.cached else f"in {self.build.seconds:.2f} s"),
         ]
         summary = table(rows, caption=self.title)
-        if not isinstance(self.problem, ProblemObject):  # a problem file would have to be run
+        if not isinstance(self.problem, ProblemObject):  # formulas of a problem file would require running it
             return summary
         from html import escape
 
@@ -226,16 +227,16 @@ def compile(
     out: Path | str | None = None,
     time_limit: float = BUILD,
 ) -> Solver:
-    """Derive and compile a problem, or find it in the cache.
+    """Derive and compile the module of a problem, or load it from the cache; return the compiled problem.
 
     Parameters
     ----------
     problem : Control, Simulate, Phases, Connect or path
-        An object or a problem file.
+        A problem object, or the path of a problem file.
     name : str
-        Identifier for an object, by default "problem". A file has its own name.
+        Name of a problem object, an identifier; by default "problem". A problem file is named by its path.
     title : str
-        One line for an object, by default its name.
+        Title of a problem object in one line; by default its name.
     arguments : dict
         Arguments of problem() in a problem file.
     scheme, method, controls, out, time_limit
@@ -246,6 +247,7 @@ def compile(
     Returns
     -------
     Solver
+        The compiled problem.
 
     Raises
     ------

@@ -18,33 +18,33 @@ from codegen.errors import INTERRUPTED, CodegenError, Interrupted, one_line
 from codegen.files import is_refusal, refused
 
 FILE_WIDTH = 120
-"""Width of lines if the output is no terminal."""
+"""Width of lines in characters if the output is not a terminal."""
 
 
 class _Ended(Exception):
-    """An interrupt with a message; typer would replace an Interrupted by its own exit."""
+    """An interrupt with a message, in place of Interrupted, whose message typer would lose."""
 
 
 class OneLineErrors(TyperGroup):
-    """A group of commands whose errors are one line on stderr and an exit status."""
+    """A group of commands that report errors by one line on stderr and an exit status."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command; the message of an interrupt is kept."""
+        """Run a command; raise _Ended in place of Interrupted, so that its message is not lost."""
         try:
             return super().invoke(ctx)
         except Interrupted as error:
             raise _Ended(str(error)) from error
 
     def main(self, *positional: Any, **options: Any) -> Any:
-        """Run a command and exit."""
+        """Run a command, report its errors, and exit."""
         try:
             with warnings.catch_warnings():
                 if not sys.warnoptions:
-                    # Status and residuals report numerical problems; warnings would repeat them.
+                    # Warnings are suppressed, because status and residuals report numerical problems.
                     warnings.simplefilter("ignore")
                 status = super().main(*positional, **{**options, "standalone_mode": False})
-            sys.stdout.flush()  # while an error can still be reported
-            if status == 130:  # the status that typer gives an interrupt
+            sys.stdout.flush()  # an error of the output is reported below
+            if status == 130:  # the exit status of typer for an interrupt
                 typer.echo(INTERRUPTED, err=True)
         except _Ended as ended:
             status = 130
@@ -54,13 +54,13 @@ class OneLineErrors(TyperGroup):
             typer.echo(f"codegen: error: {text}", err=True)
             try:
                 sys.stdout.flush()
-            except OSError:  # do not write again when Python ends, which would change the exit status
+            except OSError:  # Python would write again at its end, fail, and change the exit status
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(status if isinstance(status, int) else 0)
 
 
 def _described(error: Exception) -> tuple[int, str]:
-    """Return exit status and message of an exception."""
+    """Return the exit status and the message for an exception."""
     if isinstance(error, CodegenError):
         return 2, one_line(str(error))
     if hasattr(error, "format_message"):  # a usage error of typer, whose class differs between versions
@@ -79,7 +79,7 @@ def _described(error: Exception) -> tuple[int, str]:
 
 
 def console(stderr: bool = False) -> Any:
-    """Return a console of rich, which is slow to import, with the width of the terminal or FILE_WIDTH."""
+    """Return a console of rich with the width of the terminal, or with FILE_WIDTH if the output is not a terminal."""
     from rich.console import Console
 
     result = Console(stderr=stderr, highlight=False)
@@ -90,7 +90,10 @@ def console(stderr: bool = False) -> Any:
 
 @contextmanager
 def progress(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
-    """Show a bar of `count` parts on a terminal; it is updated by (parts done, text)."""
+    """Show a progress bar for `count` parts on a terminal during a with block.
+
+    The value of the block is a function (number of finished parts, text), which updates the bar.
+    """
     if not sys.stderr.isatty():
         yield lambda done, text: None
         return
@@ -109,7 +112,10 @@ def progress(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
 
 @contextmanager
 def following() -> Iterator[Callable[[int, tuple[float, ...]], None] | None]:
-    """Show the iterates that are passed to the yielded function on a terminal, after one second."""
+    """Show the iterates of a search on a terminal during a with block, if the search takes more than one second.
+
+    The value of the block is a function (number of the iterate, row of the log), or None without a terminal.
+    """
     with working("Solving") as line:
         if line is None:
             yield None
@@ -129,7 +135,7 @@ def following() -> Iterator[Callable[[int, tuple[float, ...]], None] | None]:
 
 
 def working(what: str) -> AbstractContextManager[Any]:
-    """Show a spinner on a terminal."""
+    """Return a context manager that shows a spinner with a text on a terminal."""
     if not sys.stderr.isatty():
         return nullcontext()
     return console(stderr=True).status(f"{what} ...")  # type: ignore[no-any-return]

@@ -1,6 +1,6 @@
-"""The classes and functions for authors of problems, and the reading of problem files.
+"""The classes and functions with which users write problems, and the reading of problem files.
 
-This file has the base class of problems, and the remedy for misspelt arguments. It imports no sympy.
+This file has the base class of problems, and the remedy for misspelt arguments. It does not import sympy.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ SYNONYMS = {
     "steps": ("N", "nodes", "intervals"),
     "path": ("constraints", "inequalities"),
 }
-"""Names that other programs have for arguments of problems."""
+"""Names that other programs use for the arguments of problems, by the names in this package."""
 
 
 class AuthorObject:
-    """A Control, Simulate, Phases or Connect."""
+    """The base class of the problems that users write: Control, Simulate, Phases and Connect."""
 
     def _repr_latex_(self) -> str:
         return str(_LATEX(self))
 
 
 def perhaps(name: str, known: Iterable[str]) -> str:
-    """Return a sentence with the arguments that a name may stand for; empty if no argument is similar."""
+    """Return a remedy that lists the arguments in `known` that an unknown name may mean; empty if none is similar."""
     arguments = list(known)
     meant = [argument for argument, others in SYNONYMS.items() if argument in arguments and name in others]
     similar = meant or difflib.get_close_matches(name, arguments)

@@ -1,8 +1,9 @@
-"""Several different bodies in one problem, and identical bodies written out as different ones.
+"""Several different bodies in one problem, and the conversion of identical bodies to different bodies.
 
 The numerics iterate over identical bodies whose motions are coupled only by conditions at the end. A path condition
-between bodies, such as a least distance, couples them at every time. Then each body gets coordinates and controls of
-its own, `x_0`, `x_1`, ..., and all move in one chain. The module and its build time grow with the number of bodies.
+between bodies, such as a least distance, couples the bodies at every time. Each body then gets its own coordinates and
+controls, `x_0`, `x_1`, ..., and the problem has one large state. The module and its build time grow with the number of
+bodies.
 """
 
 from __future__ import annotations
@@ -50,32 +51,33 @@ def together(
     constraint: Sequence[Expression] = (),
     drawing: Sequence[Item] = (),
 ) -> Control:
-    """Combine the control problems of several bodies, each with coordinates of its own, into one.
+    """Combine the control problems of several bodies, each with its own coordinates, into one problem.
 
     The bodies move at the same time, each by its own equations. Lagrangians or Hamiltonians, costs and terminal costs
-    are added, and all conditions of all bodies hold. The arguments couple the bodies.
+    are added, and all conditions of all bodies hold. The other arguments couple the bodies.
 
     Parameters
     ----------
     *bodies : Control
-        At least two, with the same duration and steps, and without common coordinates.
+        At least two problems, with the same duration and steps, and without common coordinates.
     interaction : expression
-        Added to the Lagrangian (minus a potential energy) or to the Hamiltonian.
+        Term that is added to the Lagrangian (minus a potential energy) or to the Hamiltonian.
     cost, terminal_cost, maximise, terminal_maximise : expression
-        Further costs.
+        Costs in addition to the costs of the bodies.
     path, integral, at, waypoints, start_conditions, end_conditions, constraint
         Relations between quantities of several bodies, as for Control.
     drawing : sequence of Item
-        Further items of the picture.
+        Items of the drawing in addition to the drawings of the bodies.
 
     Returns
     -------
     Control
+        One problem with the coordinates and controls of all bodies.
 
     Raises
     ------
     CodegenError
-        If the bodies have different forms, durations or steps, or a common coordinate, or if there is only one.
+        If the bodies have different forms, durations or steps, or a common coordinate, or if there is only one body.
 
     Notes
     -----
@@ -124,7 +126,10 @@ def together(
 
 
 def _common_form(bodies: Sequence[Any]) -> str:
-    """Return the argument that defines the motion of every body; raise an error for bodies that do not fit."""
+    """Return the name of the argument that defines the motion of every body, such as "lagrangian".
+
+    Raise an error if the bodies do not fit to each other, for example if their durations differ.
+    """
     for index, body in enumerate(bodies):
         if not isinstance(body, Control):
             raise ProblemFileError(f"body {index} is a {type(body).__name__}", "let every body be a Control")
@@ -181,7 +186,11 @@ def _require_mapping(name: str, index: int, mapping: Any, example: str) -> None:
 
 
 def _merged(name: str, mappings: Sequence[Any]) -> dict[Any, Any]:
-    """Return all entries; a shared control or parameter may occur twice with the same value."""
+    """Return the entries of all `mappings`, the argument `name` of each body, in one mapping.
+
+    A control or parameter that several bodies share may occur repeatedly with the same value. Raise ExpressionError if
+    its values differ.
+    """
     merged: dict[Any, Any] = {}
     for index, mapping in enumerate(mappings):
         _require_mapping(name, index, mapping, "{symbol: value, ...}")
@@ -197,7 +206,7 @@ def _sum(name: str, terms: Sequence[Expression]) -> Expression:
 
 
 def require_body(value: EndValue, bodies: int) -> None:
-    """Raise BoundaryError for a quantity of a body that does not exist."""
+    """Raise BoundaryError if a quantity such as `q.of(3)` belongs to a body that does not exist."""
     if value.body >= bodies:
         raise BoundaryError(
             f"{value.partner}.of({value.body}) is no body", f"number them 0 to {bodies - 1}, or raise bodies"
@@ -205,7 +214,11 @@ def require_body(value: EndValue, bodies: int) -> None:
 
 
 def require_single_bodies(what: str, single: Iterable[sympy.Symbol], every: Iterable[sympy.Symbol]) -> None:
-    """Raise ExpressionError if a condition between bodies, `what`, contains quantities of every body."""
+    """Raise ExpressionError if a condition between bodies also contains quantities without a body.
+
+    `what` is the text of the condition. `single` are its quantities of one body, such as `q.of(0)`, and `every` are its
+    quantities that exist for every body, such as `q`.
+    """
     if mixed := sorted(map(str, every)):
         raise ExpressionError(
             f"{what} has {', '.join(mixed)} of every body beside {min(map(str, single))} of one",
@@ -214,7 +227,10 @@ def require_single_bodies(what: str, single: Iterable[sympy.Symbol], every: Iter
 
 
 def has_path_couplings(problem: Any) -> bool:
-    """Return True if conditions couple identical bodies at other times than the end, or by an inequality."""
+    """Return True if conditions couple identical bodies at other times than the end, or by an inequality.
+
+    Such bodies must be converted by `written_out`.
+    """
     if not isinstance(problem, Control) or type(problem.bodies) is not int or problem.bodies < 2:
         return False
     inequalities = [
@@ -224,10 +240,11 @@ def has_path_couplings(problem: Any) -> bool:
 
 
 def written_out(problem: Control, declared: Sequence[Quantity]) -> tuple[Control, list[Quantity]]:
-    """Return the problem with separate bodies, and the remaining declared quantities.
+    """Return a problem in which identical bodies are replaced by separate bodies, and its declared quantities.
 
-    Raises BoundaryError for a body that does not exist, ExpressionError for a condition between bodies that contains
-    quantities of every body.
+    The quantities are those in `declared` that were not replaced by copies for each body. Raise BoundaryError for a
+    body that does not exist. Raise ExpressionError for a condition between bodies that also contains quantities without
+    a body.
     """
     used = {symbol for symbol in symbols_of(problem) if isinstance(symbol, Quantity)}
     own = sorted((s for s in used if not isinstance(s, EndValue)), key=lambda symbol: symbol.declared)
@@ -264,7 +281,7 @@ def _of_bodies(entry: Any) -> set[EndValue]:
 
 
 def _copies(own: Sequence[Quantity], number: int) -> dict[Quantity, Quantity]:
-    """Return the copies for one body of the quantities that each body has."""
+    """Return new symbols for one body, by the symbols that they replace; `number` is the number of the body."""
     found: dict[Quantity, Quantity] = {}
     for symbol in own:
         name = f"{symbol.name}_{number}"
@@ -283,7 +300,7 @@ def _copies(own: Sequence[Quantity], number: int) -> dict[Quantity, Quantity]:
 
 
 def _put(value: Any, substitution: Mapping[Any, Any]) -> Any:
-    """Return an argument of a problem with quantities replaced; other values are unchanged."""
+    """Return the argument `value` of a problem with all symbols in `substitution` replaced."""
     if isinstance(value, sympy.Basic):
         return value.xreplace(dict(substitution))
     if isinstance(value, Mapping):
@@ -294,7 +311,7 @@ def _put(value: Any, substitution: Mapping[Any, Any]) -> Any:
 
 
 def symbols_of(value: Any) -> Iterator[Any]:
-    """Yield all symbols in the arguments of a problem."""
+    """Yield all symbols in a problem, in its arguments, or in a part of them; a symbol may occur repeatedly."""
     if isinstance(value, Problem):
         for part in fields(value):
             yield from symbols_of(getattr(value, part.name))

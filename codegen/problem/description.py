@@ -1,7 +1,8 @@
-"""The content of an author's object as a text, equal in every process, and different for different problems.
+"""Text that describes a problem object, for the key of the build cache.
 
-The text begins with the declared quantities in the order of their declaration, on which modules depend, but not on
-other declarations between them. Expressions follow unchanged, with a line for each shared part. Numbers of different
+The text is the same in every process, and differs between different problems. It begins with the declared quantities
+in the order of their declaration, on which modules depend. Declarations that the problem does not use have no effect.
+Expressions follow unchanged; every subexpression has a line, and is referred to by its number. Numbers of different
 types differ, because sympy treats 1 and 1.0 differently.
 """
 
@@ -23,11 +24,17 @@ from codegen.problem.tables import Measurements, Table, Trajectory
 from codegen.symbolic.functions import TableBase
 
 _LINKS = ("partner", "past", "end_values", "declared")
-"""Attributes that link symbols; the order of declaration is the order of the lines."""
+"""Attributes of symbols that are not written in the text.
+
+They link symbols to each other, or express the order of declaration, which is the order of the lines.
+"""
 
 
 def described(problem: Any, name: str = "problem") -> str:
-    """Return the text of a problem; raise ExpressionError, which begins with its name, for an unusable part."""
+    """Return the text that describes a problem.
+
+    Raise ExpressionError for a part that is no expression, number, list or mapping. Its message begins with `name`.
+    """
     description = _Description(name)
     body = description.of(problem, type(problem).__name__)
     order = {symbol: number for number, symbol in enumerate(quantities_in(problem))}
@@ -36,7 +43,10 @@ def described(problem: Any, name: str = "problem") -> str:
 
 
 def quantities_in(problem: Any) -> list[Quantity]:
-    """Return the declared quantities in a problem, with their partners, in the order of their declaration."""
+    """Return the declared quantities in a problem in the order of their declaration.
+
+    The partners of quantities are included, for example the velocity of a coordinate.
+    """
     found: dict[Quantity, None] = {}
     waiting, seen = [problem], set[int]()
     while waiting:
@@ -46,7 +56,7 @@ def quantities_in(problem: Any) -> list[Quantity]:
                 found[part] = None
                 waiting += [value for name, value in _slots(part) if name not in ("past", "end_values")]
         elif isinstance(part, sympy.Basic):
-            if id(part) not in seen:  # parts that many share are looked through once
+            if id(part) not in seen:  # a subexpression may occur in many expressions
                 seen.add(id(part))
                 waiting += part.args
         else:
@@ -55,7 +65,7 @@ def quantities_in(problem: Any) -> list[Quantity]:
 
 
 def _slots(symbol: Quantity) -> Iterator[tuple[str, Any]]:
-    """Yield the attributes of a symbol: its value or guess, bounds, partner, lag, body."""
+    """Yield the names and values of all attributes of a symbol, such as its value, guess, bounds, partner or lag."""
     for kind in type(symbol).__mro__:
         for name in vars(kind).get("__slots__", ()) if issubclass(kind, Quantity) else ():
             if hasattr(symbol, name):
@@ -63,7 +73,7 @@ def _slots(symbol: Quantity) -> Iterator[tuple[str, Any]]:
 
 
 def _parts(value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the parts of a value that is no expression, each with its name; none for a single value."""
+    """Yield the names and values of the parts of a problem object, mapping or list; nothing for other values."""
     if isinstance(value, Connect):
         yield from ((part.name, getattr(value, part.name)) for part in fields(value) if part.name != "path")
         yield "path", _path(value)
@@ -87,7 +97,7 @@ def _parts(value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _path(problem: Connect) -> Any:
-    """Return the guessed path as the expressions that its function returns; None for straight lines."""
+    """Return the expressions of the guessed path of particles for symbolic ends; None for a straight line."""
     if problem.path is None or not isinstance(problem.hamiltonian, Pairwise):
         return None
     names = [symbol.name for symbol in problem.hamiltonian.pair[0].q]
@@ -97,7 +107,10 @@ def _path(problem: Connect) -> Any:
 
 
 class _Description:
-    """Texts of values; an expression has a number and a line, and is referred to by its number."""
+    """The text of a problem with `name`, written line by line.
+
+    `lines` has a line for each expression, and `numbers` has the index of its line.
+    """
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -105,7 +118,7 @@ class _Description:
         self.numbers: dict[sympy.Basic, int] = {}
 
     def of(self, value: Any, where: str) -> str:
-        """Return the text of a value at the place `where`."""
+        """Return the text of a value; `where` names its position in the problem for messages of errors."""
         kind = type(value).__name__
         if isinstance(value, sympy.Basic):
             return f"#{self._expression(value)}"
@@ -123,14 +136,14 @@ class _Description:
             raise ExpressionError(clause(f"{self.name}: {where} is a {kind}"), remedy) from None
 
     def declaration(self, symbol: Quantity, order: Mapping[Quantity, int]) -> str:
-        """Return the declaration of a quantity."""
+        """Return the text of a declared quantity; `order` has the numbers of all quantities, which denote partners."""
         own = [f"{name}={self.of(value, symbol.name)}" for name, value in _slots(symbol) if name not in _LINKS]
         if (partner := getattr(symbol, "partner", None)) is not None:
             own.append(f"partner {order[partner]}")
         return " ".join([type(symbol).__name__, *own])
 
     def _expression(self, expression: sympy.Basic) -> int:
-        """Return the number of an expression, whose parts have smaller numbers."""
+        """Return the number of the line of an expression; add lines for the expression and its parts if necessary."""
         waiting = [expression]
         while waiting:
             part = waiting[-1]
@@ -144,7 +157,7 @@ class _Description:
 
 
 def _function(part: sympy.Basic) -> str:
-    """Return the function of an expression, without its arguments."""
+    """Return the text of the outermost function of an expression without its arguments, or of a symbol or number."""
     kind = type(part)
     if isinstance(part, Quantity):
         return f"{kind.__name__} {part.name}"

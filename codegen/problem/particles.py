@@ -1,7 +1,8 @@
-"""Many particles that interact in pairs: two representative particles, and the terms of one and of two particles.
+"""Many particles that interact in pairs: the declaration of two representative particles, and of the Hamiltonian.
 
-The Hamiltonian of n identical particles is H = sum_i self(z_i) + sum_{i<j} pair(z_i, z_j). The author declares two
-particles, which stand for any two of them, and writes both terms. The number n is open until the problem is solved.
+The Hamiltonian of n identical particles is H = sum_i self(z_i) + sum_{i<j} pair(z_i, z_j). The user declares two
+particles, which represent any two of the n particles, and writes both terms. The number n is known only when the
+problem is solved.
 """
 
 from __future__ import annotations
@@ -25,13 +26,16 @@ class ParticleQuantity(Quantity):
 
     @property
     def rate_remedy(self) -> str:
-        """The Hamiltonian of particles contains coordinates and momenta only."""
+        """The remedy for a time derivative: the Hamiltonian of particles contains coordinates and momenta only."""
         return "write the terms of a Hamiltonian without rates"
 
 
 @dataclass(frozen=True)
 class Particle:
-    """One of two particles: coordinates `q`, momenta `p` and `own` parameters, such as a mass, as tuples."""
+    """A representative particle: coordinates `q`, momenta `p` and `own` parameters, such as a mass.
+
+    `other` is a second particle for functions of two particles; None if both were declared by `particles`.
+    """
 
     q: tuple[ParticleQuantity, ...]
     p: tuple[ParticleQuantity, ...]
@@ -40,12 +44,12 @@ class Particle:
 
 
 def particle(coordinates: str, momenta: str, own: str = "") -> Particle:
-    """Declare one particle; `other` is any second one, for pair terms that are functions of both.
+    """Declare one particle for pair terms that are written as functions of two particles.
 
     Parameters
     ----------
     coordinates, momenta, own : str
-        Names separated by blanks; `own` are parameters of each particle.
+        Names separated by blanks; `own` are parameters that each particle has, such as a mass.
 
     Returns
     -------
@@ -62,17 +66,18 @@ def particle(coordinates: str, momenta: str, own: str = "") -> Particle:
 
 
 def particles(coordinates: str, momenta: str, own: str = "") -> tuple[Particle, Particle]:
-    """Declare any two particles by the names of their coordinates, momenta and own parameters.
+    """Declare two representative particles by the names of their coordinates, momenta and own parameters.
 
     Parameters
     ----------
     coordinates, momenta, own : str
-        Names separated by blanks, as many coordinates as space has dimensions.
+        Names separated by blanks, with one coordinate for each dimension of space. `own` are parameters that each
+        particle has, such as a mass.
 
     Returns
     -------
     tuple of two Particle
-        For example `i, j = particles("x y", "px py")`.
+        For example `i, j = particles("x y", "px py")`. Their symbols have names such as `x_i` and `x_j`.
 
     Raises
     ------
@@ -101,13 +106,14 @@ class Pairwise:
     Parameters
     ----------
     particles : Particle or tuple of two Particle
+        The representative particles, from `particle` or `particles`.
     pair_term : expression or function
-        Symmetric in both particles. With a single particle a function of that particle and another one.
+        Expression in the quantities of both particles, or function of two particles, which is symmetric in them.
     self_term : expression
-        In quantities of the first particle. By default half the limit of `pair_term` at coincidence, as for a kernel
-        that acts on itself.
+        Expression in the quantities of the first particle. The default is half the limit of `pair_term` if both
+        particles coincide, as for a kernel that acts on itself.
     domain : sequence of expressions
-        In the coordinates of the first particle; each is positive wherever a particle may be.
+        Expressions in the coordinates of the first particle, which must be positive at all positions of particles.
     """
 
     particles: tuple[Particle, Particle] | Particle
@@ -118,7 +124,7 @@ class Pairwise:
 
     @property
     def pair(self) -> tuple[Particle, Particle]:
-        """Any two particles; ExpressionError for a single particle without another."""
+        """The two representative particles; ExpressionError if only one particle was given."""
         if not isinstance(self.particles, Particle):
             return self.particles
         if self.particles.other is None:
@@ -140,18 +146,22 @@ class Connect(Problem):
     Parameters
     ----------
     hamiltonian : Pairwise
+        Hamiltonian of the particles.
     duration : expression
+        Time of the motion.
     steps : int
+        Default number of time steps.
     points : path
-        File of points. It is read when the problem is solved, so that one module serves all files.
+        File with the starts and targets of all particles. The file is read when the problem is solved, so that one
+        module can be used with several files.
     path : function
-        Of a start and a target, tuples of symbols, and of the fraction of the way between them. It returns the
-        coordinates of a guessed position. By default the guess is a straight line.
+        Function (start, target, fraction) that returns a guessed position of a particle. `start` and `target` are
+        tuples of symbols, and `fraction` is the fraction of the way. By default the guess is a straight line.
     passive : bool
-        If True, the module also carries points without momenta along with the motion.
+        If True, the module can also move points that have no momenta and follow the motion of the particles.
     parallel : bool
-        If True, several threads share the gradient of H for more particles than one block holds. The result is the same
-        to the last digit.
+        If True, several threads compute the gradient of H if there are more particles than one block holds. The result
+        is the same to the last digit.
     """
 
     task: ClassVar[str] = "connect"

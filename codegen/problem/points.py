@@ -1,4 +1,4 @@
-"""Files that a problem reads: files of points, and the record of all files.
+"""Files that a problem reads: files of points, and a record of all files that were read.
 
 In a file of points every row is the start and the target of one particle. The first line names the columns:
 `x0,y0,x1,y1` in the plane, `x0,y0,z0,x1,y1,z1` in space, and optionally `sigma`, the standard deviation of the target.
@@ -25,7 +25,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Points: TypeAlias = Annotated[Path, "points"]
-"""The type of an argument of problem() that names a file of points; a relative default lies beside the problem."""
+"""The type of an argument of problem() that names a file of points.
+
+A relative default path is located in the folder of the problem file.
+"""
 
 _AXES = "xyzuvw"
 _folder: ContextVar[Path | None] = ContextVar("folder of the problem file", default=None)
@@ -34,7 +37,7 @@ _recorder: ContextVar[list[DataFile] | None] = ContextVar("files that were read"
 
 @dataclass(frozen=True)
 class PointSet:
-    """Starts and targets, arrays of shape (n, d), and the standard deviations of the targets, shape (n,)."""
+    """The starts and targets (n, d) of n particles, and the standard deviations `sigma` (n,) of the targets."""
 
     start: NDArray[np.float64]
     target: NDArray[np.float64]
@@ -42,24 +45,25 @@ class PointSet:
 
     @property
     def table(self) -> NDArray[np.float64]:
-        """All numbers, (n, 2 d + 1)."""
+        """All numbers in one array (n, 2 d + 1): start, target and standard deviation of each particle."""
         import numpy as np
 
         return np.column_stack([self.start, self.target, self.sigma])
 
 
 def read_points(path: Path, dimension: int) -> PointSet:
-    """Read a file of points in space of the given dimension.
+    """Return the points in a file; `dimension` is the dimension of space.
 
-    Raises PointsError, which names the file and the line, for a file that is missing, empty, ragged or no text, lacks
-    columns, or has a value that is no finite number. The points of a file must fit into memory.
+    Raise PointsError, which names the file and the line, if the file is missing, empty or no text. The same error is
+    raised for rows of different lengths, missing columns, values that are no finite numbers, and too many points for
+    the memory.
     """
     import numpy as np
 
     columns = [f"{axis}{end}" for end in "01" for axis in _AXES[:dimension]]
     if not path.is_file():
         raise PointsError(f"{path}: no such file", f"give a table with the columns {','.join(columns)}")
-    if hasattr(os, "sysconf"):  # the matrix of interactions must fit into memory
+    if hasattr(os, "sysconf"):  # the matrix of all interactions must fit into memory
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         most = int(math.sqrt(memory / 32.0))
         with path.open("rb") as binary:
@@ -95,7 +99,11 @@ def read_points(path: Path, dimension: int) -> PointSet:
 
 
 def finite_numbers(file: Path | str, line: int, row: Sequence[str], header: Sequence[str]) -> list[float]:
-    """Return the numbers of one line of a file; PointsError names the file, the line and the column of other values."""
+    """Return the numbers of one row of a file.
+
+    `line` is the number of the line, and `header` has the names of the columns. Raise PointsError, which names the
+    file, the line and the column, for a value that is no finite number.
+    """
     if len(row) != len(header):
         raise PointsError(
             f"{file}:{line}: {len(row)} values for {len(header)} columns", f"give {','.join(header)} in every row"
@@ -114,14 +122,17 @@ def finite_numbers(file: Path | str, line: int, row: Sequence[str], header: Sequ
 
 @dataclass(frozen=True)
 class DataFile:
-    """A file with its path as the author wrote it, and the SHA-256 of its content in hexadecimal."""
+    """A file that was read: its path as the user wrote it, and the SHA-256 of its content in hexadecimal."""
 
     path: str
     digest: str
 
 
 def data_file(path: Path) -> Path:
-    """Return the path of a file that a problem reads, relative to the folder of the problem, and record the file."""
+    """Return the path of a file that a problem reads, and record the file; see `recorded_files`.
+
+    A relative path is joined to the folder of the problem.
+    """
     folder = _folder.get()
     located = path if folder is None else folder / path
     recorded = _recorder.get()
@@ -131,7 +142,7 @@ def data_file(path: Path) -> Path:
 
 
 def digest_of(path: Path) -> str:
-    """Return the SHA-256 of a file; empty if the file cannot be read."""
+    """Return the SHA-256 of the content of a file in hexadecimal; empty if the file cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:
@@ -140,7 +151,7 @@ def digest_of(path: Path) -> str:
 
 @contextmanager
 def beside(folder: Path) -> Iterator[None]:
-    """Resolve relative paths in a folder, inside the block."""
+    """Let `data_file` resolve relative paths in a folder during a with block."""
     token = _folder.set(folder)
     try:
         yield
@@ -150,7 +161,7 @@ def beside(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def recorded_files() -> Iterator[list[DataFile]]:
-    """Record the files that are read inside the block."""
+    """Record the files that `data_file` locates during a with block; the value of the block is the list of files."""
     files: list[DataFile] = []
     token = _recorder.set(files)
     try:

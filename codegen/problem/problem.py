@@ -1,7 +1,7 @@
 """The classes for problems: dynamics, forces, a cost, conditions on the motion.
 
-A problem file returns an object of one of these classes. It holds the author's expressions as written.
-`codegen.discretise.model` validates them and converts them to the form that later stages read.
+A problem file returns an object of one of these classes. The object has the expressions as the user wrote them.
+`codegen.discretise.model` validates them, and converts them to the form that later stages read.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from codegen.problem import AuthorObject, perhaps
 from codegen.problem.tables import Measurements, Trajectory
 
 FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
-"""The arguments that define the motion, and the form of the model for each."""
+"""The arguments that define the motion, with the name of the form of the model for each argument."""
 
 Expression = Any
 """A sympy expression or a number."""
@@ -29,22 +29,25 @@ SAME_AT_BOTH_ENDS = (
 """The remedy for a periodic motion of several phases."""
 
 Relation = Any
-"""A sympy relation (Eq, <=, >=), or an expression that is to vanish."""
+"""A sympy relation (Eq, <=, >=), or an expression that must be zero."""
 
 Relations = Sequence[Relation] | Mapping[str, Relation]
-"""Relations as a list, or as a mapping with names for messages."""
+"""Relations as a list, or as a mapping from names to relations; messages use the names."""
 
 
 OF_CONTROLS = {
     "constraint": "write the motion in coordinates that fulfil it, or as Control(...) without controls and cost",
 }
-"""Remedies for arguments of a Control that a Simulate does not have, where they are special."""
+"""Special remedies for arguments of a Control that a Simulate does not have."""
 
 Author = TypeVar("Author", bound=type[Any])
 
 
 def refusing(kind: Author) -> Author:
-    """Make a class raise ProblemFileError for an unknown named argument, with the argument that may be meant."""
+    """Return the class with an `__init__` that raises ProblemFileError for unknown named arguments.
+
+    The remedy in the message suggests a similar argument.
+    """
     written = kind.__init__
 
     @wraps(written)
@@ -73,6 +76,7 @@ class Waypoint:
     Parameters
     ----------
     conditions : list or dict of relations
+        Relations that hold at this time.
     window : pair of expressions
         Earliest and latest time; None means no limit.
     """
@@ -89,17 +93,18 @@ class Problem(AuthorObject):
     Parameters
     ----------
     lagrangian, hamiltonian, dynamics : expression, expression, dict
-        Exactly one defines the motion: L(q, dq, t), H(q, p, t), or the derivative of each state, x' = f(x, u, t).
+        Exactly one of these arguments defines the motion: the Lagrangian L(q, dq, t), the Hamiltonian H(q, p, t), or
+        the time derivative of each state, x' = f(x, u, t).
     force : dict
         Generalised forces by coordinates, the components of the covector f in the Lagrange-d'Alembert principle.
     duration : expression
-        T.
+        Duration T of the motion.
     start : dict
         Values at t = 0 of coordinates and velocities (or momenta, or states).
     steps : int
         Default number N of intervals.
     drawing : sequence of Item
-        The picture of the system (see `codegen.drawing`), without effect on the solution.
+        Drawing of the system for figures and films (see `codegen.drawing`), without effect on the solution.
     """
 
     task: ClassVar[str] = ""
@@ -118,10 +123,10 @@ class Problem(AuthorObject):
 @refusing
 @dataclass(frozen=True)
 class Simulate(Problem):
-    """Follow the motion from a complete initial state: all coordinates, and all velocities or all momenta.
+    """Simulate the motion from a complete initial state: all coordinates, and all velocities or all momenta.
 
-    A Simulate has a Lagrangian or a Hamiltonian. For first-order dynamics, holonomic constraints and delays use a
-    Control without controls and cost, whose steps are solved together.
+    A Simulate has a Lagrangian or a Hamiltonian. For first-order dynamics, holonomic constraints and delays, use a
+    Control without controls and cost, whose time steps are solved together.
     """
 
     task: ClassVar[str] = "simulate"
@@ -130,53 +135,57 @@ class Simulate(Problem):
 @refusing
 @dataclass(frozen=True)
 class Control(Problem):
-    """Minimise `terminal_cost` at T plus the integral of `cost` over [0, T].
+    """Minimise the integral of `cost` over [0, T] plus `terminal_cost` at T.
 
-    Relations are a list, or a dict with names for messages, as in `path={"heating rate": q <= 70}`.
+    Relations are a list, or a dict from names to relations, as in `path={"heating rate": q <= 70}`. Messages use the
+    names.
 
     Parameters
     ----------
     lagrangian, hamiltonian, dynamics, force, duration, start, steps, drawing
-        See Problem. Values that `start` and `end` omit are free.
+        See Problem. Boundary values that `start` and `end` omit are free.
     cost, terminal_cost : expression
+        Integrand of the cost, and cost at T.
     maximise, terminal_maximise : expression
-        Sum to maximise in place of the costs. `cost` of a solution is minus this sum, `maximum` in its summary is the
-        sum.
+        Quantities to maximise in place of the costs: an integrand and a value at T. The `cost` of a solution is minus
+        their sum, and `maximum` in its summary is the sum.
     end : dict
-        Values at T, as `start`.
+        Values at T, of the same quantities as in `start`.
     start_conditions, end_conditions : relations
-        Between coordinates and velocities (or momenta, or states) at an end.
+        Relations between coordinates and velocities (or momenta, or states) at the start or at the end.
     path : relations
-        At every time, also with controls.
+        Relations that hold at every time; they may contain controls.
     integral : relations
-        Between the integral of one side over [0, T], or over a phase, and a constant, as in `[Eq(sqrt(1 + u**2), 4)]`.
+        Relations between the integral of one side over [0, T], or over a phase, and a constant, as in
+        `[Eq(sqrt(1 + u**2), 4)]`.
     at : dict of relations
         Relations at times between start and end, which become nodes, as in `{0.75: [Eq(x, 0.9)], 2: [y >= 1]}`.
     waypoints : list of relations
         Relations at times that the solver determines, in order, as in `[[Eq(x, 1), Eq(y, 2)], [y >= 3]]`. A Waypoint
         limits the time.
     bounds : dict
-        Pairs (lower, upper) of coordinates, velocities, momenta, states, controls and free parameters; None for no
+        Pairs (lower, upper) for coordinates, velocities, momenta, states, controls and free parameters; None means no
         bound.
     constraint : list of expressions
         Holonomic constraints c(q) = 0 of a Lagrangian system.
     periodic : list or dict
-        Quantities with the same value at T and at 0, or their differences.
+        Quantities that have the same value at T and at 0; a dict has the value at T minus the value at 0 for each.
     history : dict
-        Expressions of t for x before t = 0 in `x.delayed(tau)`, the value at t - tau of a state, coordinate, velocity,
-        momentum or control. A motion starts where its history ends, unless `start` or `start_conditions` differ.
+        Values before t = 0 of quantities x with delays, as expressions of t. `x.delayed(tau)` is the value at t - tau
+        of a state, coordinate, velocity, momentum or control. A motion starts with the last value of its history,
+        unless `start` or `start_conditions` prescribe another value.
     bodies : int
-        Number H of identical systems. Values that depend on `body_number()` differ; end conditions in `q.of(0)`,
-        `q.of(1)`, ... couple them.
+        Number H of identical systems. Values that depend on `body_number()` differ between bodies. End conditions in
+        `q.of(0)`, `q.of(1)`, ... couple the bodies.
     observations : Measurements, or a list with one for each body
         Measurements, whose distance from the motion is added to the cost.
     guess : dict or Trajectory
         Initial guesses of coordinates, states and controls: expressions of parameters and time, or tables of time. By
-        default coordinates are linear between end values or measurements, and controls are zero. Free parameters have
-        their guess there.
+        default coordinates are linear between boundary values or measurements, and controls are zero. The guess of a
+        free parameter is an argument of `free_parameter`.
     scale : dict
-        Typical sizes of coordinates, momenta, states, controls and free parameters, positive numbers, in place of
-        automatic scaling factors.
+        Typical magnitudes of coordinates, momenta, states, controls and free parameters, positive numbers that are used
+        in place of automatic scaling factors.
     """
 
     task: ClassVar[str] = "control"
@@ -207,24 +216,25 @@ class Control(Problem):
 class Phases(AuthorObject):
     """Control problems that follow each other in time, with different dynamics, bounds and costs.
 
-    All phases have the same form (Lagrangian, Hamiltonian or dynamics) and the same coordinates or states. Each has its
-    own duration and `steps` intervals. Time continues from phase to phase. Only the first phase has a `start`. The end
-    of an earlier phase (`end`, `end_conditions`, `terminal_cost`) holds at the switch before the jump.
+    All phases have the same form (Lagrangian, Hamiltonian or dynamics) and the same coordinates or states. Each phase
+    has its own duration, and `steps` intervals. Time continues from phase to phase. Only the first phase has a `start`.
+    The arguments `end`, `end_conditions` and `terminal_cost` of an earlier phase hold at the switch before the jump.
 
     Parameters
     ----------
     *phases : Control
+        The phases in order.
     jumps : list of dicts
-        One for each switch: states, or coordinates and velocities (or momenta), after the switch by their values
-        before, as in `[{m: m - dry_mass}]` or `[{dq: -e * dq}]`. Other values are continuous; for a Lagrangian these
-        are velocities, not momenta.
+        A dict for each switch between two phases. It has expressions for states, or coordinates and velocities (or
+        momenta), after the switch in terms of the values before, as in `[{m: m - dry_mass}]` or `[{dq: -e * dq}]`. All
+        other values are continuous; for a Lagrangian velocities are continuous, not momenta.
     """
 
     phases: tuple[Control, ...]
     jumps: Sequence[Mapping[Any, Expression]]
 
     def __init__(self, *phases: Control, jumps: Sequence[Mapping[Any, Expression]] = (), **others: Any) -> None:
-        """Store the phases in order; ProblemFileError for arguments that belong to a single phase."""
+        """Store the phases and the jumps; raise ProblemFileError for arguments that belong to a single phase."""
         for name in others:
             raise ProblemFileError(
                 f"Phases(...) has no argument {name!r}",
@@ -235,7 +245,10 @@ class Phases(AuthorObject):
 
 
 def form_of(problem: Problem) -> str:
-    """Return the argument that defines the motion; raise ExpressionError unless there is exactly one."""
+    """Return the name of the argument that defines the motion, such as "lagrangian".
+
+    Raise ExpressionError unless exactly one of the three arguments is given.
+    """
     given = [form for form in FORMS if getattr(problem, form) is not None]
     if len(given) != 1:
         raise ExpressionError(

@@ -1,10 +1,10 @@
 """Sources of problems: problem files and objects of Python, with a common interface.
 
-A source has the name of the problem, the text that identifies the problem in the build cache, and the author's object.
-No sympy is imported until an object is described or a file is run, so that a cache hit is recognised quickly.
+A source has the name of the problem, the text that identifies the problem in the build cache, and the problem object.
+sympy is not imported before an object is described or a file is run, so that a cache hit is recognised quickly.
 
-A problem file is run anew for every derivation. Errors of the author's code name the file and the line. Arguments of
-`problem(...)` are converted from the text of `--set` to the annotated types.
+A problem file is run again for every derivation. Errors in the user's code name the file and the line. Arguments of
+`problem(...)` are converted from the texts of `--set` to the annotated types.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from codegen.problem import AuthorObject, perhaps
 from codegen.problem.points import beside
 
 UNNAMED = "problem"
-"""The default name of an object."""
+"""The default name of a problem object."""
 
 
 @dataclass(frozen=True)
 class ProblemFile:
-    """A problem file, identified by its text; line endings do not matter."""
+    """A problem file, which its text identifies in the build cache; line endings do not matter."""
 
     path: Path
 
@@ -48,40 +48,41 @@ class ProblemFile:
 
     @property
     def location(self) -> str:
-        """The beginning of messages."""
+        """The path of the file, with which messages begin."""
         return str(self.path)
 
     @property
     def folder(self) -> Path:
-        """The folder of the files that the problem reads."""
+        """The folder to which the paths of files that the problem reads are relative."""
         return self.path.parent
 
     @property
     def text(self) -> str:
-        """The text of the file; ProblemFileError if the file cannot be read."""
+        """The text of the file; raises ProblemFileError if the file cannot be read."""
         return source_text(self.path)
 
     @property
     def arguments(self) -> tuple[str, ...]:
-        """The names of the arguments of problem(), from the text alone; empty if the text cannot be parsed."""
+        """The names of the arguments of problem(), read without running the file; empty if it cannot be parsed."""
         return tuple(argument.arg for argument, _ in _arguments(self.path))
 
     @property
     def point_arguments(self) -> set[str]:
-        """The names of the arguments that are files of points, by their annotation `Points`."""
+        """The names of the arguments that are files of points, which have the annotation `Points`."""
         annotated = ((argument.arg, argument.annotation) for argument, _ in _arguments(self.path))
         return {name for name, kind in annotated if isinstance(kind, ast.Name) and kind.id == "Points"}
 
     def written(self, arguments: Mapping[str, str]) -> tuple[str, Any, Any]:
-        """Return the title, the author's object and the declared symbols; see `written_problem`."""
+        """Run the file; return the title, the problem object and the declared symbols; see `written_problem`."""
         return written_problem(self.path, arguments)
 
 
 @dataclass(frozen=True)
 class ProblemObject:
-    """A problem made in Python, for example in a notebook, identified by a text of its content.
+    """A problem object that was created in Python, for example in a notebook.
 
-    The text does not depend on the process, on the hash seed, or on other declarations.
+    `text` describes the content of the object, and identifies the problem in the build cache. The text does not depend
+    on the process, on the hash seed, or on declarations that the problem does not use.
     """
 
     name: str
@@ -92,21 +93,21 @@ class ProblemObject:
 
     @property
     def location(self) -> str:
-        """The beginning of messages."""
+        """The name of the problem, with which messages begin."""
         return self.name
 
     @property
     def arguments(self) -> tuple[str, ...]:
-        """An object has no arguments, because there is no problem() to call again."""
+        """An empty tuple: an object has no arguments, because no function problem() can be called."""
         return ()
 
     @property
     def point_arguments(self) -> set[str]:
-        """An object has no arguments."""
+        """An empty set: an object has no arguments."""
         return set()
 
     def written(self, arguments: Mapping[str, str]) -> tuple[str, Any, Any]:
-        """Return the title, the object and its symbols; raise ArgumentError for arguments."""
+        """Return the title, the problem object and its declared symbols; raise ArgumentError if `arguments` has any."""
         from codegen.problem.description import quantities_in
 
         for name in arguments:
@@ -122,8 +123,9 @@ Source: TypeAlias = ProblemFile | ProblemObject
 def source_of(problem: Any, name: str | None = None, title: str | None = None) -> Source:
     """Return the source for the path of a problem file, or for a Control, Simulate, Phases or Connect.
 
-    Raises ArgumentError for a name that is no identifier, for a name or title of a file, and for objects that are no
-    problem. Raises ExpressionError for an unusable part of an object.
+    `name` and `title` are the name and the title of an object. Raise ArgumentError for a name that is no identifier,
+    for a name or title together with a file, and for objects that are no problem. Raise ExpressionError for an unusable
+    part of an object.
     """
     if isinstance(problem, ProblemFile | ProblemObject | Path | str):
         if name is not None or title is not None:
@@ -144,22 +146,27 @@ def source_of(problem: Any, name: str | None = None, title: str | None = None) -
 
 
 def input_digest(problem: Source | Path | str, arguments: Mapping[str, str], *extra: str) -> str:
-    """Return the SHA-256, in hexadecimal, of a problem's text, its arguments in any order, and further strings.
+    """Return the SHA-256, in hexadecimal, of the text of a problem, its arguments, and the `extra` strings.
 
-    Files that a problem file imports or reads are not included. Raises ProblemFileError for an unreadable file.
+    The order of the arguments has no effect. Files that a problem file imports or reads are not included. Raise
+    ProblemFileError for an unreadable file.
     """
     pairs = [part for name in sorted(arguments) for part in (name, arguments[name])]
     digest = hashlib.sha256()
     for part in (source_of(problem).text, str(len(arguments)), *pairs, *extra):
         data = part.encode(errors="surrogateescape")
-        # The length in front distinguishes ("ab", "c") from ("a", "bc").
+        # The length before each part distinguishes ("ab", "c") from ("a", "bc").
         digest.update(f"{len(data)}:".encode() + data)
     return digest.hexdigest()
 
 
 @dataclass(frozen=True)
 class Settings(Mapping[str, str]):
-    """The arguments that determine a module, as text, and the file of points, if any, which a solve reads."""
+    """The arguments of problem() as text.
+
+    The mapping `shaping` has the arguments on which the generated module depends. `points` is the file of points, which
+    is read when the problem is solved; None means the file that the problem names.
+    """
 
     shaping: Mapping[str, str]
     points: str | None = None
@@ -175,9 +182,9 @@ class Settings(Mapping[str, str]):
 
 
 def settings_of(problem: Source | Path | str, arguments: Mapping[str, object] | None) -> Settings:
-    """Return the settings for arguments of problem(), given as values or as the text of `--set`.
+    """Return the settings for arguments of problem(), which are values or the texts of `--set`.
 
-    Raises ProblemFileError for an unreadable file, and ArgumentError for two files of points.
+    Raise ProblemFileError for an unreadable file, and ArgumentError for two files of points.
     """
     if isinstance(arguments, Settings):
         return arguments
@@ -194,11 +201,11 @@ def settings_of(problem: Source | Path | str, arguments: Mapping[str, object] | 
 
 
 def written_problem(path: Path, arguments: Mapping[str, str]) -> tuple[str, Any, Any]:
-    """Run a problem file; return its title, the problem and the symbols that were declared for the problem.
+    """Run a problem file; return its title, the problem object and the symbols that were declared for the problem.
 
-    The title is the first line of the docstring. The file is run anew each time. The file and modules beside it are
-    not kept in sys.modules; printed text goes to stderr. Raises ProblemFileError if the file cannot be read, imported
-    or called, and ArgumentError if an argument does not fit `problem`.
+    The title is the first line of the docstring. The file is run again at each call. Afterwards sys.modules contains
+    neither the file nor modules from its folder. Printed text is written to stderr. Raise ProblemFileError if the file
+    cannot be read or imported or problem() cannot be called, and ArgumentError if an argument does not fit `problem`.
     """
     title, code = _compiled(path)
 
@@ -228,7 +235,7 @@ def written_problem(path: Path, arguments: Mapping[str, str]) -> tuple[str, Any,
             close = difflib.get_close_matches(name, known, n=1)
             remedy = f"problem() takes {', '.join(known)}" if known else "problem() takes no arguments"
             remedy = f"did you mean {close[0]}? {remedy}" if close else remedy
-            with recorded_declarations() as declared, suppress(Exception, SystemExit):  # errors of other origin
+            with recorded_declarations() as declared, suppress(Exception, SystemExit):  # only declarations are needed
                 function()
             if any(isinstance(symbol, Parameter) and symbol.name == name for symbol in declared):
                 given = f"{name}={arguments[name]}"
@@ -256,7 +263,7 @@ def source_text(path: Path) -> str:
 
 
 def _compiled(path: Path) -> tuple[str, CodeType]:
-    """Return the title of a problem file and its code."""
+    """Return the title of a problem file and its compiled code; raise ProblemFileError for an unusable file."""
     source = source_text(path)
     if not path.stem.isidentifier() or keyword.iskeyword(path.stem):
         raise _unusable(path, f"{path.stem!r} cannot name a module", "rename the file to a Python identifier")
@@ -277,7 +284,10 @@ def _compiled(path: Path) -> tuple[str, CodeType]:
 
 @contextmanager
 def _fresh_module(path: Path) -> Iterator[ModuleType]:
-    """Provide an empty module for the file, with its folder on sys.path, inside the block."""
+    """Provide an empty module for the problem file during a with block, with the folder of the file on sys.path.
+
+    At the end modules from this folder are removed from sys.modules.
+    """
     module = ModuleType(f"_problem_{path.stem}")
     module.__file__ = str(path.absolute())
     folder = path.resolve().parent
@@ -285,7 +295,7 @@ def _fresh_module(path: Path) -> Iterator[ModuleType]:
     writes_bytecode = sys.dont_write_bytecode
     sys.dont_write_bytecode = True
     sys.path.insert(0, str(folder))
-    # Dataclasses look their module up by name.
+    # Dataclasses need their module in sys.modules.
     sys.modules[module.__name__] = module
     importlib.invalidate_caches()
     try:
@@ -295,7 +305,8 @@ def _fresh_module(path: Path) -> Iterator[ModuleType]:
         if str(folder) in sys.path:
             sys.path.remove(str(folder))
         sys.modules.pop(module.__name__, None)
-        # Forget new modules and packages directly in the folder. An environment with sympy may lie deeper in it.
+        # Remove new modules and packages that lie directly in the folder. Modules in subfolders remain, because an
+        # environment with sympy may be there.
         new = set(sys.modules) - before
         for top in [name for name in new if "." not in name]:
             locations = [getattr(sys.modules[top], "__file__", None), *getattr(sys.modules[top], "__path__", [])]
@@ -304,7 +315,7 @@ def _fresh_module(path: Path) -> Iterator[ModuleType]:
                     del sys.modules[name]
 
 
-# Errors of authors
+# Errors in the user's code
 
 
 def _unusable(location: Path | str, finding: str, remedy: str) -> ProblemFileError:
@@ -312,7 +323,7 @@ def _unusable(location: Path | str, finding: str, remedy: str) -> ProblemFileErr
 
 
 def with_location(error: CodegenError, location: str) -> CodegenError:
-    """Return the same error with the location of the mistake."""
+    """Return an error of the same kind, whose message begins with the location of the mistake."""
     return type(error)(clause(f"{location}: {error.finding}"), clause(error.remedy))
 
 
@@ -330,32 +341,32 @@ _MISTAKES = (
     ("free_parameter() missing", 'give its initial guess, as in free_parameter("T", 3)'),
     ("'function'", "call it where it makes a symbol, as in t = time()"),
 )
-"""Words of a TypeError, and the remedy."""
+"""Words in the message of a TypeError, and the remedy for each."""
 
 _UNEXPECTED = re.compile(r"(\w+)(?:\.__init__)?\(\) got an unexpected keyword argument '(\w+)'")
 
 
 @contextmanager
 def _blaming(path: Path) -> Iterator[None]:
-    """Convert exceptions of the author's code to errors that name the file and the line."""
+    """Convert exceptions of the user's code in a with block to errors that name the problem file and the line."""
     try:
         yield
     except CodegenError as error:
         raise with_location(error, _location(path, error)) from error
-    except (Exception, SystemExit) as error:  # the author's code may raise any error; Ctrl-C is not its fault
+    except (Exception, SystemExit) as error:  # the user's code may raise any error; KeyboardInterrupt is not caught
         finding = f"{type(error).__name__}: {error}".rstrip(": ")
         raise _unusable(_location(path, error), finding, _remedy(error)) from error
 
 
 def _location(path: Path, error: BaseException) -> str:
-    """Return the file and the innermost of its lines in the traceback of an exception."""
+    """Return the location `file:line`, with the innermost line of the problem file in the traceback of an exception."""
     filename = str(path.absolute())
     lines = [line for frame, line in traceback.walk_tb(error.__traceback__) if frame.f_code.co_filename == filename]
     return f"{path}:{lines[-1]}" if lines else str(path)
 
 
 def _remedy(error: BaseException) -> str:
-    """Return the remedy for an exception of Python in an author's code."""
+    """Return the remedy for an exception of Python in the user's code."""
     if isinstance(error, ImportError):
         return "install what is missing, or correct the import"
     if isinstance(error, SystemExit):
@@ -375,10 +386,11 @@ def _remedy(error: BaseException) -> str:
 
 
 def parse_arguments(items: Sequence[str], path: Path | None = None) -> dict[str, str]:
-    """Split the `name=value` strings of `--set`; a value may contain equality signs, or be empty.
+    """Return the arguments of `--set`, strings of the form `name=value`, as a dictionary.
 
-    Raises ArgumentError for an item without an equality sign or a name, and for a repeated name. The remedy has an
-    example, the argument of that name or the first one in the problem file at `path` with its default.
+    A value may contain equality signs, or be empty. Raise ArgumentError for an item without an equality sign or a name,
+    and for a repeated name. If `path` is given, the remedy has an example from this problem file: the argument with the
+    name, or else the first argument, with its default value.
     """
     arguments: dict[str, str] = {}
     for item in items:
@@ -398,10 +410,13 @@ def parse_arguments(items: Sequence[str], path: Path | None = None) -> dict[str,
 
 
 def _arguments(path: Path) -> list[tuple[ast.arg, ast.expr | None]]:
-    """Return the arguments of problem() with their defaults, from the text of the file alone."""
+    """Return the arguments of problem() with their defaults, from the text of the file, which is not run.
+
+    The list is empty if the text cannot be parsed.
+    """
     try:
         tree = ast.parse(source_text(path))
-    except (SyntaxError, ValueError, RecursionError, MemoryError):  # reported where the file is run
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # an error is raised later, when the file is run
         return []
     for node in tree.body:
         if isinstance(node, ast.FunctionDef) and node.name == "problem":
@@ -412,9 +427,10 @@ def _arguments(path: Path) -> list[tuple[ast.arg, ast.expr | None]]:
 
 
 def converted(path: Path, text: str, parameter: inspect.Parameter) -> Any:
-    """Return the value of an argument of problem() in its annotated type, or in the type of its default.
+    """Return the value of an argument of problem(), converted from text to its annotated type or its default's type.
 
-    Raises ArgumentError, which names the problem file at `path`, if the text does not fit, or the type cannot be read.
+    Raise ArgumentError, which names the problem file `path`, if the text does not fit the type, or if values of the
+    type cannot be read from text.
     """
     annotation = parameter.annotation
     if annotation is parameter.empty:
@@ -437,7 +453,11 @@ def converted(path: Path, text: str, parameter: inspect.Parameter) -> Any:
 
 
 def _readers(annotation: Any) -> list[tuple[str, Callable[[str], Any]]]:
-    """Return descriptions of the values of a type, and functions that read them; they raise ValueError for others."""
+    """Return pairs of a description and a function for the type of an argument.
+
+    The function converts text to a value, and raises ValueError if the text does not fit the description. The list is
+    empty for a type whose values cannot be read from text.
+    """
     origin, choices = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _readers(choices[0])
@@ -445,7 +465,7 @@ def _readers(annotation: Any) -> list[tuple[str, Callable[[str], Any]]]:
         values = {str(choice): choice for choice in choices}
         return [(" or ".join(values), lambda text: _chosen(values, text))]
     if origin in (Union, UnionType):
-        # None comes first: every other type of text would accept the word as a value.
+        # None is tried first, because str and Path would accept the word "none" as a value.
         parts = [_readers(choice) for choice in sorted(choices, key=lambda choice: choice is not NoneType)]
         return [reader for part in parts for reader in part] if all(parts) else []
     plain: dict[Any, tuple[str, Callable[[str], Any]]] = {
@@ -475,7 +495,7 @@ def _integer(text: str) -> int:
         number = Decimal(text)
     except InvalidOperation:
         raise ValueError(text) from None
-    # The limit comes first: the integer 1e999999999 would not fit into memory.
+    # The magnitude is tested before the conversion, because the integer 1e999999999 would not fit into memory.
     if not number.is_finite() or number.adjusted() > 18 or number != number.to_integral_value():
         raise ValueError(text)
     return int(number)

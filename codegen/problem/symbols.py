@@ -1,8 +1,8 @@
-"""The symbols that an author declares: coordinates, velocities, momenta, states, controls, parameters, time.
+"""The symbols that users declare: coordinates, velocities, momenta, states, controls, parameters, time.
 
-Each symbol has a class of its own, so that its role in an expression is known, and an undeclared `sympy.Symbol` is
-recognised. Two declarations are two symbols even if they share a name, so that a repeated name is detected.
-`recorded_declarations` collects declarations.
+Each kind of symbol has its own class. Hence the role of a symbol in an expression is known, and an undeclared
+`sympy.Symbol` is recognised. Two declarations with the same name create different symbols, so that a repeated name is
+detected. `recorded_declarations` collects declarations.
 """
 
 from __future__ import annotations
@@ -25,16 +25,20 @@ from codegen.symbolic.checks import checked, tidied
 from codegen.symbolic.terms import EachBodyBase
 
 _serial_numbers = itertools.count(secrets.randbits(60) << 32)
-"""The numbers begin at a random value in every process, so that unpickled symbols of another process are distinct."""
+"""Numbers of symbols in the order of declaration.
+
+They begin at a random value in every process, so that symbols from pickles of other processes have other numbers.
+"""
 _NUMPY_FUNCTIONS = {name for name, value in vars(np).items() if isinstance(value, np.ufunc) and value.nin == 1}
-"""The functions of one argument of numpy, which call the method of that name of an object."""
+"""The names of numpy functions of one argument; for an object numpy calls the object's method of the same name."""
 _recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities", default=None)
 
 
 class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
-    """A declared real symbol; `declared` orders symbols as their author wrote them.
+    """A declared real symbol.
 
-    A symbol that is not `own` follows from another symbol and need not be used. `unit` exists if it was declared.
+    `declared` is a number that increases in the order of declaration. `own` is False for symbols that follow from
+    another symbol, and need not be used. `unit` exists only if a unit was declared.
     """
 
     __slots__ = ("declared", "unit")
@@ -45,14 +49,14 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
 
     @property
     def rate_remedy(self) -> str:
-        """The remedy for a derivative of this symbol by time; empty for a constant symbol."""
+        """The remedy for a time derivative of this symbol in an expression; empty for a constant symbol."""
         return ""
 
     def __new__(cls, name: str) -> Quantity:
-        """Make a new symbol, different from all others; SymbolError for an unusable name."""
+        """Return a new symbol, different from all others; raise SymbolError for an unusable name."""
         if not isinstance(name, str) or not name.isidentifier() or MARK in name:
             raise SymbolError(f"{name!r} is not an identifier", "use letters, digits and underscores")
-        # As Python reads identifiers, where several characters stand for one letter.
+        # Python normalises identifiers in the same way, because different characters may represent the same letter.
         symbol: Quantity = sympy.Symbol.__xnew__(cls, unicodedata.normalize("NFKC", name), real=True)
         symbol.declared = next(_serial_numbers)
         recorded = _recorder.get()
@@ -61,7 +65,10 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
         return symbol
 
     def __getattr__(self, name: str) -> Callable[[], NoReturn]:
-        """Return a method that refuses a function of numpy, whose own message has no remedy."""
+        """Return a method that raises ExpressionError if `name` is a function of numpy.
+
+        A call such as numpy.sin(q) calls this method. The message of numpy itself would have no remedy.
+        """
         if name not in _NUMPY_FUNCTIONS:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
 
@@ -71,7 +78,7 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
         return refuse
 
     def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
-        """Return what recreates the same symbol, with all its attributes, from a pickle or for a copy."""
+        """Return the function, arguments and attributes that restore the same symbol from a pickle or for a copy."""
         kinds = [kind for kind in type(self).__mro__ if issubclass(kind, Quantity)]
         slots = [name for kind in kinds for name in vars(kind).get("__slots__", ()) if hasattr(self, name)]
         return _restored, (type(self), self.name, self.declared), {name: getattr(self, name) for name in slots}
@@ -84,32 +91,35 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
         return (*super()._hashable_content(), self.declared)
 
     def delayed(self, tau: Any) -> Delayed:
-        """Raise SymbolError, because the symbol does not move."""
+        """Raise SymbolError, because the symbol does not change with time."""
         raise SymbolError(f"{self}.delayed({tau})", f"{self} does not move: delay states, coordinates or controls")
 
 
 def _restored(kind: type[Quantity], name: str, declared: int) -> Quantity:
-    """A symbol as it was declared once; what else is known of it follows, since partners know each other."""
+    """Return a symbol from a pickle, with the number of its first declaration.
+
+    Its other attributes are set later, because partners refer to each other.
+    """
     symbol: Quantity = sympy.Symbol.__xnew__(kind, name, real=True)
     symbol.declared = declared
     return symbol
 
 
 class Parameter(Quantity):
-    """A number that is an argument of the generated module; `value` is its default."""
+    """A parameter: a number that is an argument of the generated module; `value` is its default."""
 
     __slots__ = ("value",)
     value: float
 
 
 class Moving(Quantity):
-    """A quantity that changes with time, and has a past."""
+    """A quantity that changes with time; `past` has its delayed values by their delays."""
 
     __slots__ = ("past",)
     past: dict[sympy.Expr, Delayed]
 
     def __new__(cls, name: str) -> Moving:
-        """Make a new symbol without delayed values."""
+        """Return a new symbol without delayed values."""
         symbol = super().__new__(cls, name)
         assert isinstance(symbol, Moving), "it is of this class"
         symbol.past = {}
@@ -126,7 +136,8 @@ class Moving(Quantity):
         Returns
         -------
         Delayed
-            The same symbol for the same delay. `history={...}` of the problem defines its values before t = 0.
+            Symbol of the delayed value; repeated calls with the same delay return the same symbol. The argument
+            `history={...}` of the problem defines its values before t = 0.
 
         Raises
         ------
@@ -155,24 +166,27 @@ class Delayed(Quantity):
 
     @property
     def rate_remedy(self) -> str:
-        """The remedy for the partner, with the delay added."""
+        """The remedy of the partner, and the advice to delay the result."""
         return f"{self.partner.rate_remedy}, and delay that"
 
     def __new__(cls, partner: Moving, lag: sympy.Expr) -> Delayed:
-        """Make a new symbol, which no author declares."""
+        """Return a new symbol, which is not recorded as a declaration."""
         symbol: Delayed = sympy.Symbol.__xnew__(cls, f"{partner.name}.delayed({lag})", real=True)
         symbol.declared = next(_serial_numbers)
         symbol.partner, symbol.lag = partner, lag
         return symbol
 
     def delayed(self, tau: Any) -> Delayed:
-        """Return the value at a still earlier time."""
+        """Return the value of the partner at a still earlier time, t - lag - tau."""
         return self.partner.delayed(self.lag + tau)
 
 
 @contextmanager
 def recorded_declarations() -> Iterator[list[Quantity]]:
-    """Record every quantity that is declared inside the block, so that unused ones can be named."""
+    """Record all quantities that are declared during a with block; the value of the block is the list of quantities.
+
+    Messages can then name quantities that are declared but not used.
+    """
     declared: list[Quantity] = []
     token = _recorder.set(declared)
     try:
@@ -185,7 +199,7 @@ _Declared = TypeVar("_Declared", bound=Quantity)
 
 
 class _Variable(Moving):
-    """A coordinate or a state; each of several bodies has one."""
+    """A coordinate or a state; `end_values` has the symbols of its values for single bodies by their numbers."""
 
     __slots__ = ("end_values",)
     end_values: dict[int, EndValue]
@@ -197,7 +211,9 @@ class _Variable(Moving):
         return symbol
 
     def of(self, body: int) -> EndValue:
-        """Return the value for one body, for `end_conditions`, and for `path` at every time.
+        """Return the value of the quantity for one of several identical bodies.
+
+        In `end_conditions` the symbol is the value at the end; in `path` it is the value at every time.
 
         Parameters
         ----------
@@ -207,12 +223,12 @@ class _Variable(Moving):
         Returns
         -------
         EndValue
-            The same symbol each time, named `<name>_<body>`.
+            Symbol with the name `<name>_<body>`; repeated calls return the same symbol.
 
         Raises
         ------
         SymbolError
-            If `body` is no such number.
+            If `body` is not 0, 1, ...
         """
         if isinstance(body, bool) or not isinstance(body, (int, np.integer)) or body < 0:
             raise SymbolError(f"{self}.of({body})", "give the number of a body: 0, 1, ...")
@@ -225,7 +241,10 @@ class _Variable(Moving):
 
 
 class EndValue(Quantity):
-    """The value of its `partner`, a coordinate or a state, for one body, at the end unless it stands in `path`."""
+    """The value of the coordinate or state `partner` for the body with the number `body`.
+
+    In `path` the symbol is the value at every time; elsewhere it is the value at the end.
+    """
 
     __slots__ = ("body", "partner")
     partner: Coordinate | State
@@ -234,19 +253,19 @@ class EndValue(Quantity):
 
     @property
     def rate_remedy(self) -> str:
-        """The remedy for the same quantity of all bodies."""
+        """The remedy of the partner."""
         return self.partner.rate_remedy
 
 
 class Coordinate(_Variable):
-    """A generalised coordinate; `partner` is the velocity or the momentum that was declared with it."""
+    """A generalised coordinate; `partner` is the velocity or the momentum that was declared together with it."""
 
     __slots__ = ("partner",)
     partner: Velocity | Momentum
 
     @property
     def rate_remedy(self) -> str:
-        """The velocity is declared, or follows from the Hamiltonian."""
+        """The remedy: use the velocity, which is declared or follows from the Hamiltonian."""
         if isinstance(self.partner, Velocity):
             return f"use its velocity {self.partner}"
         return f"use the derivative of the Hamiltonian by {self.partner}"
@@ -259,7 +278,7 @@ class State(_Variable):
 
     @property
     def rate_remedy(self) -> str:
-        """The author has the expression of the rate."""
+        """The remedy: write the expression of the derivative, which the problem has in `dynamics`."""
         return f"write the expression that dynamics={{{self}: ...}} gives"
 
 
@@ -271,7 +290,7 @@ class Velocity(Moving):
 
     @property
     def rate_remedy(self) -> str:
-        """Accelerations follow from the equations of motion, unless they are controls."""
+        """The remedy: make the acceleration a control; otherwise it follows from the equations of motion."""
         x = self.partner
         return f"make the acceleration the control a of states {x} and {self}: dynamics={{{x}: {self}, {self}: a}}"
 
@@ -284,7 +303,7 @@ class Momentum(Moving):
 
     @property
     def rate_remedy(self) -> str:
-        """The rate follows from the Hamiltonian and the force."""
+        """The remedy: write the derivative of the momentum, which follows from the Hamiltonian and the force."""
         return f"use the force less the derivative of the Hamiltonian by {self.partner}"
 
 
@@ -295,12 +314,12 @@ class ControlInput(Moving):
 
     @property
     def rate_remedy(self) -> str:
-        """The rate becomes the control, and the old control a state."""
+        """The remedy: make the derivative the control, and the old control a state."""
         return f"declare the rate as the control and {self} as a state: dynamics={{{self}: d{self}, ...}}"
 
 
 class FreeParameter(Quantity):
-    """A number that is optimised along with the motion: its initial guess and its bounds, None for no bound."""
+    """A number that is optimised together with the motion, with its initial guess and bounds; None means no bound."""
 
     __slots__ = ("guess", "lower", "upper")
     guess: Any
@@ -309,7 +328,7 @@ class FreeParameter(Quantity):
 
 
 class _Common(Quantity):
-    """A symbol that exists once: a repeated declaration with the same name is the same symbol."""
+    """A symbol that may be declared repeatedly: all symbols of the class with the same name are equal."""
 
     __slots__ = ()
 
@@ -318,22 +337,23 @@ class _Common(Quantity):
 
 
 class BodyNumber(_Common):
-    """The number 0, 1, ... of a body among several identical ones."""
+    """The number 0, 1, ... of a body among several identical bodies."""
 
     __slots__ = ()
 
 
 class Time(_Common):
-    """The independent variable; with another unit it is another symbol."""
+    """The time, the independent variable; times with different units are different symbols."""
 
     __slots__ = ()
 
     @property
     def _diff_wrt(self) -> bool:
-        """Refuse the time derivative of a moving quantity, which sympy evaluates to zero: its symbols are constants.
+        """Return True, which permits derivatives with respect to time; raise ExpressionError for moving quantities.
 
-        sympy reads this attribute before it evaluates a derivative, but does not pass the expression. Functions of time
-        are differentiated as usual.
+        sympy would evaluate the time derivative of a moving quantity to zero, because it treats symbols as constants.
+        sympy reads this attribute before it evaluates a derivative, but does not pass the expression, which is
+        therefore read from the caller's frame. Explicit functions of time are differentiated as usual.
         """
         caller = sys._getframe(1)
         if caller.f_code is sympy.Derivative.__new__.__code__:
@@ -364,6 +384,7 @@ def coordinate(name: str, velocity: str | None = None, *, unit: str | None = Non
     Returns
     -------
     Coordinate, Velocity
+        For example `q, dq = coordinate("q")`.
     """
     (q,), (v,) = coordinates(name, velocity, unit=unit)
     return q, v
@@ -381,7 +402,8 @@ def coordinates(
     velocities : str
         Names of the velocities, by default `d<name>`.
     unit : str
-        One unit for all, or one for each as in "m rad". Units of velocities follow with the unit of time.
+        One unit for all coordinates, or a unit for each as in "m rad". Velocities have these units divided by the unit
+        of time.
 
     Returns
     -------
@@ -408,7 +430,7 @@ def canonical_pair(
     Parameters
     ----------
     coordinate, momentum : str
-        Names.
+        Names of the two symbols.
     unit, momentum_unit : str
         Units of the coordinate and of the momentum.
 
@@ -431,7 +453,7 @@ def canonical_pairs(
     coordinates, momenta : str
         Names separated by blanks.
     unit, momentum_unit : str
-        One unit for all, or one for each.
+        Units of the coordinates and of the momenta: one unit for all, or a unit for each.
 
     Returns
     -------
@@ -458,14 +480,14 @@ def state(name: str, *, unit: str | None = None) -> State:
 
 
 def states(names: str, *, unit: str | None = None) -> tuple[State, ...]:
-    """Declare the states of a first-order system; `dynamics={x: ..., v: ...}` defines their derivatives.
+    """Declare the states of a first-order system, whose derivatives `dynamics={x: ..., v: ...}` of a problem defines.
 
     Parameters
     ----------
     names : str
         Names separated by blanks.
     unit : str
-        One unit for all, or one for each.
+        One unit for all states, or a unit for each.
 
     Returns
     -------
@@ -476,7 +498,7 @@ def states(names: str, *, unit: str | None = None) -> tuple[State, ...]:
 
 
 def control(name: str, *, unit: str | None = None) -> ControlInput:
-    """Declare one control.
+    """Declare one control of an optimal-control problem.
 
     Parameters
     ----------
@@ -496,7 +518,7 @@ def controls(names: str, *, unit: str | None = None) -> tuple[ControlInput, ...]
     names : str
         Names separated by blanks.
     unit : str
-        One unit for all, or one for each, as in "N N*m".
+        One unit for all controls, or a unit for each, as in "N N*m".
 
     Returns
     -------
@@ -507,7 +529,7 @@ def controls(names: str, *, unit: str | None = None) -> tuple[ControlInput, ...]
 
 
 def parameter(name: str, value: Any, *, unit: str | None = None) -> Parameter:
-    """Declare one parameter.
+    """Declare one parameter, a number that can be changed without a new build.
 
     Parameters
     ----------
@@ -526,7 +548,7 @@ def parameter(name: str, value: Any, *, unit: str | None = None) -> Parameter:
 
 
 def parameters(**values: Any) -> tuple[Parameter, ...]:
-    """Declare several parameters.
+    """Declare several parameters, numbers that can be changed without a new build.
 
     Parameters
     ----------
@@ -549,7 +571,7 @@ def parameters(**values: Any) -> tuple[Parameter, ...]:
 def free_parameter(
     name: str, guess: Any, lower: Any = None, upper: Any = None, *, unit: str | None = None
 ) -> FreeParameter:
-    """Declare a number that is optimised along with the motion, such as a duration.
+    """Declare a number that is optimised together with the motion, such as a duration.
 
     Parameters
     ----------
@@ -566,17 +588,20 @@ def free_parameter(
 
 
 def body_number() -> BodyNumber:
-    """Declare the number 0, 1, ... of a body, on which boundary values, guesses and bounds of bodies may depend."""
+    """Return the symbol for the number 0, 1, ... of a body.
+
+    Boundary values, guesses and bounds of several identical bodies may depend on this number.
+    """
     return BodyNumber("body")
 
 
 def each_body(*values: float) -> sympy.Expr:
-    """Return a boundary value, guess or bound with a separate value for each body.
+    """Return an expression for a boundary value, guess or bound with a separate value for each body.
 
     Parameters
     ----------
     *values : float
-        The values for body 0, body 1, ..., as many as there are bodies.
+        The values for body 0, body 1, ..., one for each body.
 
     Raises
     ------
@@ -603,9 +628,12 @@ def time(name: str = "t", *, unit: str | None = None) -> Time:
 
 
 def finite_number(value: Any, what: str) -> float:
-    """Return a number of Python, numpy or sympy as a float; SymbolError names `what` if it is not finite."""
+    """Return a number of Python, numpy or sympy as a float.
+
+    Raise SymbolError, which begins with the name `what`, for other values and for numbers that are not finite.
+    """
     try:
-        # float() would also take text and truth values, which are never meant.
+        # float() would also accept text and truth values, which are certainly mistakes.
         number = float("" if isinstance(value, (str, bytes, bytearray, bool)) or np.ndim(value) else value)
     except (TypeError, ValueError, OverflowError):
         raise SymbolError(f"{what} is {value!r}", "give a real number") from None
@@ -615,7 +643,7 @@ def finite_number(value: Any, what: str) -> float:
 
 
 def _split(names: str) -> list[str]:
-    """Return the names in a text; a range such as x1:4 stands for x1, x2 and x3, as in sympy.symbols."""
+    """Return the names in a text, separated by blanks or commas; x1:4 means x1, x2 and x3, as in sympy.symbols."""
     if not isinstance(names, str) or not names.replace(",", " ").split():
         raise SymbolError(f"{names!r} declares no symbol", 'give names separated by blanks, as in "r phi"')
     separate: list[str] = []
@@ -628,7 +656,10 @@ def _split(names: str) -> list[str]:
 
 
 def _with_units(symbols: tuple[_Declared, ...], unit: str | None) -> tuple[_Declared, ...]:
-    """Set one unit for all symbols, or one for each; units are parsed when a problem is made of the symbols."""
+    """Set the units of symbols, and return the symbols.
+
+    The text `unit` has one unit for all symbols, or a unit for each. The units are checked later, in the problem.
+    """
     if unit is None:
         return symbols
     if not isinstance(unit, str):

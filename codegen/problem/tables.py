@@ -1,4 +1,7 @@
-"""Functions with exact derivatives, guesses and measurements that are read from files of numbers."""
+"""Tables, initial guesses and measurements that are read from files of numbers.
+
+A table is a function in a problem, with exact derivatives.
+"""
 
 from __future__ import annotations
 
@@ -32,25 +35,28 @@ from codegen.symbolic.tables import (
 
 
 class Table:
-    """A function of one or two quantities that is given by a file of numbers.
+    """A function of one or two quantities that interpolates the numbers in a file.
 
     `thrust = Table("thrust.csv", inputs=("mach", "altitude"), output="thrust")` reads three columns of a file. Then
-    `thrust(M, h)` is used like a function of sympy. Units are those of the author.
+    `thrust(M, h)` is used like a function of sympy. Numbers in the file have the units of the problem.
 
     Parameters
     ----------
     file : path
-        A file beside the problem file. For two inputs it has a row for every pair of a grid, in any order.
+        Path of the file, relative to the folder of the problem file. For two inputs the file has a row for every pair
+        of values on a rectangular grid, in any order.
     inputs : str or sequence of str
         Names of one or two columns.
     output : str
         Name of the column of values.
     kind : {"cubic", "monotone", "linear", "steps"}
-        A spline with two continuous derivatives; a spline (of one input) with one continuous derivative and without
-        overshoot; piecewise linear, where Newton's method may fail at the kinks; piecewise constant, for guesses only.
+        Interpolation: "cubic" is a spline with two continuous derivatives. "monotone" is a spline with one continuous
+        derivative and without overshoot, for one input. "linear" is piecewise linear; Newton's method may fail at its
+        kinks. "steps" is piecewise constant, for guesses only.
     outside : {"error", "extend", "clamp"}
-        Outside its range a table continues the polynomials at its edge. Such a solution is an error, unless `outside`
-        is "extend", or "clamp", which keeps the value at the edge.
+        Values outside the range of the table: "extend" continues the polynomials at the edge, and "clamp" keeps the
+        value at the edge. "error" also continues the polynomials, but a solution that uses them has the status "outside
+        a table".
     name : str
         Name in messages and in the option `tables` of solves, by default `output`.
 
@@ -74,12 +80,12 @@ class Table:
         name = output if name is None else name
         _require_arguments(file, columns, output, kind, outside, name)
         if kind == "steps":
-            outside = "clamp"  # the only meaning for steps
+            outside = "clamp"  # a table of steps always keeps the value at its edge
         path = data_file(Path(file))
         self.data: TableData = read_table(path, Path(file).as_posix(), name, columns, output, kind, outside)
 
     def __call__(self, *at: Any) -> Any:
-        """Return the value at numbers or expressions, one for each input."""
+        """Return the value of the table for numbers or expressions, one for each input."""
         shape = self.data.shape
         if len(at) != len(shape.inputs):
             raise TableError(
@@ -96,7 +102,7 @@ class Table:
 
     @property
     def values(self) -> np.ndarray:
-        """Values at the breakpoints, shape (n,) or (n, m)."""
+        """Values at the breakpoints, with the shape (n,) for one input or (n, m) for two inputs."""
         return np.array(self.data.heights[..., 0])
 
     def __repr__(self) -> str:
@@ -104,14 +110,14 @@ class Table:
 
 
 class Trajectory:
-    """A motion in a file, as an initial guess: `guess=Trajectory("start.csv")`.
+    """A motion that is read from a file as an initial guess: `guess=Trajectory("start.csv")`.
 
-    Before the first and after the last row the values are constant.
+    Before the first row and after the last row the values are constant.
 
     Parameters
     ----------
     file : path
-        A file with a column of times and columns named like coordinates, states and controls.
+        A file with a column of times, and columns with the names of coordinates, states and controls.
     time : str
         Name of the column of times.
     columns : sequence of str
@@ -146,9 +152,9 @@ class Trajectory:
 
 
 def guess_entries(guess: Any, quantities: Iterable[Quantity], time: Expr) -> Any:
-    """Return the guesses of quantities as expressions of time, where they are written as tables or a trajectory.
+    """Return the argument `guess` of a problem with tables and trajectories replaced by expressions of time.
 
-    Raises TableError for a column of a trajectory that no quantity is named like, and for a table of two inputs.
+    Raise TableError if a column of a trajectory has the name of no quantity, and for a table of two inputs.
     """
     if isinstance(guess, Trajectory):
         named = {quantity.name: quantity for quantity in quantities if isinstance(quantity, _GUESSED)}
@@ -165,6 +171,7 @@ def guess_entries(guess: Any, quantities: Iterable[Quantity], time: Expr) -> Any
 
 
 _GUESSED = (Coordinate, State, ControlInput)
+"""The kinds of quantities for which a trajectory may have a column."""
 
 
 def _require_arguments(file: Any, inputs: Any, output: Any, kind: Any, outside: Any, name: Any) -> None:
@@ -187,31 +194,32 @@ def _require_arguments(file: Any, inputs: Any, output: Any, kind: Any, outside: 
 
 
 class Measurements:
-    """Measured values that a motion is fitted to, as in `Measurements("oil.csv", values={a: "z"})`.
+    """Measured values to which a motion is fitted, as in `Measurements("oil.csv", values={a: "z"})`.
 
-    The cost gains the sum of e^2 over all values. Here e is the motion, as the scheme continues it inside an interval,
-    minus the value, divided by the standard deviation. Times of measurements are independent of the nodes.
+    The sum of e^2 over all measured values is added to the cost. The error e is the value of the motion minus the
+    measured value, divided by the standard deviation. The times of measurements need not be nodes; the scheme
+    interpolates the motion inside an interval.
 
     Parameters
     ----------
     file : path
-        A file beside the problem file. Cells may be empty.
+        Path of the file, relative to the folder of the problem file. Its cells may be empty.
     values : dict
-        Names of columns by states, coordinates or expressions of them.
+        Measured quantities, which are states, coordinates or expressions of them, with the names of their columns.
     time : str
         Name of the column of times.
     sigma : float, str or dict
-        Standard deviations by entries of `values`, or one for all: positive numbers in the units of the value, or names
-        of columns. Without `sigma` errors are not scaled, and a common standard deviation is estimated from the
-        residuals.
+        Standard deviations: positive numbers in the units of the values, or names of columns. A dict has an entry for
+        each measured quantity; otherwise all quantities have the same standard deviation. Without `sigma` errors are
+        not scaled, and a common standard deviation is estimated from the residuals.
     loss : {"squares", "huber", "soft-l1"}
-        Loss of an error: e^2; 2 |e| - 1 beyond |e| = 1; 2 (sqrt(1 + e^2) - 1). The last two reduce the effect of
-        outliers.
+        Loss function of the error: "squares" is e^2. "huber" is e^2 up to |e| = 1, and 2 |e| - 1 beyond. "soft-l1" is
+        2 (sqrt(1 + e^2) - 1). The last two reduce the effect of outliers.
 
     Raises
     ------
     TableError
-        For a file without such values, with the line, and for unusable arguments.
+        For a file without these values, with the line, and for unusable arguments.
     """
 
     def __init__(

@@ -1,1 +1,1 @@
-"""Build, load, solve: from a request to a result."""
+"""The stages from a request to a result: building, loading and solving."""

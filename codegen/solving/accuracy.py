@@ -1,8 +1,8 @@
 """Refinement of grids: to a requested accuracy by equidistribution of errors, or by doubling the number of intervals.
 
-A grid is an array (phases, N) with the fractions of its phase that each interval lasts. Sources: de Boor (1973), Good
-approximation by splines with variable knots, for equidistribution; Betts (2010), Practical methods for optimal control,
-section 4.7, for mesh refinement; Richardson (1911) for the extrapolation.
+A grid is an array (phases, N) with the lengths of all intervals, relative to the duration of their phase. Sources: de
+Boor (1973), Good approximation by splines with variable knots, for equidistribution; Betts (2010), Practical methods
+for optimal control, section 4.7, for mesh refinement; Richardson (1911) for the extrapolation.
 """
 
 from __future__ import annotations
@@ -19,45 +19,47 @@ from codegen.solving.results.result import Accuracy, GridLevel, Result
 from codegen.solving.warm_start import transferred
 
 LEAST_DENSITY = 0.1
-"""Lower limit of the density of nodes relative to its mean."""
+"""Least density of nodes in a phase, relative to the mean density."""
 GRADE = 0.5
-"""Difference of the lengths of two intervals relative to the distance between the intervals."""
+"""Largest difference between the lengths of two intervals, relative to the distance between the intervals."""
 CUTS = 8
-"""Intervals into which a gap between two arcs is divided."""
+"""Number of intervals into which a gap between two arcs is divided."""
 PIECES = 8
-"""Pieces of an old interval; the new intervals on a piece have one length."""
+"""Number of pieces into which an interval of the old grid is divided; each piece has a wanted length of intervals."""
 SHORTEST = 1e-9
-"""Shortest interval as a fraction of its phase."""
+"""Four times the least length of an interval, relative to the duration of its phase."""
 LEAST = 10.0
-"""Fewest intervals of a phase."""
+"""Least number of intervals of a phase."""
 MOST_GRIDS = 30
-"""Pairs of grids after which the search ends with the best estimate."""
+"""Largest number of pairs of grids; the refinement then ends with the best estimate."""
 MOST_INTERVALS = 200_000
+"""Largest number of intervals of a phase."""
 FIRST_GRIDS = 5
-"""Number of attempts with the first grid, each with twice as many intervals."""
+"""Largest number of attempts to solve on a first grid; each attempt has twice as many intervals as the one before."""
 GROWTH = 4.0
 """Largest factor by which the number of intervals on arcs grows from one grid to the next."""
 GROWTH_AT_SWITCHES = 1.2
-"""The same while the error is largest at a switching time; finer grids near the switching time do not reduce it."""
+"""The same factor if the error is largest at a switching time, because more intervals on arcs do not reduce it."""
 SHRINKAGE = 0.7
-"""Smallest factor by which the number of intervals changes."""
+"""Least ratio of the number of intervals on arcs to this number on the grid before."""
 AIM = 0.5
-"""Error for which a grid is designed, relative to the request."""
+"""Error for which a new grid is designed, relative to the requested error."""
 NARROW = 2e-3
-"""Fraction of its phase below which a gap is not divided if controls determine its switching time."""
+"""Four times the least length of the intervals of a gap, relative to the duration of its phase."""
 STAGNANT, PATIENCE = 0.8, 3
-"""Ratio of successive differences that counts as stagnation; number of such differences that ends the search."""
+"""Ratio of successive differences above which a grid is no progress; number of such grids that ends the refinement."""
 
 Solve = Callable[[int, Vector | None, Matrix | None], Result]
+"""A function that solves the problem for a number of intervals per phase, an initial guess (n,) and a grid."""
 
 
 def to_accuracy(solve: Solve, module: ControlModule, steps: int, request: float, warm: Vector | None) -> Result:
-    """Solve on successively adapted grids until the estimated relative error is below `request`.
+    """Solve on successively adapted grids until the estimated relative error is below `request`; return the result.
 
-    `solve` takes a number of intervals, an initial guess and a grid (phases, N). The first grid has `steps` equal
-    intervals in every phase. Each grid is solved together with its bisection; the result on the bisected grid of the
-    best pair is returned. If the request is not met, the status is "accuracy not reached", and `accuracy` has the best
-    estimate and the reason. A failure on the first grids is returned unchanged.
+    The first grid has `steps` equal intervals in every phase, and starts from the unknowns `warm`, if given. The
+    problem is solved on each grid and on the bisected grid. The result on the bisected grid of the best pair is
+    returned. If the accuracy is not reached, the status is "accuracy not reached", and the attribute `accuracy` of the
+    result has the best estimate and the reason. If all first grids fail, the last failure is returned.
     """
     search = _Search(solve, module, request, order_of_optima(module))
     pair: _Pair | Result | None = None
@@ -97,9 +99,10 @@ def to_accuracy(solve: Solve, module: ControlModule, steps: int, request: float,
 
 @dataclass(frozen=True)
 class _Pair:
-    """Solutions on a grid and on the bisected grid, their difference, and the errors of intervals, `local` (phases, N).
+    """Solutions on a grid and on the bisected grid, with estimates of their errors.
 
-    `error` is the estimate for the finer solution from the observed `order`.
+    `estimate` is the difference of the solutions. `local` (phases, N) has the errors of all intervals of the coarse
+    grid. `error` is the estimated error of the fine solution, from the difference and the observed `order`.
     """
 
     coarse: Result
@@ -112,7 +115,10 @@ class _Pair:
 
 @dataclass(frozen=True)
 class _Search:
-    """The request and the grids that were solved."""
+    """The refinement of a problem to the relative error `request`, with a record of the grids that were solved.
+
+    `order` is the order at which costs converge.
+    """
 
     solve: Solve
     module: ControlModule
@@ -121,7 +127,10 @@ class _Search:
     levels: list[GridLevel] = field(default_factory=list)
 
     def pair(self, grid: Matrix, start: Vector | None, before: _Pair | None) -> _Pair | Result:
-        """Return the solutions on a grid and on the bisected grid, or the first failure."""
+        """Return the pair of solutions on a grid and on the bisected grid, or the first failed result.
+
+        `start` (n,) is the initial guess on the grid, and `before` the pair on the grid before.
+        """
         coarse = self.solve(grid.shape[1], start, grid)
         if not coarse.solved:
             return self._recorded(coarse, math.inf)
@@ -130,20 +139,20 @@ class _Search:
         if not fine.solved:
             return self._recorded(fine, math.inf)
         estimate, local = compared(self.module, coarse, fine), interval_errors(self.module, fine, self.order)
-        order = 1.0  # unless the differences of two pairs show another order
+        order = 1.0  # the order is observed only if the difference is smaller than on the grid before
         if before is not None and 0.0 < estimate.difference < before.estimate.difference:
             ratio = grid.shape[1] / before.coarse.steps
             if ratio > 1.0:
                 observed = math.log(before.estimate.difference / estimate.difference) / math.log(ratio)
                 order = float(np.clip(observed, 1.0, self.order))
         error = estimate.difference / (2.0**order - 1.0)
-        if local.max() > math.sqrt(self.request):  # the nodes miss an event between them
+        if local.max() > math.sqrt(self.request):  # the motion changes quickly between two nodes
             error = max(error, float(local.max()))
         self._recorded(fine, error)
         return _Pair(coarse, fine, estimate, local, order, error)
 
     def next_grid(self, pair: _Pair) -> Matrix:
-        """Return the grid that is designed to meet the request."""
+        """Return a grid that is designed for the requested accuracy, from the errors of the last pair."""
         between = gaps(self.module, pair.fine)
         on_arcs = compared(self.module, pair.coarse, pair.fine, without=between)
         growth = GROWTH if on_arcs.difference == pair.estimate.difference else GROWTH_AT_SWITCHES
@@ -155,12 +164,12 @@ class _Search:
         return through(grid, inner_places(self.module))
 
     def carried(self, result: Result, grid: Matrix) -> Vector:
-        """Return the unknowns of a result on another grid."""
+        """Return the unknowns of a result, interpolated on another grid."""
         assert result.unknowns is not None
         return transferred(self.module, result.unknowns, grid.shape[1], result.grid, grid)
 
     def accuracy(self, error: float, estimate: Estimate, reason: str) -> Accuracy:
-        """Return the outcome of the request."""
+        """Return the outcome of the refinement; `reason` states why the accuracy was not reached, or is empty."""
         return Accuracy(self.request, error, estimate.quantity, estimate.time, reason, tuple(self.levels))
 
     def _recorded(self, result: Result, error: float) -> Result:
@@ -179,7 +188,10 @@ def bisected(grid: Matrix) -> Matrix:
 
 
 def through(grid: Matrix, times: Sequence[float]) -> Matrix:
-    """Return a grid of one phase with nodes moved to given times, as fractions of the duration."""
+    """Return a grid of one phase with its nearest nodes moved to given `times`, which are fractions of the duration.
+
+    Without times the grid is returned unchanged, and may have several phases.
+    """
     if not times:
         return grid
     nodes, count = np.append(0.0, np.cumsum(grid[0])), len(times)
@@ -200,14 +212,15 @@ def refined(
     gaps: Sequence[Gap],
     narrow: float = SHORTEST,
 ) -> Matrix:
-    """Return a grid whose intervals on arcs have equal errors, `ratio` times smaller, and whose gaps are divided.
+    """Return a grid whose intervals on arcs have equal errors, and whose gaps are divided into short intervals.
 
-    `errors` (phases, N) belong to the intervals of `grid` and have the order p + 1, p = `order`, in their length. The
-    number of intervals on the arcs of a phase is within `limits`. Lengths of neighbours differ little. Gaps shorter
-    than `narrow` are not divided further; a known switching time becomes a node.
+    `errors` (phases, N) are the errors of the intervals of `grid`. They are proportional to h^(p + 1) for the length h
+    of an interval and p = `order`. The number of new intervals is chosen such that the error decreases by the factor
+    `ratio`, and is within `limits`. Lengths of neighbours differ little. Gaps are divided into CUTS intervals, or fewer
+    if these were shorter than a quarter of `narrow`. A known switching time becomes a node.
     """
-    # The number of new intervals that each interval is worth, up to a factor. Errors in gaps and beside gaps are
-    # replaced by interpolation of the density from farther away.
+    # `amounts` is proportional to the number of new intervals that replace each interval. The errors in gaps and close
+    # to gaps are not used: the density of nodes there is interpolated from nodes farther away.
     amounts = np.maximum(errors, 0.0) ** (1.0 / (order + 1))
     for phase, lengths in enumerate(grid):
         on_arc = np.ones(lengths.size, bool)
@@ -225,7 +238,7 @@ def refined(
     pieces = [_pieces(grid[k], amounts[k], count, own, narrow) for k, own in enumerate(of_phases)]
     steps = max(int(np.ceil((lengths / wanted).sum())) for lengths, wanted in pieces)
     new = np.empty((len(grid), steps))
-    for phase, (lengths, wanted) in enumerate(pieces):  # lengths of intervals in proportion to the wanted lengths
+    for phase, (lengths, wanted) in enumerate(pieces):  # new intervals are proportional to the wanted lengths
         share = np.concatenate([[0.0], np.cumsum(lengths / wanted)])
         nodes = np.interp(np.linspace(0.0, share[-1], steps + 1), share, np.concatenate([[0.0], np.cumsum(lengths)]))
         for gap in of_phases[phase]:
@@ -239,7 +252,11 @@ def refined(
 def _pieces(
     lengths: Vector, amounts: Vector, count: float, gaps: Sequence[Gap], narrow: float
 ) -> tuple[Vector, Vector]:
-    """Return the lengths of the pieces of a phase, and the wanted length of intervals on each piece."""
+    """Return the lengths of the pieces into which a phase is divided, and the wanted length of intervals on each piece.
+
+    `lengths` (N,) are the intervals of the phase, and `amounts` (N,) are proportional to the numbers of new intervals
+    that replace them. `count` is the number of new intervals on all arcs. See `refined` for the other arguments.
+    """
     mean = amounts.sum() / count
     longest = 1.0 / (LEAST_DENSITY * count)
     of_intervals = np.minimum(lengths * mean / np.maximum(amounts, 1e-3 * mean * lengths + 1e-300), longest)
@@ -253,7 +270,7 @@ def _pieces(
     for gap in gaps:
         inside = (middles > gap.begin) & (middles < gap.end)
         wanted[inside] = np.minimum(wanted[inside], max((gap.end - gap.begin) / CUTS, narrow / 4.0))
-    # Reduce lengths until they change no faster than GRADE times the distance.
+    # Reduce wanted lengths until the lengths of two pieces differ by at most GRADE times their distance.
     distance = GRADE * np.diff(middles)
     for k in range(1, wanted.size):
         wanted[k] = min(wanted[k], wanted[k - 1] + distance[k - 1])
@@ -269,12 +286,13 @@ def refine(
     doublings: int,
     warm: Vector | None = None,
 ) -> Result:
-    """Solve on N, 2N, 4N, ... intervals, each from the solution before, and return the last result.
+    """Solve on N, 2N, 4N, ... intervals (N = `steps`), each time from the last solution, and return the last result.
 
-    `solve` takes a number of intervals and an initial guess; `warm` is the first guess. After a failed grid the next
-    one starts from the last solution, or from the guess of the problem: a grid may be too coarse for a solution. All
-    results are in `levels`. If the last two or more grids were solved, the summary has the cost extrapolated by the
-    order of the optima, its distance from the last cost as an error estimate, and the order that three grids show.
+    `solve` takes a number of intervals per phase and an initial guess (n,). `warm` is the initial guess on the first
+    grid; None means the guess of the problem. A failure does not end the refinement, because a grid may be too coarse
+    for a solution. All results are in `levels`. If the last two grids were solved, the summary has the extrapolated
+    cost, and its distance from the last cost as an estimate of the error. If the last three grids were solved, the
+    summary also has the observed order of convergence.
     """
     known, results = warm, list[Result]()
     for number in [steps * 2**k for k in range(doublings + 1)]:
@@ -288,9 +306,9 @@ def refine(
         estimates |= {"cost_extrapolated": costs[-1] + error, "cost_error_estimate": abs(error)}
     if len(costs) > 2:
         before, last = costs[-2] - costs[-3], costs[-1] - costs[-2]
-        # Differences at rounding level show no order.
+        # Differences of the size of rounding errors do not show an order.
         if min(abs(before), abs(last)) > 1e-12 * max(1.0, abs(costs[-1])) and before / last > 0.0:
             estimates["observed_order"] = float(np.log2(before / last))
-    # The first result alone has entries such as the number of guesses.
+    # Only the first result has entries such as the number of guesses.
     summary = {**results[0].summary, **results[-1].summary, **estimates}
     return replace(results[-1], summary=summary, attempts=results[0].attempts, levels=tuple(results))

@@ -18,7 +18,7 @@ Arguments = ParamSpec("Arguments")
 def _with_signature_of(
     request: Callable[Arguments, Request],
 ) -> Callable[[Callable[..., Result]], Callable[Arguments, Result]]:
-    """Give a function the parameters of a request, whose list then has one place."""
+    """Return a decorator that gives a function the signature of `request`, so that it is written only once."""
 
     def decorated(function: Callable[..., Result]) -> Callable[Arguments, Result]:
         signature = inspect.signature(request).replace(return_annotation="Result")
@@ -29,34 +29,35 @@ def _with_signature_of(
 
 
 @_with_signature_of(Request)
-def solve(*positional: Any, **options: Any) -> Result:  # noqa: D417  they are those of Request
+def solve(*positional: Any, **options: Any) -> Result:  # noqa: D417  the arguments are the fields of Request
     """Solve a problem; derive and compile its module first where necessary.
 
     Parameters
     ----------
     problem : path, Control, Simulate, Phases, Connect, Solver or module
-        A problem file, an object, a compiled problem, or a generated module (its path, or from `codegen.load`).
+        A problem file, a problem object, a compiled problem from `codegen.compile`, or a generated module. A module is
+        given by its path, or loaded by `codegen.load`.
     driver : {"newton", "slsqp", "trust-constr", "ipopt", "fsolve", "fmin"}
         "newton" is the generated solver.
     arguments : dict
         Arguments of problem() in a problem file, by name.
     scheme, method, controls, out : str
-        Choices of the build, see `codegen.build`.
+        Options of the build, see `codegen.build`.
     steps : int
-        Number N of intervals, in each phase; by default that of the problem.
+        Number N of intervals in each phase; by default the number in the problem.
     every : int
-        A simulation stores every so many steps.
+        A simulation stores every `every`-th step.
     repeat : int
-        Number of runs; the fastest is timed, without the time of machine code.
+        Number of runs. The time of the fastest run is reported, without the time for compiling machine code.
     warm : array, shape (n,), or path
-        Warm start of an optimisation: `unknowns` of a result on any grid, or a file of `--save`.
+        Warm start of an optimisation: `unknowns` of a result on any grid, or a file that `--save` has written.
     doublings : int
         Number of further solves, on 2 N, 4 N, ... intervals, each from the solution before.
     accuracy : float
-        Relative error of states and cost; grids are refined until the estimate is below it. Without `scheme` the
-        scheme is gauss-4, or that of the problem if it has path inequalities.
+        Relative error of states and cost; grids are refined until the estimated error is smaller. Without the option
+        `scheme` the scheme is gauss-4, or the scheme of the problem if it has path inequalities.
     guesses : int
-        Number of initial guesses: that of the problem, then variations. The best solution is returned.
+        Number of initial guesses: the guess of the problem, then random variations. The best solution is returned.
     sensitivities : bool
         Compute `result.sensitivities()`; a separate module is built.
     points : path or PointSet
@@ -65,23 +66,25 @@ def solve(*positional: Any, **options: Any) -> Result:  # noqa: D417  they are t
         Parameter overrides without a new build, also of durations and prescribed ends, as in
         {"m": 2.0, "duration": 3.0, "start.x": 1.0}. `Solver.parameters` lists the names.
     tables : dict
-        Other files for tables by name, with the same columns and as many breakpoints.
+        Other files for tables by name, with the same columns and the same number of breakpoints.
     observations : path, or dict of arrays of shape (n,)
         Other measurements; for several bodies a list with an entry for each.
     tolerance : float
-        Tolerance of equations relative to their scale; for particles of the arrival, or of adaptive steps.
+        Tolerance of equations relative to their scale; for particles the tolerance of the arrival, or of adaptive
+        steps.
     max_iterations, time_limit : int, float
-        Limits of one search, and in seconds of all guesses and grids of one run.
+        Largest number of iterations of one search; time limit in seconds for all guesses and grids of one run.
     scaling : {"auto", "none"}
-        Scaling factors of newton; "none" keeps the units of the problem.
+        "auto" computes scaling factors for the driver newton; "none" keeps the units of the problem.
     log, watch : bool, callable
-        Refuse drivers without a log; function of the number and the row of the log of each iterate.
+        If `log` is True, a driver without a log of iterates raises ArgumentError. `watch` is called at every iterate
+        with the number of the iterate and its row of the log.
 
     Returns
     -------
     Result
-        `status` is "solved" only if all equations hold when they are evaluated outside the driver. A numerical failure
-        gives another status and a `message`, not an exception.
+        `status` is "solved" only if all equations hold when they are evaluated independently of the driver. A numerical
+        failure gives another status and a `message`, not an exception.
 
     Raises
     ------
@@ -91,8 +94,9 @@ def solve(*positional: Any, **options: Any) -> Result:  # noqa: D417  they are t
 
     Notes
     -----
-    Threads may solve at once. Sources: Marsden and West (2001), Discrete mechanics and variational integrators, for the
-    equations; Waechter and Biegler (2006) for the optimiser; Betts (2010), section 4.7, for the refinement of grids.
+    Several threads may call the function at once. Sources: Marsden and West (2001), Discrete mechanics and variational
+    integrators, for the equations; Waechter and Biegler (2006) for the optimiser; Betts (2010), section 4.7, for the
+    refinement of grids.
     """
     require_options(options)
     from codegen.solving.outcome import outcome_of

@@ -1,20 +1,21 @@
 """Arcs of a solution, switching times between arcs, and estimates of the discretisation error.
 
-The same bounds and inequalities are active on an arc. A gap between two arcs contains a switching time. On an interval
-with a switching time a control is the mean of two values, and all later states have an error of that size. Intervals in
-gaps are made so short that this error is negligible.
+An arc is a part of the motion on which the same bounds and inequalities are active. A gap between two arcs contains a
+switching time. On an interval with a switching time a control is the mean of two values, which causes an error of all
+later states. Intervals in gaps are made so short that this error is negligible.
 
-Two estimates of the error exist. The first one compares a solution with a solution on the bisected grid, by quantity
-and by interval. Quantities are coordinates, momenta, and the cost up to each node, relative to their largest values.
+Two estimates of the error exist. The first one compares a solution with a solution on the bisected grid, for each
+quantity and each interval. Quantities are coordinates, momenta, and the cost up to each node, relative to their largest
+values.
 
-The second one uses double steps, two intervals in one. On the grid of double steps the solution leaves residuals, the
-defects of the steps. Newton's method with the same active bounds maps defects to changes: of states by the KKT matrix,
-and of the cost by the Lagrangian, in which the multiplier of an equation weights its defect. Both changes are 2^p - 1
-times the error, where p is the order of the optima. One or two steps of Newton's method on half as many intervals take
-no longer than one iteration of the solve. If active bounds differ on the two grids, or the solution is no minimum on
-the coarser grid, the optimum on double steps is searched for. Sources: Richardson (1911); Becker and Rannacher (2001),
-An optimal control approach to a posteriori error estimation in finite element methods, Acta Numerica 10, section 2;
-Hairer, Norsett and Wanner (1993), Solving ordinary differential equations I, II.4, for double steps.
+The second one uses double steps, which join two intervals. On the grid of double steps the solution has residuals, the
+defects of the steps. Newton's method with the same active bounds computes the changes that remove the defects. States
+change by the solution of a linear system with the KKT matrix. The cost changes by the sum of all defects times their
+multipliers. Both changes are 2^p - 1 times the error, where p is the order of the optima. One or two Newton steps on
+half as many intervals take no longer than one iteration of the solve. If other bounds are active on the coarser grid,
+or the solution is no minimum there, the optimum on double steps is searched for. Sources: Richardson (1911); Becker and
+Rannacher (2001), An optimal control approach to a posteriori error estimation in finite element methods, Acta Numerica
+10, section 2; Hairer, Norsett and Wanner (1993), Solving ordinary differential equations I, II.4, for double steps.
 """
 
 from __future__ import annotations
@@ -38,30 +39,37 @@ from codegen.solving.results.result import DiscretisationError, Result
 from codegen.solving.results.segments import segments_of
 
 LEAST_ARC = 4
-"""Fewest intervals of an arc; shorter runs belong to a gap."""
+"""Least number of intervals of an arc; fewer intervals belong to a gap."""
 SECANTS = 8
-"""Iterations for a switching time."""
+"""Number of secant iterations for a switching time."""
 LEAST_JUMP = 0.05
 """Smallest jump of a control, relative to its range, for which a switching time is computed."""
 BESIDE, FAR = 3, 12
-"""Nodes next to a gap that its errors affect: for the lengths of intervals, and at all."""
+"""Number of nodes on each side of a gap that are omitted: for a switching time, and for estimates of errors on arcs."""
 MOST_GAPS = 40
-"""Most gaps of a phase; with more gaps controls chatter, and no arcs are distinguished."""
+"""Largest number of gaps in a phase; with more gaps the controls chatter, and all gaps of the phase are ignored."""
 CLOSE = 1e-3
 """Distance to a bound, relative to the distance between two bounds, below which the bound is active."""
 NEGLIGIBLE = 1e-12
-"""Magnitude below which a quantity counts as zero."""
+"""Magnitude of a quantity below which its absolute error is used in place of its relative error."""
 STEPS, CONTRACTION, SETTLED = 4, 0.5, 0.1
-"""Most Newton steps; least contraction of a step; largest ratio of the last step to the change."""
+"""Limits of Newton's method on double steps.
+
+The limits are the largest number of Newton steps, and the largest ratio of the lengths of two successive steps. The
+method ends if the ratio of the last step to the whole change is below the third limit.
+"""
 HELD, LOOSE = 1e8, 1e-12
-"""Scaled curvatures of unknowns at active bounds, and of other unknowns with bounds."""
+"""Scaled curvatures that are added to the KKT matrix for unknowns at active bounds, and for other bounded unknowns."""
 BEYOND = 0.01
-"""Violation of a bound, relative to the unknown, for which the active set counts as changed."""
+"""Violation of a bound, relative to the unknown, above which another set of active bounds is assumed."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """The interval of a phase, with ends between 0 and 1, that contains a switching time, and this time if known."""
+    """A short part of a phase between two arcs, which contains a switching time.
+
+    `begin`, `end` and `switch` are fractions of the duration of the phase. `switch` is None if the time is unknown.
+    """
 
     phase: int
     begin: float
@@ -70,22 +78,23 @@ class Gap:
 
 
 def order_of_optima(module: ControlModule) -> int:
-    """Return the order at which costs converge: that of the scheme, but at most 2 with controls.
+    """Return the order of convergence of the optimal cost: the order of the scheme, but usually at most 2.
 
     A control that is constant on intervals, or linear between nodes, approximates a smooth control at order 2, and the
-    cost at its minimum is not more accurate. With controls at stages the order is that of the scheme.
+    cost at its minimum is not more accurate. The order is not limited to 2 for controls at stages, and without
+    controls.
     """
     order, metadata = int(module.metadata.order), module.metadata
     return min(order, 2) if metadata.control_names and metadata.controls != Sites.STAGES else order
 
 
 def gaps(module: ControlModule, result: Result) -> list[Gap]:
-    """Return the gaps between the arcs of all unknowns with bounds; none in a phase with too many gaps."""
+    """Return the gaps between the arcs of all bounded unknowns, without the phases that have more than MOST_GAPS."""
     grid = time_grid(module, result.steps, result.grid)
     separate: list[Gap] = []
     for phase, kinds in _active_bounds(module, result, grid):
         nodes = grid.nodes[phase * result.steps : (phase + 1) * result.steps + 1] / result.steps - phase
-        # First and last interval, and kind, of all runs that are arcs.
+        # A run is a sequence of intervals with the same active bound: (first interval, last interval, active bound).
         ends = np.flatnonzero(np.diff(kinds)) + 1
         runs = [(int(part[0]), int(part[-1]), int(kinds[part[0]])) for part in np.split(np.arange(kinds.size), ends)]
         arcs = [run for run in runs if run[1] - run[0] + 1 >= LEAST_ARC] or [(0, kinds.size - 1, 0)]
@@ -103,7 +112,10 @@ def gaps(module: ControlModule, result: Result) -> list[Gap]:
 
 
 def _active_bounds(module: ControlModule, result: Result, grid: Grid) -> Iterator[tuple[int, NDArray[np.int8]]]:
-    """Yield the active bounds (N,) for each phase, body and unknown with bounds: -1 lower, 1 upper, 0 none."""
+    """Yield the phase and the active bounds (N,) on its intervals, for each phase, body and bounded unknown.
+
+    An entry is -1 for the lower bound, 1 for the upper bound and 0 if no bound is active.
+    """
     if not module.metadata.inequalities or result.unknowns is None:
         return
     generated: Any = module
@@ -113,7 +125,7 @@ def _active_bounds(module: ControlModule, result: Result, grid: Grid) -> Iterato
     lower, upper = module.variable_bounds(grid)
     width = (upper - lower)[primal]
     close = np.minimum(below, above)
-    # The distance decides between two bounds; the slope decides at a single bound.
+    # With two bounds, the distance decides if a bound is active. With a single bound, the slope of the Lagrangian does.
     active = np.where(np.isfinite(width), close < CLOSE * width, np.abs(slopes) > close)
     kind = np.zeros(result.unknowns.size, np.int8)
     kind[primal] = np.where(active, np.where(below < above, -1, 1), 0)
@@ -128,10 +140,11 @@ def _active_bounds(module: ControlModule, result: Result, grid: Grid) -> Iterato
 
 
 def _switching_time(result: Result, grid: Grid, gap: Gap) -> float | None:
-    """Return the time at which a control jumps in a gap such that its integral over the gap is preserved.
+    """Return the time in a gap at which a control jumps, as a fraction of the phase; None if no jump is found.
 
     The control is extrapolated linearly from two intervals before the gap and from two intervals after the gap. The
-    control with the largest jump counts.
+    jump between the two lines is placed such that the integral of the control over the gap is preserved. The control
+    with the largest jump is used.
     """
     u, steps = result.u, result.steps
     if u is None or len(u) != result.t.size - 1:
@@ -165,7 +178,10 @@ def _switching_time(result: Result, grid: Grid, gap: Gap) -> float | None:
 
 
 def around(nodes: Vector, gap: Gap, margin: int) -> slice:
-    """Return the nodes of a phase in a gap and next to the gap; `nodes` are their times as fractions of the phase."""
+    """Return the slice of the nodes of a phase that lie in a gap, with `margin` more nodes on each side.
+
+    `nodes` are the times of all nodes of the phase, as fractions of its duration.
+    """
     first, last = np.searchsorted(nodes, [gap.begin + 1e-12, gap.end - 1e-12])
     return slice(max(0, int(first) - margin), int(last) + margin + 1)
 
@@ -175,7 +191,7 @@ def around(nodes: Vector, gap: Gap, margin: int) -> slice:
 
 @dataclass(frozen=True)
 class Estimate:
-    """The largest relative difference between two solutions, its quantity and its time."""
+    """The largest relative difference between two solutions, with its quantity and its time."""
 
     difference: float
     quantity: str
@@ -183,8 +199,11 @@ class Estimate:
 
 
 def trajectories(module: ControlModule, result: Result) -> tuple[Matrix, tuple[str, ...]]:
-    """Return coordinates, momenta and the cost up to each node, (nodes, quantities), and their names."""
-    # The cost is that of all bodies without terminal costs and without samples, at which it jumps.
+    """Return a table (nodes, quantities) of coordinates, momenta and the cost up to each node, and the column names.
+
+    Columns with values that are not finite are omitted.
+    """
+    # The cost of all bodies is added. Terminal costs and measurements are omitted, because the cost jumps there.
     grid: Any = time_grid(module, result.steps, result.grid)
     if module.metadata.observations is not None:
         first = module.problem.structure.first_sample
@@ -197,15 +216,16 @@ def trajectories(module: ControlModule, result: Result) -> tuple[Matrix, tuple[s
 
 
 def scales_of(table: Matrix) -> Vector:
-    """Return the largest value of every quantity; one if it is negligible."""
+    """Return the largest absolute value of each column of a table; 1 if this value is negligible."""
     scales = np.abs(table).max(axis=0)
     return np.where(scales > NEGLIGIBLE, scales, 1.0)
 
 
 def compared(module: ControlModule, coarse: Result, fine: Result, without: Sequence[Gap] = ()) -> Estimate:
-    """Return the largest relative difference of two results at nodes of the coarser grid, in costs and in parameters.
+    """Return the largest relative difference between results on a grid and on the bisected grid.
 
-    Nodes in the gaps `without`, and next to these gaps, do not count.
+    Trajectories are compared at the nodes of the coarser grid. The duration, free parameters and the cost are compared
+    as well. Nodes in the gaps `without`, and close to these gaps, are omitted.
     """
     table, names = trajectories(module, fine)
     before, _ = trajectories(module, coarse)
@@ -232,11 +252,12 @@ def compared(module: ControlModule, coarse: Result, fine: Result, without: Seque
 
 
 def interval_errors(module: ControlModule, fine: Result, order: int) -> Matrix:
-    """Return the error of every interval of the coarser grid, (phases, N), from a solution on the bisected grid.
+    """Return the errors (phases, N) of all intervals of a grid, from the solution `fine` on the bisected grid.
 
-    The error is the distance of the inner node from a polynomial of degree p = `order` through nodes of the coarser
-    grid. Its order is p + 1, as that of the error of a step. Of several polynomials, with more nodes to the left or to
-    the right, the closest counts, so that a kink at a node does not affect neighbouring intervals.
+    The bisected grid has one inner node in each interval of the coarser grid. The error is the distance of the solution
+    at this node from a polynomial of degree p = `order` through nodes of the coarser grid. Like the error of one step,
+    it is proportional to h^(p + 1). Several polynomials are tried, with different numbers of nodes to the left, and the
+    least distance is used. A kink at a node then does not affect neighbouring intervals.
     """
     table, _ = trajectories(module, fine)
     table = table / scales_of(table)
@@ -250,7 +271,7 @@ def interval_errors(module: ControlModule, fine: Result, order: int) -> Matrix:
         count = min(order + 1, nodes.size)
         intervals = np.arange(middles.size)
         least = np.full(middles.size, np.inf)
-        for left in range(count - 1):  # nodes of the stencil to the left of the interval's left node
+        for left in range(count - 1):  # number of stencil nodes to the left of the left node of the interval
             indices = np.clip(intervals - left, 0, nodes.size - count)[:, None] + np.arange(count)
             stencil = nodes[indices]
             weights = np.ones_like(stencil)  # Lagrange polynomials at the inner nodes
@@ -269,19 +290,23 @@ def interval_errors(module: ControlModule, fine: Result, order: int) -> Matrix:
 # The error from double steps
 
 Search = Callable[[int, Vector, Vector | None], Vector | None]
-"""The optimum for a number of intervals, a start and fractions of the duration; None if none was found."""
+"""A function that returns the unknowns of an optimum, or None if no optimum is found.
+
+The arguments are the number of intervals, the initial guess (n,), and the lengths of the intervals relative to the
+duration, or None for equal intervals.
+"""
 
 
 def discretisation_error(module: ControlModule, result: Result, search: Search) -> DiscretisationError | None:
-    """Estimate the error of a solution, relative to the largest value of every state, and of the cost.
+    """Return the estimated discretisation error of the states and of the cost, from the optimum on double steps.
 
-    Newton's method is tried before `search`. Return None if the grid has no pair of intervals, or if no optimum was
-    found on double steps.
+    The optimum is computed by Newton's method from the solution, or by `search` if that fails. Return None if no
+    two intervals can be joined, or if no optimum is found on double steps.
     """
     assert result.unknowns is not None
     fine = time_grid(module, result.steps, result.grid)
     inner = _inner_nodes(module, fine)
-    kept = [0]  # the nodes between double steps: every second one, inner times and the last
+    kept = [0]  # the nodes between double steps: every second node, the nodes at inner times and the last node
     while kept[-1] < result.steps:
         following = kept[-1] + 1
         kept.append(following if following in inner else min(following + 1, result.steps))
@@ -309,10 +334,11 @@ def _inner_nodes(module: ControlModule, grid: Grid) -> tuple[int, ...]:
 
 
 def _restricted(module: ControlModule, fine: Grid, grid: Grid, rows: Indices, unknowns: Vector) -> Vector:
-    """Return the unknowns of a solution on double steps.
+    """Return the unknowns of a solution, transferred from the grid `fine` to the grid of double steps.
 
-    Nodes keep their values. Controls, slacks and multipliers of steps have the mean of two intervals. Other multipliers
-    are integrals over their interval and add up. The difference of a stage from its node is the sum of both.
+    `rows` are the indices of the nodes of `fine` that remain. Their values do not change. Controls, slacks and
+    multipliers of the equations of motion are the mean of two intervals. Other multipliers are integrals over their
+    interval, and are added. The differences between a stage and its node are also added.
     """
     result = np.zeros(grid.is_multiplier.size)
     (nodes, intervals), (new_nodes, new_intervals) = module.views(fine, unknowns), module.views(grid, result)
@@ -337,15 +363,16 @@ def _restricted(module: ControlModule, fine: Grid, grid: Grid, rows: Indices, un
 def _carried_on(
     module: ControlModule, fine: Grid, grid: Grid, rows: Indices, unknowns: Vector, start: Vector
 ) -> Vector | None:
-    """Return the optimum on double steps from Newton's method, with the active bounds of the finer grid.
+    """Return the optimum on double steps by Newton's method from `start`, with the active bounds of the finer grid.
 
-    Return None if steps do not settle, the reduced Hessian is not positive definite, or other bounds become active.
+    `unknowns` is the solution on the grid `fine`, and `rows` are the indices of its nodes that remain. Return None if
+    the method does not converge, the reduced Hessian is not positive definite, or other bounds become active.
     """
     scaled = scaled_grid(grid, start)
     scales = scaled.sizes if scaled.sizes.size else np.ones(start.size)
     held = bounded = np.zeros(start.size, dtype=bool)
     if module.metadata.inequalities:
-        # Unknowns of double steps are held if those of their node, or of both intervals, are held.
+        # An unknown on double steps is held at a bound if it is held at the same node, or on both joined intervals.
         held_before = held_at_bounds(module, fine, unknowns).astype(float)
         result = np.zeros(grid.is_multiplier.size)
         (nodes, intervals), (new_nodes, new_intervals) = module.views(fine, held_before), module.views(grid, result)
@@ -383,7 +410,10 @@ def _carried_on(
 
 
 def _error(module: ControlModule, result: Result, grid: Grid, optimum: Vector, rows: Indices) -> DiscretisationError:
-    """Return the error from the change between double steps and steps; free parameters count among states."""
+    """Return the error that follows from the change between a result and the optimum on double steps.
+
+    The error of the states includes the errors of free parameters. `rows` are the indices of the remaining nodes.
+    """
     assert result.cost is not None
     _, q, p, *_ = module.unpack(grid, optimum)
     table, coarse = np.column_stack([result.q, result.p]), np.column_stack([q, p])

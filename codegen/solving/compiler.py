@@ -4,8 +4,8 @@
     Problem  --->    Model --->   Program   --->       derivatives --->   Module  --->   text of one .py
 
 `generate_from_model` runs these stages. Before the text is written, `verify` compares its derivatives with an
-independent differentiation of the program. `build` runs the stages, or takes the text from the cache. The key of the
-cache is a digest of everything that the text depends on. A cache hit does not import sympy.
+independent differentiation of the program. `build` runs the stages, or reads the text from the cache. The key of the
+cache is a digest of all inputs of the text. A cache hit does not import sympy.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from codegen.emit.lower.module import Origin
 
 GENERATED = Path("generated")
-"""The folder, below the current one, for modules that a user wants to read."""
+"""The subfolder of the current folder in which users keep modules that they want to read."""
 GENERATORS = (
     "symbolic",
     "problem",
@@ -50,11 +50,11 @@ GENERATORS = (
     "identifiers.py",
     "solving/compiler.py",
 )
-"""The parts of this package on which generated texts depend."""
+"""The folders and files of this package on which the texts of generated modules depend."""
 _READ = re.compile(r"^# Reads (.+), sha256 ([0-9a-f]{64})$", re.MULTILINE)
-"""A line in the header of a module that names a file which the derivation has read."""
+"""Pattern of a line in the header of a module that names a file which was read during the derivation."""
 _DERIVING = threading.Lock()
-"""Problem files are run with their folder on the path and redirected output, which excludes other threads."""
+"""Lock of the derivation: only one thread may run a problem file, because sys.path and the output are changed."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,9 @@ class Build:
     Attributes
     ----------
     path : Path
+        File of the module.
     name : str
+        Name of the module.
     seconds : float
         Duration of the build.
     cached : bool
@@ -101,26 +103,27 @@ def build(
     problem : path or object
         A problem file, or a Control, Simulate, Phases or Connect.
     arguments : dict
-        Arguments of problem() in a problem file, as values or as the text that `--set` takes.
+        Arguments of problem() in a problem file, as values or as the texts that `--set` takes.
     scheme, method, controls : str
         Discretisation; by default the scheme and method for the task.
     general : bool
-        Write every term, also those that vanish for this problem.
+        Write all terms of the equations, including terms that vanish for this problem.
     sensitivities : bool
-        Include what derivatives of solutions by parameters and boundary values need.
+        Include the code for derivatives of solutions with respect to parameters and boundary values.
     standalone : bool
         Write one file with all numerics, which needs numpy and numba but not this package.
     out : path
-        Folder for the module. By default the module stays in the cache of the user; a file in ./generated with the same
-        text is used in its place, with its machine code.
+        Folder for the module. By default the module stays in the cache of the user. If ./generated has a file with the
+        same text, that file and its machine code are used.
     time_limit : float
-        Processor time in seconds. A longer derivation raises SizeError, which names the stage and what is large.
+        Processor time in seconds. A longer derivation raises SizeError, which names the stage and the large quantity.
     deriving : callable
-        Called when a derivation begins.
+        Called without arguments when a derivation begins; it is not called for a cache hit.
 
     Returns
     -------
     Build
+        The file of the module, and information on the build.
 
     Raises
     ------
@@ -147,7 +150,7 @@ def build(
     if out is not None:
         path = Path(out) / path.name
         written = rendering.write(path, text)
-        with suppress(OSError):  # Python has no permission either to write bytecode there
+        with suppress(OSError):  # no permission for the folder: Python cannot write bytecode there either
             _remove_partial_bytecode(Path(cache_from_source(path)))
     elif (kept := GENERATED / path.name).is_file() and kept.read_bytes() == text.encode():
         path = kept
@@ -157,7 +160,10 @@ def build(
 def generate(
     problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, time_limit: float = BUILD
 ) -> str:
-    """Derive the text of the module of a problem, within so many seconds of processor time."""
+    """Return the text of the module of a problem.
+
+    Raise SizeError if the derivation takes more than `time_limit` seconds of processor time.
+    """
     stages = Stages(time_limit)
     with rare_collections(), stages.limited():
         from codegen.discretise.model.from_problem import load_problem
@@ -170,7 +176,10 @@ def generate(
 def generate_from_model(
     model: Model | PairwiseModel, choices: Choices, origin: Origin, stages: Stages | None = None
 ) -> str:
-    """Derive the text of a module from a validated problem."""
+    """Return the text of a module that is derived from a validated problem.
+
+    `origin` describes the problem in the header of the module. `stages` limits the time, and records the present stage.
+    """
     from codegen.discretise import transcribe
     from codegen.emit import differentiation, lower, verify
 
@@ -199,9 +208,10 @@ def generate_from_model(
 def _cached(
     source: Source, settings: Mapping[str, str], choices: Choices, derived: Callable[[], str]
 ) -> tuple[Path, str, bool]:
-    """Return the file and the text of a module in the cache, and True if `derived` was called for the text.
+    """Return the file and the text of a module in the cache, and True if the module is new.
 
-    Raise FileError if the text cannot be stored.
+    If the cache has no module for the problem, the function `derived` returns its text. Raise FileError if the text
+    cannot be stored.
     """
     path = path_of(source, settings, choices)
     if text := kept_text(path):
@@ -222,9 +232,9 @@ def _cached(
 def _remove_partial_bytecode(file: Path) -> None:
     """Remove the bytecode of a module if it is incomplete.
 
-    On a full disk Python before 3.13 writes incomplete bytecode, with which every later import fails.
+    On a full disk, Python before 3.13 writes incomplete bytecode, and every later import of the module fails.
     """
-    header = 16  # bytes before the code itself
+    header = 16  # number of bytes before the code
     try:
         marshal.loads(file.read_bytes()[header:])
     except (EOFError, ValueError, TypeError):
@@ -234,7 +244,7 @@ def _remove_partial_bytecode(file: Path) -> None:
 
 
 def stored(problem: Source | Path | str, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:
-    """Return the file in the cache for the module of a problem, which may not have been built."""
+    """Return the file in the cache for the module of a problem; the file need not exist."""
     return path_of(problem, arguments, chosen(scheme))
 
 
@@ -248,9 +258,10 @@ def cache_folder() -> Path:
 
 
 def path_of(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices) -> Path:
-    """Return the file in the cache for a problem with arguments and choices, which may not have been built.
+    """Return the file in the cache for a problem with arguments and choices; the file need not exist.
 
-    The last build has recorded the further files that the problem reads. Their present contents are part of the key.
+    The last build has recorded which further files the problem reads, such as tables. Their present contents are part
+    of the key of the cache.
     """
     source = source_of(problem)
     digest = input_digest(source, arguments, *choice_texts(choices), *versions(), _generator_digest())
@@ -259,7 +270,7 @@ def path_of(problem: Source | Path | str, arguments: Mapping[str, str], choices:
 
 
 def path_of_text(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, text: str) -> Path:
-    """Return the file in the cache for a new text, and record the files that the derivation has read."""
+    """Return the file in the cache for a new text, and record which further files the derivation has read."""
     digest = input_digest(problem, arguments, *choice_texts(choices), *versions(), _generator_digest())
     name = f"{module_name(problem, arguments, choices)}.py"
     files = _READ.findall(text.partition('"""')[0])
@@ -269,7 +280,10 @@ def path_of_text(problem: Source | Path | str, arguments: Mapping[str, str], cho
 
 
 def _with_files(digest: str, name: str, files: Iterable[tuple[str, str]]) -> Path:
-    """Return the file for a digest of the inputs and for the digests of further files."""
+    """Return the file in the cache for a digest of the inputs and for further files.
+
+    `files` has the name and the digest of each further file that the problem reads.
+    """
     parts = [part for pair in files for part in pair]
     if parts:
         digest = hashlib.sha256("\0".join([digest, *parts]).encode()).hexdigest()
@@ -281,7 +295,7 @@ def _record_of_reads(digest: str, name: str) -> Path:
 
 
 def _files_read(digest: str, name: str) -> list[str]:
-    """Return the further files that the last build has read; none without a usable record."""
+    """Return the names of further files that the last build has read; an empty list if no record is readable."""
     try:
         return [str(file) for file in json.loads(_record_of_reads(digest, name).read_text(encoding="utf-8"))]
     except (OSError, UnicodeDecodeError, ValueError, TypeError):
@@ -299,7 +313,7 @@ def kept_text(store: Path) -> str:
 
 @cache
 def _generator_digest() -> str:
-    """Return the digest of the sources that generate modules, so that a changed generator invalidates the cache."""
+    """Return a digest of the source files in GENERATORS, so that a change of these files invalidates the cache."""
     digest = hashlib.sha256()
     folder = Path(__file__).parents[1]
     for file in sorted([*folder.rglob("*.py"), *folder.rglob("*.j2")]):

@@ -1,8 +1,8 @@
-"""Generated modules: the types of their functions by task, and loading from a file, without sympy.
+"""Generated modules: the types of their functions for each task, and loading from a file, without sympy.
 
-Every file is imported under a name made from its text and its path. Hence two modules of the same name do not collide,
-and another process can import a module by its name: solutions, and functions such as `solve`, can be pickled. The
-machine code that numba stores next to the file does not depend on that name.
+The import name of a module contains a digest of its text and its path. Hence two modules with the same file name do not
+collide, and another process can import a module by its import name. This is necessary for pickles of solutions and of
+functions such as `solve`. The machine code that numba stores next to the file does not depend on the import name.
 """
 
 from __future__ import annotations
@@ -28,13 +28,16 @@ Vector: TypeAlias = NDArray[np.float64]
 Matrix: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.intp]
 Entries: TypeAlias = tuple[Indices, Indices, Vector]
-"""A sparse matrix as (rows, columns, values), where duplicates add up."""
+"""A sparse matrix as (rows, columns, values); values with the same row and column are added."""
 
 
 class Grid(Protocol):
-    """N intervals of mean length h, the parameters of each body, and a mask of the unknowns that are multipliers.
+    """The grid of a solve: N = `steps` intervals of mean length h, with the values of all parameters.
 
     `nodes` (N + 1,) are the times of all nodes in units of h. `inner` are the numbers of the nodes at inner times.
+    `parameters` (bodies, P) has a row for each body. `is_multiplier` (n,) is a mask of the unknowns that are
+    multipliers. `sizes` (n,) are the scaling factors of the unknowns, and `weight` is the scaling factor of the cost;
+    `sizes` is empty without scaling.
     """
 
     steps: int
@@ -71,7 +74,7 @@ class ControlSolution(Protocol):
 
 
 class Unpacked(NamedTuple):
-    """A vector of unknowns as trajectories."""
+    """The trajectories that a vector of unknowns describes."""
 
     t: Vector
     q: Matrix
@@ -81,7 +84,7 @@ class Unpacked(NamedTuple):
 
 
 class NonlinearProgram(Protocol):
-    """Minimise a cost subject to equations and bounds; see `codegen.runtime.search.nlp`."""
+    """A nonlinear program: minimise a cost subject to equations and bounds; see `codegen.runtime.search.nlp`."""
 
     grid: Grid
     guess: Vector
@@ -106,9 +109,9 @@ class NonlinearProgram(Protocol):
 class ControlModule(Protocol):
     """The functions of a generated module for optimal control.
 
-    `variable_bounds` exists if `metadata.inequalities`. `problem` is the ControlProblem of all grids of the module,
-    from which `codegen.runtime.search` computes other quantities. Views are of nodes and intervals; the first axis is
-    the body.
+    `variable_bounds` exists if `metadata.inequalities` is True. `problem` is the ControlProblem, which all grids of the
+    module share and from which `codegen.runtime.search` computes other quantities. `views` returns two views of a
+    vector of unknowns: (bodies, nodes, unknowns of a node) and (bodies, intervals, unknowns of an interval).
     """
 
     metadata: ControlRecord
@@ -125,13 +128,13 @@ class ControlModule(Protocol):
     unpack: Callable[[Grid, Vector], Unpacked]
     views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]
     variable_bounds: Callable[[Grid], tuple[Vector, Vector]]
-    # With measurements:
+    # The next two functions exist only for a problem with measurements.
     sample_values: Callable[..., None]
     sample_gradient: Callable[..., float]
 
 
 class StepGrid(Protocol):
-    """N steps of length h, the values of the parameters, and the initial state (q, p)."""
+    """The grid of a simulation: N steps of length h, the values of the parameters, and the initial state (q, p)."""
 
     steps: int
     h: float
@@ -166,7 +169,11 @@ class SimulateModule(Protocol):
 
 
 class ImplicitModule(SimulateModule, Protocol):
-    """A simulation by an implicit scheme; the unknowns are those of one step."""
+    """The functions of a generated module for a simulation by an implicit scheme.
+
+    `residual` (grid, y, state, t) and `jacobian` belong to the equations of one step for its unknowns y. `predict`
+    returns an initial guess of y, and `complete` the state after the step.
+    """
 
     predict: Callable[[StepGrid, Vector, float], Vector]
     residual: Callable[[StepGrid, Vector, Vector, float], Vector]
@@ -220,12 +227,15 @@ GeneratedModule: TypeAlias = ControlModule | SimulateModule | ConnectModule
 
 
 def few_steps(module: GeneratedModule, steps: int) -> int:
-    """Return a number of intervals, increased where inner times need more."""
+    """Return `steps`, or a larger number of intervals if the problem has too many inner times for it."""
     return max(steps, int(module.metadata.inner_times) + 1)
 
 
 def inner_places(module: ControlModule) -> tuple[float, ...]:
-    """Return the inner times as fractions of the duration, or of the number of intervals if they are free."""
+    """Return the inner times as fractions of the duration.
+
+    If the inner times are free, return the positions of their nodes on an equidistant grid.
+    """
     if not module.metadata.inner_times:
         return ()
     grid = module.make_grid(few_steps(module, 1))
@@ -233,9 +243,10 @@ def inner_places(module: ControlModule) -> tuple[float, ...]:
 
 
 def time_grid(module: ControlModule, steps: int, fractions: Vector | None = None) -> Grid:
-    """Return the grid of N = `steps` equal intervals, or of intervals with given fractions of the duration.
+    """Return the grid of N = `steps` intervals in each phase.
 
-    The fractions may be those of each phase. Raises ValueError if they are not positive or their sum is not one.
+    `fractions` are the lengths of the intervals relative to the duration, (N,), or relative to each phase, (phases, N).
+    None means equal intervals. Raise ValueError if they are not positive, or their sum is not one.
     """
     return module.make_grid(steps) if fractions is None else module.make_grid(steps, grid=fractions)
 
@@ -256,12 +267,12 @@ def is_simulation(module: GeneratedModule) -> TypeGuard[SimulateModule]:
 
 
 def is_of_particles(module: GeneratedModule) -> bool:
-    """Return True for a module for particles."""
+    """Return True for a module of a problem of particles, which may be a simulation or connect points."""
     return bool(module.metadata.of_particles)
 
 
 def is_implicit(module: SimulateModule) -> TypeGuard[ImplicitModule]:
-    """Return True if a simulation solves equations in every step."""
+    """Return True if a simulation solves equations in every time step."""
     return all(callable(getattr(module, name, None)) for name in ("predict", "residual", "jacobian", "complete"))
 
 
@@ -275,7 +286,7 @@ def load(path: Path | str) -> GeneratedModule:
     Parameters
     ----------
     path : path
-        The same file with the same text is imported once.
+        File of the module. A file is imported only once, unless its text changes.
 
     Returns
     -------
@@ -293,7 +304,10 @@ def load(path: Path | str) -> GeneratedModule:
 
 
 def machine_code_counts(module: GeneratedModule) -> tuple[int, int]:
-    """Return how many functions of a module and the runtime numba has compiled, and read, in this process."""
+    """Return the numbers of functions that numba has compiled, and has read from the disk, in this process.
+
+    Functions of the module and of the runtime are counted.
+    """
     runtime = [vars(other) for name, other in list(sys.modules.items()) if name.startswith("codegen.runtime.")]
     functions = {id(value): value for space in (vars(module), *runtime) for value in list(space.values())}
     statistics: list[Any] = [getattr(value, "stats", None) for value in functions.values()]
@@ -311,23 +325,23 @@ def _text(path: Path) -> str:
     except (OSError, UnicodeDecodeError) as error:
         raise ModuleError(f"{path} cannot be read ({error})", _REMEDY) from error
     if not text.startswith(_FIRST_LINE):
-        # Not run at all: it may be a problem file, or anything else.
+        # The file is not executed, because it may be any program.
         raise ModuleError(f"{path} was not generated by codegen", "give the path of a generated module")
     return text
 
 
 def _name(path: Path, text: str) -> str:
-    """Return the name of the module of a file; `_ByName` recovers the path from it."""
+    """Return the import name for a file and its text; `_ByName` reads the path from the name."""
     digest = hashlib.sha256(text.encode()).hexdigest()
     return f"{__name__}.{path.stem}_{digest[:16]}@{quote(str(path)).replace('.', '%2E')}"
 
 
 class _ByName:
-    """Importer of generated modules, whose names contain a digest of the text and the path."""
+    """The importer of generated modules, whose import names contain a digest of the text and the path."""
 
     @staticmethod
     def find_spec(name: str, _path: Sequence[str] | None = None, _: ModuleType | None = None) -> ModuleSpec | None:
-        """Return the specification of a generated module, None for other modules."""
+        """Return the import specification of a generated module, None for other modules."""
         if not name.startswith(f"{__name__}."):
             return None
         path = Path(unquote(name.partition("@")[2]))
@@ -347,8 +361,8 @@ class _ByName:
             raise ModuleError(f"{path} is not what it was", "load it anew")
         module.__file__ = str(path)
         try:
-            # Not through Python's loader, whose bytecode cache takes an edit within one second, of the same length,
-            # for no edit.
+            # Python's loader is not used, because its bytecode cache misses an edit within one second that does not
+            # change the length of the file.
             exec(compile(text, str(path), "exec"), vars(module))
         except Exception as error:  # a damaged file may fail in any way
             if "no locator available" in str(error):
@@ -360,7 +374,7 @@ class _ByName:
 
 
 __path__: list[str] = []
-"""Declares this module as the package of all generated modules."""
+"""An empty search path, which makes this module the package of all generated modules."""
 sys.meta_path.append(cast(Any, _ByName))
 
 

@@ -1,6 +1,7 @@
-"""From a request to an outcome: build, load, machine code, runs of a driver, evaluation of the residuals.
+"""The execution of a request: build, loading, machine code, runs of a driver, and evaluation of the residuals.
 
-A request may take several runs, from different initial guesses or on different grids. They share the time limit.
+A request may take several runs, from different initial guesses or on different grids. The time limit applies to all
+runs together.
 """
 
 from __future__ import annotations
@@ -40,36 +41,38 @@ from codegen.solving.tasks import task_of
 from codegen.solving.warm_start import best_of, start_of, transferred
 
 LEAST_TIME = 1e-9
-"""Time limit in seconds that ends a search before its first iteration."""
+"""Time limit in seconds for a run if no time is left; it ends a search before its first iteration."""
 ACCURATE_SCHEME = "gauss-4"
-"""The scheme for a request for accuracy: order four for every method.
+"""The default scheme if an accuracy is requested: its order is four for every method.
 
-With controls that are constant on intervals it has no false optima on singular arcs, where midpoints alternate.
+The scheme has no false optima on singular arcs if controls are constant on intervals. Controls of the midpoint scheme
+may alternate there.
 """
 LEAST_TOLERANCE, LARGEST_TOLERANCE, NEGLIGIBLE_PART = 1e-15, 1e-10, 1e-4
-"""Tolerances for a request for accuracy, and the residual relative to the request that is negligible."""
+"""Limits of the tolerance if an accuracy is requested, and the ratio of tolerance to requested error between them."""
 LEAST_ITERATIONS = 50
-"""Lower limit of the iterations of a search for the optimum on double steps."""
+"""Least iteration limit of a search for the optimum on double steps."""
 _TOO_TIGHT = ("inaccurate", "stalled")
-"""Statuses of solves whose tolerance is below the rounding errors."""
+"""Statuses that may be caused by a tolerance below the rounding errors."""
 _SEARCHES = ("iteration limit", "time limit", "stalled", "infeasible", "saddle point")
-"""Statuses of searches that may succeed from another guess or by another discretisation."""
+"""Statuses for which another initial guess or another discretisation may succeed."""
 _ZERO = 1e-10
-"""Controls and costs below this size are rounding errors of zero."""
+"""Controls and costs below this magnitude are considered to be zero."""
 _IDLE = "all controls are zero, and so is the cost: the free motion meets all conditions; is an end missing?"
 _ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relative error of the cost"}
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
-"""A context that displays a text while a slow operation runs."""
+"""A function that returns a context manager, which displays a text while a slow operation runs."""
 Following: TypeAlias = Callable[[], AbstractContextManager[Watch | None]]
-"""A context that displays the iterates of a driver."""
+"""A function that returns a context manager, whose value displays the iterates of a driver."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The module of a request, the result, the times of both, and lines for the user.
+    """The module and the result of a request, with the time for building and loading, and lines for the user.
 
-    `build_seconds` is the time of derivation and compilation, `load_seconds` that of reading module and machine code.
+    `build_seconds` is the time for derivation and compilation, and `load_seconds` the time for reading the module and
+    its machine code.
     """
 
     module: GeneratedModule
@@ -80,16 +83,16 @@ class Outcome:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The JSON object of `--json`."""
+        """The object that `--json` prints."""
         return output.as_record(self.result, self.build_seconds, self.load_seconds)
 
 
 def outcome_of(request: Request, working: Working = nullcontext, following: Following = nullcontext) -> Outcome:
-    """Execute a request; see `codegen.solve`.
+    """Execute a request, and return the module and the result; see `codegen.solve`.
 
-    Errors of the request are raised before slow operations. Names of parameters, tables and measurements are compared
-    with those of the module after the build. `working` and `following` display progress in a terminal; the table of
-    drivers states which drivers can be watched.
+    Errors of the request are raised before slow operations. Names of parameters, tables and measurements can be checked
+    only after the build of the module. `working` and `following` display progress in a terminal. The table of drivers
+    states which drivers report their iterates.
     """
     with processes.compilers() as compilers:
         start = start_of(request.warm)
@@ -130,11 +133,11 @@ def outcome_of(request: Request, working: Working = nullcontext, following: Foll
 
 
 def _built(request: Request, working: Working, compilers: Compilers) -> tuple[Path | None, bool, float]:
-    """Return the file of the module (None if it is loaded), True if it is new, and the seconds of its derivation.
+    """Return the file of the module, True if the file is new or has changed, and the seconds of the derivation.
 
-    A request for accuracy without a scheme takes `ACCURATE_SCHEME`, unless the problem does not allow it or has path
-    inequalities. With a control that is constant on an interval path inequalities hold where they are strictest. That
-    error is of order one if there are several stages.
+    The file is None if the request has a loaded module. If an accuracy but no scheme is requested, the scheme is
+    `ACCURATE_SCHEME`, unless the problem does not allow it or has path inequalities. Path inequalities hold at all
+    stages, so the strictest stage limits a control that is constant on an interval. This error has order one.
     """
     if request.is_built:
         return (Path(request.problem) if isinstance(request.problem, Path | str) else None), False, 0.0
@@ -156,7 +159,7 @@ def _built(request: Request, working: Working, compilers: Compilers) -> tuple[Pa
 
 
 def points_of(request: Request, module: GeneratedModule) -> PointSet | None:
-    """Return the points of the request, or else those of the problem file."""
+    """Return the points of the request, or else the points that the problem names; None if there are none."""
     file, own = request.points, module.metadata.points
     if file is None and own and not request.is_built:
         file = request.settings.points or request.source.folder / own
@@ -174,14 +177,17 @@ def _solved(
     points: PointSet | None,
     watch: Watch | None,
 ) -> Result:
-    """Return the result of all runs: from several guesses, on several grids."""
+    """Return the best result of all runs, from one or several initial guesses and on one or several grids.
+
+    `steps` is the number of intervals per phase, and `warm` (n,) the unknowns of a warm start.
+    """
     remaining = math.inf if request.time_limit is None else request.time_limit
 
     def solve_from(count: int, start: Vector | None, near: bool, grid: Vector | None = None) -> Result:
         nonlocal remaining
         tolerance = request.tolerance
         if tolerance is None and request.accuracy is not None and grid is not None:
-            # Derivatives by a control, and the barrier term on them, are proportional to the length of the interval.
+            # The derivative with respect to a control, and its barrier term, are proportional to the interval's length.
             shortest = float(grid.min())
             tolerance = max(LEAST_TOLERANCE, min(LARGEST_TOLERANCE, NEGLIGIBLE_PART * request.accuracy * shortest))
         run = Run(
@@ -209,10 +215,10 @@ def _solved(
 
 
 def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: int) -> Result:
-    """Run a driver `repeat` times, and evaluate the residuals of the last solution.
+    """Run a driver `repeat` times; return the result of the last run, with residuals that are evaluated again.
 
-    The time is that of the fastest run. The time of compiling or reading machine code is subtracted, because a driver
-    may call functions for the first time.
+    The result has the time of the fastest run. The time for compiling or reading machine code is subtracted, because a
+    driver may call functions for the first time.
     """
     task = task_of(module)
     require_memory(task.numbers(module.metadata, run), run.steps)
@@ -220,7 +226,7 @@ def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: in
     compiled_before = machine_code_counts(module)[0]
     begin = time.perf_counter()
     try:
-        # Load machine code before the timed runs, by calls of a smaller problem.
+        # Load machine code before the timed runs.
         if not driver.generated:
             with quiet_single_thread():
                 task.touch(module, run.steps)
@@ -236,7 +242,7 @@ def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: in
                 elapsed = time.perf_counter() - begin
             code_seconds += spent.seconds
             seconds = min(seconds, max(elapsed - spent.seconds, 0.0))
-    except ValueError as error:  # generated modules raise no errors of codegen
+    except ValueError as error:  # generated modules raise ValueError in place of errors of codegen
         raise NumericsError(str(error), "correct the problem's numbers or the options") from error
     except OSError as error:
         raise processes.unwritable_cache_error(module, error) from error
@@ -246,7 +252,10 @@ def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: in
 
 
 def require_memory(numbers: int, steps: int) -> None:
-    """Raise NumericsError if so many floating-point numbers exceed the memory; the system would end the process."""
+    """Raise NumericsError if the memory is too small for so many floating-point `numbers`.
+
+    The operating system would end the process. `steps` is only used in the message.
+    """
     if not hasattr(os, "sysconf"):
         return
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -258,7 +267,7 @@ def require_memory(numbers: int, steps: int) -> None:
 
 
 def _with_notes(request: Request, module: GeneratedModule, result: Result) -> Result:
-    """Return the result with notes: on the motion between nodes, idle controls, remedies for a failed search."""
+    """Return the result with notes on the motion between nodes, on zero controls, and on remedies for a failure."""
     if not is_control(module) or result.unknowns is None:
         return result
     if not result.solved:
@@ -279,10 +288,10 @@ def _with_notes(request: Request, module: GeneratedModule, result: Result) -> Re
 
 
 def _with_error(request: Request, module: GeneratedModule, driver: Driver, result: Result) -> Result:
-    """Return the result with its estimated discretisation error, and a note if the error is large.
+    """Return the result with its estimated discretisation error, and with a note if the error is large.
 
-    A request for accuracy has an estimate already. Drivers other than the generated solver serve comparisons and get no
-    estimate, which would take long.
+    If an accuracy was requested, the result has an estimate already. Other drivers than the generated solver get no
+    estimate, which would take long; they serve for comparisons.
     """
     if not (is_control(module) and result.solved and result.unknowns is not None):
         return result

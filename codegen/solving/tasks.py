@@ -1,7 +1,7 @@
-"""The table of tasks: for each task its options and the functions that depend on the task.
+"""The table of tasks, with the options and the functions that differ between tasks.
 
-Code that depends on the task of a module calls the functions in the row `task_of(module)`. These functions belong to
-other files, which are imported on the first call. Hence this file imports nothing slow, and all rooms may use it.
+Code that depends on the task of a module calls the functions in the row `task_of(module)`. These functions are defined
+in other files, which are imported on the first call. Hence this file imports nothing slow, and any file may import it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ class Task:
     """The properties of a task.
 
     `noun` names problems of the task in messages. `options` are arguments of `codegen.solve` that apply to the task
-    with every driver; the table of drivers has the other options. `functions` are required of a module of the task.
+    with every driver; the table of drivers has the other options. `functions` are the names of functions that every
+    module of the task must have.
     """
 
     name: str
@@ -25,19 +26,22 @@ class Task:
     options: frozenset[str]
     functions: tuple[str, ...]
     result: Deferred
-    """(module, name of the driver, run, attempt) -> Result, from residuals that are evaluated outside the driver."""
+    """The function (module, name of driver, run, attempt, seconds) -> Result.
+
+    Residuals are evaluated independently of the driver.
+    """
     numbers: Deferred
-    """(metadata, run) -> number of floating-point numbers that a run stores."""
+    """The function (metadata, run) -> number of floating-point numbers that a run stores."""
     touch: Deferred
-    """(module, steps): load the machine code that drivers of scipy call."""
+    """The function (module, steps) that loads the machine code for drivers of scipy."""
     small: Deferred
-    """(module): solve on a few intervals, or for a few particles, which loads all machine code."""
+    """The function (module) that loads all machine code by solving a small case."""
     outline: Deferred
-    """(module, name of the driver, run, attempt) -> Outline: the part of the result that sweeps store."""
+    """The function (module, name of driver, run, attempt) -> Outline, the part of the result that sweeps store."""
 
 
 def _task(name: str, noun: str, options: str, functions: str) -> Task:
-    """Return the row of a task, whose functions are found by their names."""
+    """Return the row of a task; `options` and `functions` are names that are separated by blanks."""
     file = "control" if name == "control" else "motions"
     return Task(
         name,
@@ -74,5 +78,5 @@ TASKS = {
 
 
 def task_of(module: Any) -> Task:
-    """Return the task of a loaded module."""
+    """Return the row of the table of tasks for a loaded module."""
     return TASKS[module.metadata.task]

@@ -1,8 +1,9 @@
 """Initial guesses: warm starts from saved results, several varied guesses, and transfer between time grids.
 
-A nonlinear problem has local optima, and points near which its equations cannot be satisfied. The first guess is that
-of the problem. Each further guess adds smooth curves, one for each quantity. Such a curve is a sum of a few sines that
-vanish at both ends and have random amplitudes. The seeds are fixed: the same call gives the same guesses.
+Several guesses are useful for a nonlinear problem, which may have several local optima, and points near which its
+equations cannot be satisfied. The first guess is the guess of the problem. Each further guess adds a smooth curve to
+each quantity. The curve is a sum of a few sines that vanish at both ends and have random amplitudes. The seeds are
+fixed, so that the same call uses the same guesses.
 """
 
 from __future__ import annotations
@@ -23,13 +24,17 @@ from codegen.solving.results.result import Result, component_names
 from codegen.solving.results.segments import segments_of
 
 SAME = 1e-6
-"""Relative difference below which two costs belong to the same optimum."""
+"""Relative difference of two costs below which the optima are considered to be the same."""
 _REMEDY = "give a file that --save wrote when this problem was solved"
 
 
 @dataclass(frozen=True)
 class SavedStart:
-    """The unknowns of a saved optimisation; names of the columns of q and u, and the number of nodes, if saved."""
+    """The solution of an optimisation, read from a file that `--save` has written.
+
+    `unknowns` (n,) are all unknowns. `names` has the names of the columns of q and u, and is empty if they were not
+    saved. `nodes` is the number of nodes, or None.
+    """
 
     path: Path
     unknowns: Vector
@@ -38,7 +43,11 @@ class SavedStart:
 
 
 def start_of(warm: Vector | Path | str | None) -> Callable[[GeneratedModule], Vector | None]:
-    """Read a warm start; return the function that checks the warm start against a module and returns the unknowns."""
+    """Read a warm start, and return a function that maps a module to the initial unknowns (n,).
+
+    The function raises ArgumentError if a saved warm start does not fit the module. Without a warm start it returns
+    None.
+    """
     if warm is None:
         return lambda module: None
     if not isinstance(warm, Path | str):
@@ -49,7 +58,10 @@ def start_of(warm: Vector | Path | str | None) -> Callable[[GeneratedModule], Ve
 
 
 def read_start(path: Path) -> SavedStart:
-    """Read a saved optimisation; raise ArgumentError for a missing file, and for a file without a solution."""
+    """Return the solution of an optimisation from an .npz file.
+
+    Raise ArgumentError if the file is missing or has no solution.
+    """
     if not path.is_file():
         raise ArgumentError(f"--warm {path}: {'is a directory' if path.is_dir() else 'no such file'}", _REMEDY)
     try:
@@ -81,7 +93,7 @@ def _vector(what: str, values: Any, remedy: str) -> Vector:
 def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:
     """Return the saved unknowns; raise ArgumentError if they belong to another problem than the module.
 
-    Only the number of unknowns is compared if the file has no names.
+    The names of states and controls are compared, and the number of unknowns. Files without names are also accepted.
     """
     names, segments = component_names(module.metadata), segments_of(module.metadata)
     if segments is not None:
@@ -106,17 +118,21 @@ def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:
 
 
 def varied(module: ControlModule, steps: int, seed: int) -> Vector:
-    """Return the guess of the problem on N = `steps` intervals with a random smooth curve added to every quantity."""
+    """Return the initial guess of the problem on N = `steps` intervals, with a random smooth curve for every quantity.
+
+    The curves are added to the guess, and depend only on `seed`.
+    """
     grid = module.make_grid(steps)
     guess: Vector = varied_guess(grid, module.initial_guess(grid), seed)
     return guess
 
 
 def best_of(solve: Callable[[Vector | None], Result], module: ControlModule, steps: int, starts: int) -> Result:
-    """Solve from `starts` guesses; return the solution of least cost, or the first failure if no guess succeeds.
+    """Solve from `starts` initial guesses; return the solution of least cost, or the first failure if all fail.
 
-    `attempts` has a line for every guess. The summary has the number of solved guesses, and the number of those that
-    have the cost of the returned solution.
+    `solve` maps an initial guess (n,) to a result; None means the guess of the problem. In the returned result
+    `attempts` has a line for every guess. Its summary has the number of successful guesses, and the number of guesses
+    that lead to the same cost as the returned solution.
     """
     results = [solve(None), *(solve(varied(module, steps, seed)) for seed in range(1, starts))]
     solved = [(result.cost, result) for result in results if result.solved and result.cost is not None]
@@ -134,11 +150,12 @@ def best_of(solve: Callable[[Vector | None], Result], module: ControlModule, ste
 def transferred(
     module: ControlModule, unknowns: Vector, steps: int, source: Vector | None = None, target: Vector | None = None
 ) -> Vector:
-    """Return the unknowns of a solution on a grid of N = `steps` intervals, interpolated in time without overshoot.
+    """Return the `unknowns` of a solution on another grid, with N = `steps` intervals in each phase.
 
-    Values at nodes are interpolated between nodes, and values on intervals between midpoints, in every phase
-    separately. Intervals are equal, or last the fractions `source` in the solution and `target` in the new grid. Raise
-    NumericsError if the vector belongs to another problem.
+    Values at nodes are interpolated between nodes, and values on intervals between midpoints, for every phase
+    separately. The interpolation is monotone and does not overshoot. `source` and `target` are the lengths of the
+    intervals, relative to the duration, on the old and the new grid; None means equal intervals. Raise NumericsError if
+    the vector belongs to another problem.
     """
     old_steps = source_steps(module, unknowns)
     old_grid, new_grid = time_grid(module, old_steps, source), time_grid(module, steps, target)
@@ -148,7 +165,7 @@ def transferred(
     old_times, new_times = old_grid.nodes / old_steps, new_grid.nodes / steps
     old_middles, new_middles = (0.5 * (times[:-1] + times[1:]) for times in (old_times, new_times))
     for phase in range(module.metadata.phases):
-        first = min(phase, 1)  # the node at a switch belongs to the phase before, since it has the values before a jump
+        first = min(phase, 1)  # the node at a switch has the values before a jump, and belongs to the phase before
         old, new = (slice(phase * n + first, (phase + 1) * n + 1) for n in (old_steps, steps))
         new_nodes[:, new] = _interpolated(old_times[old], old_nodes[:, old], new_times[new])
         old, new = (slice(phase * n, (phase + 1) * n) for n in (old_steps, steps))
@@ -161,14 +178,17 @@ def transferred(
 def _interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:
     if t.size == 1:
         return np.repeat(values, at.size, axis=1)
-    from scipy.interpolate import PchipInterpolator  # which takes long to import
+    from scipy.interpolate import PchipInterpolator  # its import is slow
 
-    with np.errstate(over="ignore"):  # reciprocals of slopes that are next to zero
+    with np.errstate(over="ignore"):  # scipy divides by slopes, which may be almost zero
         return np.asarray(PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1])), dtype=float)
 
 
 def source_steps(module: ControlModule, unknowns: Vector) -> int:
-    """Return the number of intervals of each phase for a vector of unknowns."""
+    """Return the number of intervals of each phase from the length of a vector of unknowns.
+
+    Raise NumericsError if no number of intervals fits.
+    """
     metadata, root = module.metadata, module.problem.structure.root
     node, bodies = len(metadata.node), metadata.bodies
     phase = metadata.phases * (node + len(metadata.interval))

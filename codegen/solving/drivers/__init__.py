@@ -1,7 +1,7 @@
 """The registry of drivers: methods that solve the problem of a generated module.
 
 `newton` is the generated solver. The other drivers call scipy or IPOPT with the functions of the module, for
-comparison. Importing this file imports no driver, and neither numpy nor numba nor scipy.
+comparison. To start quickly, this file imports no driver, and neither numpy nor numba nor scipy.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from codegen.errors import ArgumentError
 
 @dataclass(frozen=True)
 class Driver:
-    """Name, summary, and the options of a request that apply to a driver, by task.
+    """A driver, with the tasks that it can solve.
 
-    The file of a driver has a function for each task. The driver that is `generated` is the module's own solver. It
-    calls only `solve` of a module, and its messages are complete.
+    `options` maps each task to the options of a request that apply to the driver. The `file` of a driver has a function
+    for each task, with the name of the task. `generated` is True for the solver in the generated module.
     """
 
     name: str
@@ -31,15 +31,15 @@ class Driver:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """The tasks of the driver."""
+        """The tasks that the driver can solve."""
         return tuple(self.options)
 
     def takes(self, task: str, option: str) -> bool:
-        """Return True if an option applies to the driver for a task."""
+        """Return True if the driver accepts an option for a task."""
         return option in self.options.get(task, ())
 
     def function(self, task: str) -> Callable[..., Any]:
-        """Import and return the function (module, run) -> attempt for a task."""
+        """Import the driver, and return its function (module, run) -> attempt for a task."""
         return getattr(import_module(f"codegen.solving.drivers.{self.file}"), task)  # type: ignore[no-any-return]
 
 

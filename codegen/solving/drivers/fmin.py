@@ -14,7 +14,7 @@ LIMIT = 24
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
-    """Minimise the squared distance of the arrival from the targets."""
+    """Minimise the squared distance between arrival and targets over the initial momenta, and return the attempt."""
     require_method(module, "fmin", ("stepping",))
     case = case_of(module, run)
     require_at_most(case.start.size, LIMIT, "fmin")

@@ -1,4 +1,4 @@
-"""MINPACK's hybrid Powell method with exact Jacobians, for implicit steps, and for the KKT system as square equations.
+"""MINPACK's hybrid Powell method with exact Jacobians, for implicit steps, and for the KKT conditions as equations.
 
 Source: Powell (1970), A hybrid method for nonlinear equations; More, Garbow and Hillstrom (1980), User guide for
 MINPACK-1.
@@ -42,10 +42,10 @@ LIMIT = 3000
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Solve residual = 0 and stationarity = 0 for unknowns and multipliers together.
+    """Solve residual = 0 and stationarity = 0 for primal unknowns and multipliers together, and return the attempt.
 
-    The stationary point need not be a minimum. Equations are not scaled: the method determines scales of the unknowns.
-    Of 60 searches (four problems, 10 to 30 steps) 55 were solved, and fewer than half with scaled rows.
+    The stationary point need not be a minimum. Equations are not scaled; the method itself scales the unknowns. In a
+    test with four problems and 10 to 30 steps, 55 of 60 searches succeeded, and fewer than half with scaled equations.
     """
     if module.metadata.inequalities:
         raise ArgumentError(
@@ -76,9 +76,10 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
-    """Solve the equations of each step from the prediction of the scheme; iterations are evaluations of the residual.
+    """Solve the equations of all time steps, each from the prediction of the scheme, and return the attempt.
 
-    Raises ArgumentError for an explicit scheme, and for particles.
+    The number of iterations is the number of evaluations of the residual. Raise ArgumentError for an explicit scheme,
+    and for particles.
     """
     if not _is_stepwise(module):
         raise ArgumentError(
@@ -122,7 +123,10 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
-    """Solve the equations of the module, for initial momenta or for all nodes, with their generated Jacobian."""
+    """Connect particles by solving the equations for the initial momenta or for all nodes, and return the attempt.
+
+    The Jacobian of the equations is generated.
+    """
     require_method(module, "fsolve", ("stepping", "full"))
     case = case_of(module, run)
     shooting = module.metadata.method == Method.STEPPING
@@ -144,7 +148,10 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
 
 
 def _is_stepwise(module: SimulateModule) -> TypeGuard[ImplicitModule]:
-    """Return True if a step is one system of equations; ArgumentError for several systems, and for particles."""
+    """Return True if a module solves one system of equations in each time step, and False if it solves none.
+
+    Raise ArgumentError if a step consists of several systems, and for particles.
+    """
     if is_of_particles(module):
         raise ArgumentError(
             "driver fsolve does not solve the steps of particles, whose module has its own Newton method", "use newton"
@@ -159,7 +166,10 @@ def _is_stepwise(module: SimulateModule) -> TypeGuard[ImplicitModule]:
 
 
 def _verdict(y: Vector, details: Mapping[str, Any], code: int, reason: str) -> tuple[str, str]:
-    """Return status and message; slow progress (codes 3 to 5) is the normal end of the method at rounding level."""
+    """Return the termination status of fsolve and a message, which is empty for the status "solved".
+
+    Slow progress (codes 3 to 5) is accepted if the residual has the size of rounding errors.
+    """
     residual = max_norm(details["fvec"])
     if not np.isfinite(y).all() or not np.isfinite(residual):
         return "non-finite", "non-finite: an expression is infinite or no number; check the start and the parameters"

@@ -29,7 +29,7 @@ _STATUSES = {
     0: "solved", 1: "solved", 2: "infeasible", 4: "unbounded", 5: "time limit", -1: "iteration limit",
     -10: "rank-deficient", -13: "non-finite",
 }  # fmt: skip
-"""Statuses by return codes of IPOPT; other codes count as stalled."""
+"""Termination statuses by the return codes of IPOPT; all other codes have the status "stalled"."""
 _TOO_FEW_UNKNOWNS, _NOT_FINITE = -10, -13
 _REASONS = {
     3: "its steps have become too small",
@@ -40,14 +40,14 @@ _REASONS = {
     -12: "it does not take an option",
     -102: "there is not enough memory",
 }
-"""The meaning of other codes in IPOPT's documentation of its return statuses; the rest are internal errors."""
+"""Meanings of other return codes from IPOPT's documentation; all codes without a meaning are internal errors."""
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Minimise the cost with the default options of IPOPT. Raises ArgumentError if cyipopt is not installed.
+    """Minimise the cost with the default options of IPOPT, and return its attempt.
 
-    The defaults include its scaling, its iteration limit, and bounds that are relaxed by a relative 1e-8. The solution
-    is projected onto the bounds.
+    The defaults include the scaling and the iteration limit of IPOPT, and bounds that are relaxed by a relative 1e-8.
+    The solution is projected onto the bounds. Raise ArgumentError if cyipopt is not installed.
     """
     try:
         import cyipopt  # type: ignore[import-not-found, import-untyped, unused-ignore]
@@ -83,7 +83,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def _cause(program: NonlinearProgram, code: int, x: Vector, iterations: int) -> str:
-    """Return the cause of a failure and the remedy, empty if the cause is a violated equation."""
+    """Return the text of the cause and the remedy for the return codes of an invalid problem; empty for other codes."""
     if code == _TOO_FEW_UNKNOWNS:
         lower, upper = program.bounds
         sizes = f"{np.count_nonzero(lower < upper)} unknowns for {program.dual.size} equations"
@@ -101,9 +101,10 @@ def _pattern(matrix: Any) -> tuple[Indices, Indices]:
 
 
 class _Callbacks:
-    """The problem with the method names of cyipopt; sparse matrices have the same pattern at all points.
+    """The problem as an object with the methods that cyipopt calls; sparse matrices have the same pattern everywhere.
 
-    After `time_limit` seconds IPOPT stops. Before IPOPT 3.14 its own limit is one of processor time.
+    IPOPT stops after `time_limit` seconds. The time limit of IPOPT itself is not used, because it was a limit of
+    processor time before IPOPT 3.14.
     """
 
     def __init__(self, program: NonlinearProgram, time_limit: float = math.inf) -> None:

@@ -1,8 +1,8 @@
-"""The generated solver: structured Newton on the KKT system, steps of a simulation, or shooting of particles.
+"""The generated solver: Newton's method on the structured KKT system, time steps of a simulation, or shooting.
 
-For adaptive schemes, shooting integrates with scipy. Newton's matrix comes from the fixed steps of the module. It
-differs from the exact matrix by the error of the fixed steps. The iteration contracts by about that factor, and costs
-one adaptive trajectory for each iteration.
+Shooting connects particles. For adaptive schemes scipy integrates the trajectories. The matrix of Newton's method is
+computed from the fixed steps of the module, and differs from the exact matrix by their discretisation error. The
+iteration contracts by about this error. Each iteration takes at least one adaptive trajectory.
 """
 
 from __future__ import annotations
@@ -20,12 +20,17 @@ from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt, max_norm
 
 ADAPTIVE_TOLERANCE = 1e-8
-"""Default relative and absolute error of each adaptive step."""
+"""Default relative and absolute error tolerance of each adaptive step."""
 _MAX_ITERATIONS, _HALVINGS = 60, 10
+"""Largest number of Newton steps, and of halvings of each step."""
 
 
 def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tolerance: float) -> tuple[Any, int]:
-    """Return the states at the nodes, (N + 1, 2, n, d), and the evaluations of the field; NaN if scipy fails."""
+    """Return the states at the nodes (N + 1, 2, n, d), and the number of evaluations of the Hamiltonian field.
+
+    `momenta` are the initial momenta, and `code` is the name of an integrator of scipy. The states are NaN if scipy
+    fails.
+    """
     shape = (2, *case.start.shape)
     gradient = np.empty(shape)
 
@@ -47,7 +52,7 @@ def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tol
 
 
 def adaptive(module: ConnectModule, case: Any, run: Run) -> ConnectAttempt:
-    """Find the initial momenta from which the adaptive integrator arrives; iterations are those of Newton's method."""
+    """Return the motion of particles whose initial momenta lead to the targets with an adaptive integrator."""
     tolerance = ADAPTIVE_TOLERANCE if run.tolerance is None else run.tolerance
     code = module.metadata.adaptive
     with quiet_single_thread():
@@ -87,17 +92,26 @@ def _error(module: ConnectModule, case: Any, path: Any) -> float:
 
 
 TOLERANCE = 1e-10
-_ROUNDED = 1e-9  # neighbours that move apart have momenta so large that rounding errors of positions come near to this
+"""Default tolerance of the generated solver."""
+_ROUNDED = 1e-9
+"""Least tolerance of the arrival of particles.
+
+Neighbours that move apart have large momenta, so that rounding errors of positions come close to this value.
+"""
 _OWN = ("tolerance", "trajectories", "scaled", "is_explained", "generated")
-"""Fields of an attempt that a solution of a module does not have, or does not have in earlier versions."""
+"""Fields of an attempt that are not copied from the return value of `solve` of a module.
+
+Modules of earlier versions return no `scaled`.
+"""
 _CLAIMED: dict[type, tuple[str, ...]] = {
     attempt: tuple(f.name for f in fields(attempt) if f.name not in _OWN)
     for attempt in (ControlAttempt, SimulateAttempt)
 }
+"""Fields of an attempt that are copied from the return value of `solve` of a module."""
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Call `solve` of the module."""
+    """Call `solve` of the module; return the attempt."""
     warm = run.guess is not None and run.near
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
     options: dict[str, Any] = {"max_iterations": run.max_iterations, "time_limit": run.time_limit}
@@ -115,7 +129,10 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
-    """Call `solve` of the module; raise ArgumentError for an iteration limit of particles, whose module has its own."""
+    """Call `solve` of the module; return the attempt.
+
+    Raise ArgumentError for an iteration limit for particles, because their modules use a limit of their own.
+    """
     limit = {} if run.max_iterations is None else {"max_iterations": run.max_iterations}
     if limit and is_of_particles(module):
         raise ArgumentError("--max-iterations of particles, whose module limits Newton's method itself", "leave it out")
@@ -124,7 +141,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
-    """Call `solve_case` of the module, or integrate adaptively if the scheme is adaptive."""
+    """Call `solve_case` of the module, or integrate with scipy if the scheme is adaptive; return the attempt."""
     case = case_of(module, run)
     if module.metadata.adaptive:
         return adaptive(module, case, run)
@@ -139,5 +156,5 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
 
 
 def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: Any) -> dict[str, Any]:
-    """Return the fields of an attempt that a solution of a module has under the same names."""
+    """Return the fields of an attempt that are copied from the return value of `solve` of a module."""
     return {name: getattr(solution, name) for name in _CLAIMED[attempt]}

@@ -1,9 +1,10 @@
-"""Common parts of drivers: scaled optimal control, particles, warnings and threads.
+"""Common parts of drivers: scaled optimal-control problems, particles, warnings and threads.
 
-The optimal-control problem for scipy has free unknowns only, and equations of comparable size. Each equation is divided
-by the largest entry of its row of the Jacobian at the initial guess. The cost is divided by its largest derivative at
-the guess if that exceeds one, as in section 3.8 of Waechter and Biegler (2006). Unknowns are not scaled. A multiplier
-nu of the scaled problem corresponds to lambda = r nu / f.
+The optimal-control problem for scipy has only free unknowns, and its equations have comparable magnitudes. Each
+equation is divided by the largest entry of its row of the Jacobian at the initial guess. The cost is divided by its
+largest derivative at the guess, if this derivative exceeds one, as in section 3.8 of Waechter and Biegler (2006).
+Unknowns are not scaled. With the scaling factors r of an equation and f of the cost, a multiplier nu of the scaled
+problem corresponds to the multiplier lambda = r nu / f of the problem.
 """
 
 from __future__ import annotations
@@ -29,13 +30,18 @@ from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, max_norm
 
 _SIGN_ROUNDING = 1e-9
+"""Magnitude of a multiplier of a bound with the wrong sign, relative to the cost gradient, that is a rounding error."""
 _DENSE_LIMIT = 1500
+"""Largest number of unknowns and equations for which multipliers are computed by dense least squares."""
 
 
 def claim(
     name: str, status: str, iterations: int, unknowns: Vector, tolerance: float, remedy: str = "; try driver newton"
 ) -> ControlAttempt:
-    """Return the attempt of an optimiser, solved or with the status of its failure."""
+    """Return the attempt of an optimiser with a message that states its status.
+
+    `name` is the name of the optimiser. `remedy` is appended to the message of a failure.
+    """
     message = f"{name} found a local minimum in {iterations} iterations"
     if status != "solved":
         message = f"{status}: {name} gave up after {iterations} iterations{remedy}"
@@ -43,13 +49,16 @@ def claim(
 
 
 def program_on_grid(module: ControlModule, run: Run) -> NonlinearProgram:
-    """Return the nonlinear program on N intervals, from the guess of the run, or else that of the problem."""
+    """Return the nonlinear program on the grid of a run, with the initial guess of the run or else of the problem."""
     guess = module.initial_guess(time_grid(module, run.steps, run.grid)) if run.guess is None else run.guess
     return module.nlp(run.steps, grid=run.grid, guess=guess)
 
 
 def require_small(program: NonlinearProgram, limit: int, driver: str) -> None:
-    """Raise ArgumentError for problems that would take a dense solver minutes and gigabytes."""
+    """Raise ArgumentError if a nonlinear program has more than `limit` unknowns and equations.
+
+    A driver with dense matrices would take minutes and gigabytes for it.
+    """
     size = program.primal.size + program.dual.size
     if size > limit:
         raise ArgumentError(
@@ -60,13 +69,13 @@ def require_small(program: NonlinearProgram, limit: int, driver: str) -> None:
 
 @dataclass(frozen=True)
 class ScaledProblem:
-    """Minimise f J(x) such that r_i c_i(x) = 0, for optimisers without scaling of their own."""
+    """The scaled problem: minimise f J(x) subject to r_i c_i(x) = 0, for optimisers that compute no scaling factors."""
 
     program: NonlinearProgram
 
     @classmethod
     def on_grid(cls, module: ControlModule, run: Run) -> ScaledProblem:
-        """Return the problem on N intervals, from the guess of the run, or else that of the problem."""
+        """Return the scaled problem on the grid of a run, with the initial guess of the run or else of the problem."""
         return cls(program_on_grid(module, run))
 
     @cached_property
@@ -78,7 +87,7 @@ class ScaledProblem:
 
     @property
     def scipy_bounds(self) -> Bounds | None:
-        """The bounds for scipy.optimize, None if there are none; iterates stay within them."""
+        """The bounds for scipy.optimize, which all iterates satisfy; None if no unknown is bounded."""
         lower, upper = self.program.bounds
         if not (np.isfinite(lower).any() or np.isfinite(upper).any()):
             return None
@@ -98,11 +107,11 @@ class ScaledProblem:
         return 1.0 / max(1.0, size) if np.isfinite(size) else 1.0
 
     def unscaled(self, nu: Vector) -> Vector:
-        """Return the multipliers of the problem for those of the scaled problem."""
+        """Return the multipliers of the problem; `nu` are the multipliers of the scaled problem."""
         return self.row_scale * nu / self.cost_scale
 
     def unknowns(self, x: Vector, nu: Vector) -> Vector:
-        """Return all unknowns for free primal unknowns x and scaled multipliers nu."""
+        """Return the vector of all unknowns from the free primal unknowns `x` and the scaled multipliers `nu`."""
         return self.program.unknowns(x, self.unscaled(nu))
 
     def cost(self, x: Vector) -> float:
@@ -114,7 +123,7 @@ class ScaledProblem:
         return self.cost_scale * self.program.gradient(x)
 
     def constraints(self, x: Vector) -> Vector:
-        """Return the scaled equations."""
+        """Return the residuals of the scaled equations."""
         return self.row_scale * self.program.constraints(x)
 
     def jacobian(self, x: Vector) -> Any:
@@ -122,7 +131,10 @@ class ScaledProblem:
         return scipy.sparse.diags_array(self.row_scale) @ self.program.jacobian(x)
 
     def hessian(self, x: Vector, nu: Vector | None = None, weight: float = 1.0) -> Any:
-        """Return the sparse Hessian of the scaled Lagrangian with a weight of the cost; without nu that of the cost."""
+        """Return the sparse Hessian of the scaled Lagrangian, in which the cost is multiplied by `weight`.
+
+        Without the multipliers `nu`, the Hessian of the scaled cost is returned.
+        """
         return self.cost_scale * self.program.hessian(x, None if nu is None else self.unscaled(nu), weight)
 
     def stationarity(self, x: Vector, nu: Vector) -> Vector:
@@ -132,8 +144,9 @@ class ScaledProblem:
     def multipliers(self, x: Vector) -> Vector:
         """Return the scaled multipliers that minimise the 2-norm of the stationarity.
 
-        Unknowns on their bounds are omitted, because duals of the bounds balance them. If a dual then has the wrong
-        sign, multipliers and duals are computed together by bounded least squares, unless the matrix is too large.
+        Unknowns on their bounds are omitted, because multipliers of the bounds balance their derivatives. If a
+        multiplier of a bound then has the wrong sign, all multipliers are computed together by bounded least squares,
+        unless the matrix is too large.
         """
         jacobian, gradient = self.jacobian(x), self.cost_gradient(x)
         lower, upper = self.program.bounds
@@ -151,12 +164,19 @@ class ScaledProblem:
         return np.asarray(solution.x[: nu.size], dtype=float)
 
     def unbalanced(self, x: Vector, nu: Vector) -> float:
-        """Return the largest slope times the distance, at most one, to the bound in its direction."""
+        """Return the largest violation of the optimality conditions with bounds.
+
+        For each unknown the violation is the derivative of the Lagrangian times the distance to the bound towards which
+        the Lagrangian falls, or times 1 if this distance is larger.
+        """
         slope, (lower, upper) = self.stationarity(x, nu), self.program.bounds
         return max_norm(slope * np.clip(np.where(slope > 0.0, x - lower, upper - x), 0.0, 1.0))
 
     def _balanced(self, jacobian: Any, gradient: Vector, inside: NDArray[np.bool_]) -> Vector:
-        """Return the multipliers that minimise the stationarity of some unknowns, by a sparse augmented system."""
+        """Return the multipliers that minimise the stationarity of the unknowns in the mask `inside`.
+
+        The least-squares problem is solved by a sparse augmented system.
+        """
         jacobian, gradient = jacobian[:, inside], gradient[inside]
         identity = scipy.sparse.identity(gradient.size)
         system = scipy.sparse.bmat([[identity, jacobian.T], [jacobian, None]], format="csc")
@@ -172,7 +192,7 @@ class ScaledProblem:
 
 @contextmanager
 def _quiet_process() -> Iterator[None]:
-    """Use one BLAS thread and no warnings: settings of the whole process."""
+    """Use one BLAS thread and suppress warnings during a with block; both settings apply to the whole process."""
     with _blas().limit(limits=1), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
@@ -180,12 +200,15 @@ def _quiet_process() -> Iterator[None]:
 
 @cache
 def _blas() -> ThreadpoolController:
-    """Return the libraries with threads; the search for them takes longer than many a solve."""
+    """Return the controller of libraries with threads; it is cached because its construction is slow."""
     return ThreadpoolController()
 
 
 class _Shared:
-    """A context that several threads share: the first one enters it, and the last one leaves it."""
+    """A context manager that several threads share: the first thread enters the context, and the last thread leaves it.
+
+    `make` returns the context.
+    """
 
     def __init__(self, make: Callable[[], AbstractContextManager[None]]) -> None:
         self.make, self.lock, self.inside = make, Lock(), 0
@@ -209,22 +232,27 @@ _QUIET = _Shared(_quiet_process)
 
 @contextmanager
 def quiet_single_thread() -> Iterator[None]:
-    """Use one BLAS thread, because more threads wait for each other on small matrices, and suppress warnings.
+    """Use one BLAS thread and suppress warnings during a with block.
 
-    A singular matrix or an overflow appears in the status and in the residuals.
+    With small matrices several threads would only wait for each other. A singular matrix or an overflow needs no
+    warning, because the status and the residuals show it.
     """
     with _QUIET, np.errstate(all="ignore"):
         yield
 
 
 DENSE_LIMIT = 3000
-"""Most unknowns and equations of a dense method."""
+"""Largest number of unknowns and equations for a method with dense matrices."""
 
 
 def minimised(
     module: ConnectModule, run: Run, driver: str, minimise: Callable[[ConnectModule, Any, Vector], Any]
 ) -> ConnectAttempt:
-    """Return the motion of least discrete action from an optimiser of scipy; ArgumentError if it does not apply."""
+    """Return the motion of particles with the least discrete action, found by an optimiser of scipy.
+
+    `minimise` maps the module, the case and the initial guess to a result of scipy. Raise ArgumentError if the driver
+    does not apply to the problem.
+    """
     require_method(module, driver, ("action",))
     case = case_of(module, run)
     if case.sigma.any():
@@ -241,7 +269,10 @@ def minimised(
 def verdict(
     module: ConnectModule, driver: str, case: Any, path: Any, iterations: int, tolerance: float, reason: str
 ) -> ConnectAttempt:
-    """Return the attempt, solved if the path satisfies the equations, whatever the driver reports."""
+    """Return the attempt of a driver for particles; its status depends on the residual of the path only.
+
+    `reason` is the message of the driver, which is quoted for a failure.
+    """
     error = largest_error(module, case, path)
     if error <= tolerance:
         text = f"{driver} connects the points with residual {error:.1e} after {iterations} iterations"
@@ -252,18 +283,18 @@ def verdict(
 
 
 def largest_error(module: ConnectModule, case: Any, path: Any) -> float:
-    """Return the largest error of the equations on a path, and of its end."""
+    """Return the largest residual of a path, in the equations of all steps and in the arrival at the targets."""
     errors, end = module.path_errors(case, path)
     return max(max_norm(errors.ravel()), max_norm(end))
 
 
 def finite(values: Any) -> Any:
-    """Replace NaN and infinity by large numbers, which a root finder avoids."""
+    """Return the values with NaN and infinity replaced by large numbers, which a root finder avoids."""
     return np.nan_to_num(values, nan=1e3, posinf=1e3, neginf=-1e3)
 
 
 def require_method(module: ConnectModule, driver: str, methods: tuple[str, ...]) -> None:
-    """Raise ArgumentError for modules of another method, and for an integrator that chooses its own steps."""
+    """Raise ArgumentError if the method of a module is not one of `methods`, or if its scheme is adaptive."""
     method = module.metadata.method
     if method not in methods:
         raise ArgumentError(f"driver {driver} does not solve method {method}", f"use --method {' or '.join(methods)}")
@@ -272,7 +303,7 @@ def require_method(module: ConnectModule, driver: str, methods: tuple[str, ...])
 
 
 def require_at_most(size: int, limit: int, driver: str) -> None:
-    """Raise ArgumentError for problems that are too large for a driver."""
+    """Raise ArgumentError if the number `size` of unknowns and equations exceeds the limit of a driver."""
     if size > limit:
         raise ArgumentError(
             f"driver {driver} would have {size} unknowns and equations", f"take at most {limit}, or use newton"

@@ -22,18 +22,18 @@ TOLERANCE = 1e-6
 LIMIT = 3000
 MAX_ITERATIONS = 1000
 ARRIVED = 1e-8
-"""Error of the equations of particles below which the search ends."""
+"""Residual of the equations of particles below which the search ends."""
 
 _FAILURES = {2: "rank-deficient", 4: "infeasible", 5: "rank-deficient", 6: "rank-deficient", 9: "iteration limit"}
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Minimise the cost; multipliers are the least-squares estimate at the solution."""
+    """Minimise the cost, and return the attempt of SLSQP with least-squares estimates of the multipliers."""
     problem = ScaledProblem.on_grid(module, run)
     require_small(problem.program, LIMIT, "slsqp")
     start = problem.program.x0
     equations = {"type": "eq", "fun": problem.constraints, "jac": lambda x: problem.jacobian(x).toarray()}
-    # SLSQP compares changes of the cost with ftol itself.
+    # SLSQP compares absolute changes of the cost with ftol.
     ftol = 1e-12 * max(1.0, abs(problem.cost(start)))
     with quiet_single_thread():
         solution = minimize(
@@ -52,16 +52,19 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
-    """Minimise the discrete action of particles."""
+    """Minimise the discrete action of particles, and return the attempt of SLSQP."""
     return minimised(module, run, "slsqp", _action)
 
 
 class _Arrived(Exception):
-    """The equations hold."""
+    """The exception that ends a search because the equations hold."""
 
 
 def _action(module: ConnectModule, case: Any, start: Vector) -> Any:
-    """Minimise until the equations hold: near the minimum changes of the cost are rounding errors."""
+    """Minimise the discrete action until the equations hold, and return the result of scipy.
+
+    The test of SLSQP itself would not end the search, because near the minimum changes of the cost are rounding errors.
+    """
     equations = {
         "type": "eq",
         "fun": lambda x: module.action_constraints(case, x),

@@ -21,7 +21,10 @@ _GRADIENT_SMALL, _STEP_SMALL = 1, 2
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Minimise the cost; multipliers are the least-squares estimate at the solution."""
+    """Minimise the cost, and return the attempt of trust-constr.
+
+    The multipliers are the multipliers of trust-constr, or least-squares estimates if the estimates are more accurate.
+    """
     problem = ScaledProblem.on_grid(module, run)
     with quiet_single_thread():
         equations = NonlinearConstraint(
@@ -29,7 +32,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
             0.0,
             0.0,
             jac=problem.jacobian,
-            # scipy expects the Hessian of the equations without that of the cost.
+            # scipy expects the Hessian of the equations without the Hessian of the cost.
             hess=lambda x, nu: problem.hessian(x, nu, 0.0),
         )
         solution = minimize(
@@ -47,17 +50,19 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
                 "barrier_tol": 1e-12,
             },
         )
-        # A barrier keeps unknowns off their bounds; the multipliers of the method may then fit better.
+        # Because of its barrier, unknowns have a distance from their bounds, and the multipliers of the method may be
+        # more accurate than the least-squares estimates.
         nu = min(solution.v[0], problem.multipliers(solution.x), key=lambda nu: problem.unbalanced(solution.x, nu))
         unknowns = problem.unknowns(solution.x, nu)
-    # A vanishing trust region is the normal end at rounding level; the residuals show other cases.
+    # At the level of rounding errors the method usually ends with a very small trust region, which is accepted here.
+    # The residuals are checked later.
     status = "solved" if solution.status in (_GRADIENT_SMALL, _STEP_SMALL) else "iteration limit"
     status = status if np.isfinite(solution.fun) else "non-finite"
     return claim("trust-constr", status, int(solution.nit), unknowns, TOLERANCE)
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
-    """Minimise the discrete action of particles, with exact second derivatives."""
+    """Minimise the discrete action of particles with exact second derivatives, and return the attempt."""
     return minimised(module, run, "trust-constr", _action)
 
 

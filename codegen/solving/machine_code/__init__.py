@@ -1,1 +1,1 @@
-"""Machine code of generated modules: compiled by several processes at once, and kept."""
+"""Machine code of generated modules: compiled by several processes at once, and kept on the disk."""

@@ -1,12 +1,14 @@
-"""Compile the machine code of a generated module in two processes.
+"""The program that compiles the machine code of a generated module in two processes.
 
-The parts are kernels, the linear system of the shape, and functions of the runtime. numba compiles one function at a
-time. `processes` starts `python -m codegen.solving.machine_code.compilation`. This program loads numba during the
-derivation of the module, and reads the path of the module from its standard input. A process that can fork then becomes
-two, so that numba is loaded once; each takes the next free part. On other systems two processes are started, and each
-takes every other part. numba's cache on disk joins their work.
+The machine code has three kinds of parts: the kernels of the module, the solver of its linear system, and functions of
+the runtime. numba compiles only one function at a time in a process. Hence `processes` starts this file as a program,
+`python -m codegen.solving.machine_code.compilation`. The program loads numba while the module is still being derived,
+and then reads the path of the module from its standard input. If the system supports forks, numba is loaded once, and
+the process then forks into two, which take parts from a common queue. On other systems two processes are started, and
+each compiles every second part. Both write to numba's cache on disk, from which the module loads its machine code.
 
-In these processes functions that only compiled functions call are linked, not compiled alone, see `runtime.linking`.
+In these processes, a function that only compiled functions call gets no machine code of its own. Its code is linked
+into its callers, see `runtime.linking`.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from codegen.solving.loading import few_steps, load
 from codegen.solving.tasks import task_of
 
 COUNT, DONE = "codegen: parts: ", "codegen: part done"
-"""Prefix of the line with the number of parts, and the line for each compiled part."""
+"""Prefix of the output line with the number of parts, and the output line after each compiled part."""
 
 REALS, TABLE, CUBE, FOURFOLD = (types.Array(float64, d, "C") for d in (1, 2, 3, 4))
 INTEGERS, INDEX_TABLE = (types.Array(int64, d, "C") for d in (1, 2))
@@ -44,13 +46,15 @@ MASK, MASKS, READ_MASK = types.Array(boolean, 1, "C"), types.Array(boolean, 2, "
 INTEGERS_AT = types.CPointer(int64)
 
 Signature = tuple[Any, ...]
+"""The numba types of the arguments of a function."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """Machine code that one process compiles: the Python function, the call that compiles it, and its scope.
+    """A unit of machine code that one process compiles.
 
-    The scope `serves` is one "problem", all problems of a "shape", or as part of the "runtime" all problems.
+    `make` compiles the Python function `function`. `serves` is "problem" if only one problem uses the code, "shape" if
+    all problems whose KKT matrix has the same structure use it, and "runtime" if all problems use it.
     """
 
     function: Any
@@ -59,21 +63,21 @@ class Part:
 
     @property
     def is_kept(self) -> bool:
-        """True if machine code of the function is on the disk."""
+        """True if machine code of the function is in the cache on the disk."""
         from codegen.runtime.kept_code import is_kept
 
         return bool(is_kept(self.function))
 
 
 def has_machine_code(module: Any) -> bool:
-    """Return True if all machine code that solutions of a module need is on the disk."""
+    """Return True if all machine code that the solver of a module needs is in the cache on the disk."""
     return all(part.is_kept for part in parts_of(module))
 
 
 def parts_of(module: Any) -> list[Part]:
-    """Return all parts, in the order in which processes are to take them.
+    """Return all parts of the machine code of a module, in the order in which they should be compiled.
 
-    Nothing if numba is switched off, or if the module has numerics of its own.
+    The list is empty if numba is switched off, or if the module does not use the solvers of the runtime.
     """
     runtime = {
         "codegen.runtime.search.problem": search_functions,
@@ -94,7 +98,10 @@ def parts_of(module: Any) -> list[Part]:
 
 
 def linear_system(shape: Any) -> Iterator[Part]:
-    """Yield the parts of the linear system of a shape; the last one takes the others in."""
+    """Yield the parts of the solver of the linear system; the code of the last part contains the code of the others.
+
+    `shape` describes the block structure of the KKT matrix.
+    """
     from codegen.runtime.kkt.specialised import compiled_system, system_module
 
     system = system_module(shape)
@@ -123,7 +130,7 @@ def linear_system(shape: Any) -> Iterator[Part]:
 
 
 def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
-    """Yield the functions of searches that Python calls, and the types that all problems call them with."""
+    """Yield the runtime functions that Python calls during an optimisation, with the types of their arguments."""
     from codegen.runtime.search import bounds as box
     from codegen.runtime.search import cascade, descent, iterates, linear_system, point, scaling, solve
     from codegen.runtime.search import sensitivities as changes
@@ -180,11 +187,11 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
 QUANTITIES = (
     int, bool, int, bool, float, bool, bool, float, float, bool, bool, int, int, int, int, int, float, int, int,
 )  # fmt: skip
-"""Types of the entries of `Quantities`."""
+"""Python types of the entries of the arrays in the fields of `scaling.Quantities`, in order."""
 
 
 def step_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
-    """Yield the functions that make steps of a motion, and the types that all problems call them with."""
+    """Yield the runtime functions that Python calls during a simulation, with the types of their arguments."""
     from codegen.runtime import arithmetic
     from codegen.runtime.stepping import steps
 
@@ -202,7 +209,7 @@ def step_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
 
 
 def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
-    """Yield the functions that move particles, or connect them, and the types that all problems call them with."""
+    """Yield the runtime functions that Python calls for problems of particles, with the types of their arguments."""
     from codegen.runtime import arithmetic
     from codegen.runtime.particles import motion, shooting, steps, tracers
 
@@ -234,7 +241,10 @@ def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
 
 
 def small_case(module: Any, steps: int = 2) -> Any:
-    """Return a case of thirteen particles near the origin with a small displacement, for compilation."""
+    """Return a case that moves thirteen particles near the origin by a small displacement in `steps` time steps.
+
+    The case is solved only to load all machine code.
+    """
     dimension = module.metadata.coordinates
     angles = np.linspace(0.0, 2.0 * np.pi, 13, endpoint=False)
     start = np.stack([0.1 * np.cos((axis + 1) * angles + axis) for axis in range(len(dimension))], axis=1)
@@ -243,38 +253,41 @@ def small_case(module: Any, steps: int = 2) -> Any:
 
 
 def control_small(module: Any) -> None:
-    """Make one iteration on a few intervals."""
+    """Solve an optimal-control problem on a few intervals with one iteration, which loads all machine code."""
     module.solve(few_steps(module, 2), max_iterations=1)
 
 
 def simulate_small(module: Any) -> None:
-    """Make two steps."""
+    """Simulate two steps, which loads all machine code."""
     module.solve(2)
 
 
 def connect_small(module: Any) -> None:
-    """Connect a few particles."""
+    """Connect a few particles, which loads all machine code."""
     module.solve_case(small_case(module))
 
 
 def control_touched(module: Any, steps: int) -> None:
-    """Call the functions of optimisers at the first guess."""
+    """Call all functions that an optimiser evaluates once at the initial guess, which loads their machine code.
+
+    The grid has `steps` intervals.
+    """
     program = module.nlp(steps)
     for evaluate in (program.cost, program.gradient, program.constraints, program.jacobian, program.hessian):
         evaluate(program.x0)
 
 
 def simulate_touched(module: Any, _steps: int) -> None:
-    """Make one step."""
+    """Simulate one step, which loads the machine code that drivers of scipy call."""
     module.solve(steps=1)
 
 
 def connect_touched(_module: Any, _steps: int) -> None:
-    """Do nothing: the first call of a driver reads the machine code of particles, in a run that is not timed."""
+    """Do nothing: for particles the first call of a driver, which is not timed, loads the machine code."""
 
 
 def compile_all(module: Any) -> None:
-    """Compile or read all functions that a solution calls, and solve a small problem."""
+    """Compile all functions that the solver of a module calls, or load them from the disk; then solve a small case."""
     with np.errstate(all="ignore"), packed_operations():
         for part in parts_of(module):
             part.make()
@@ -283,18 +296,18 @@ def compile_all(module: Any) -> None:
 
 
 def main(share: str) -> int:
-    """Load numba, wait for the path of a module, compile a share of its parts; return the exit status.
+    """Load numba, read the path of a module from standard input, and compile its parts; return the exit status.
 
-    The share is "both" for a process that forks, and for example "0/2" for the first of two.
+    `share` selects the parts. It is "both" for all parts, with a fork, and "i/n" for every n-th part from part i on.
     """
-    gc.disable()  # compilation leaves little garbage, and the search for it takes time
+    gc.disable()  # compilation leaves little garbage, and garbage collection takes time
     is_compiling = not config.DISABLE_JIT  # type: ignore[attr-defined]
     if is_compiling:
         warm_up()
     path = os.fsdecode(sys.stdin.buffer.read())
     if not (path and is_compiling):
         return 0
-    with redirect_stderr(io.StringIO()) as messages:  # about damaged machine code
+    with redirect_stderr(io.StringIO()) as messages:  # notes about damaged machine code, passed to the parent process
         module = load(Path(path))
     os.write(sys.stdout.fileno(), messages.getvalue().encode())
     parts = [part for part in parts_of(module) if part.serves == "problem" or not part.is_kept]
@@ -307,8 +320,8 @@ def main(share: str) -> int:
 
 
 def warm_up() -> None:
-    """Compile a loop and a kernel: the first compilation is slow whatever it compiles."""
-    import codegen.runtime.search.solution  # noqa: F401  what modules import
+    """Compile a small loop and a small kernel, because the first compilation of a process is slow for any function."""
+    import codegen.runtime.search.solution  # noqa: F401  imported by generated modules
 
     assert cfunc(float64(types.CPointer(float64), int64))(_loop).address
 
@@ -317,7 +330,7 @@ _PLACES = np.array([0, 1])
 
 
 def _loop(values: Any, count: Any) -> Any:
-    """Iterate over intervals as the loops of modules do."""
+    """Iterate over intervals like the loops of generated modules; return a sum without meaning."""
     array, part, total = carray(values, (count,)), np.zeros(2), 0.0
     for k in range(count):
         part[:] = 0.0
@@ -330,7 +343,7 @@ def _loop(values: Any, count: Any) -> Any:
 
 @njit(error_model="numpy")
 def _kernel(values: Any, t: Any, part: Any) -> Any:
-    """Fill an array as the kernels of modules do."""
+    """Fill the array `part` like the kernels of generated modules."""
     x = 0.5 * values[0] ** 2 + math.sin(t) / values[1]
     part[0] = 2 * x / math.sqrt(t) - x**3
     return -x
@@ -338,13 +351,17 @@ def _kernel(values: Any, t: Any, part: Any) -> Any:
 
 @njit(error_model="numpy", inline="always")
 def _add(part: Any, first: Any, size: Any, array: Any) -> None:
-    """Add a part to an array."""
+    """Add the first `size` entries of `part` to the entries of `array` from the index `first` on."""
     for i in range(size):
         array[first + i] += part[i]
 
 
 def link_runtime() -> None:
-    """Link inner functions of the runtime into their callers in this process."""
+    """Let numba in this process link functions that only compiled functions call into their callers.
+
+    Functions whose machine code is on the disk keep it. They are only prevented from being compiled again for constant
+    arguments.
+    """
     from codegen.runtime.linking import compile_for_any_value, link_inner_functions
 
     runtime = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("codegen.runtime.")]
@@ -355,7 +372,10 @@ def link_runtime() -> None:
 
 
 def compile_in_two(parts: list[Part]) -> int:
-    """Compile parts in this process and a fork of it, each taking the next free part; return the exit status."""
+    """Compile parts in this process and in a fork of it; return the exit status.
+
+    Both processes read the index of the next part from a common pipe, until the pipe is empty.
+    """
     left, numbers = os.pipe()
     os.write(numbers, bytes(range(len(parts))))
     os.close(numbers)
@@ -375,7 +395,10 @@ def compile_in_two(parts: list[Part]) -> int:
 
 
 def compile_parts(parts: Iterable[Part], count: int) -> None:
-    """Compile parts, and report each one to the waiting process."""
+    """Compile parts, and report each finished part to the parent process by a line of standard output.
+
+    `count` is the number of parts of all processes.
+    """
     os.write(sys.stdout.fileno(), f"{COUNT}{count}\n".encode())
     with np.errstate(all="ignore"), packed_operations():
         for part in parts:
@@ -385,26 +408,26 @@ def compile_parts(parts: Iterable[Part], count: int) -> None:
 
 
 def protect(part: Part) -> None:
-    """Add checksums to the machine code in the folders to which a part may have added."""
+    """Add checksums to the files of machine code in all folders to which the compilation of a part may have written."""
     folders = [] if part.serves == "problem" else [code_folder(part.function.__code__.co_filename)]
     for folder in {*folders, *(runtime_folders() if part.serves == "runtime" else [])}:
         add_checksums(folder)
 
 
 def failed(error: Exception) -> int:
-    """Report an error to the waiting process in one line; return the exit status."""
+    """Report an error to the parent process by a line of standard output; return the exit status 1."""
     os.write(sys.stdout.fileno(), f"{' '.join(f'{type(error).__name__}: {error}'.split())[:300]}\n".encode())
     return 1
 
 
 class CodeSeconds(Listener):  # type: ignore[misc, unused-ignore]  # numba is annotated in parts
-    """The time in which one thread holds numba's compiler, which compiles and reads functions."""
+    """A stopwatch for the time that numba spends in one thread on compiling functions or reading them from the disk."""
 
     def __init__(self) -> None:
         self.seconds, self._thread, self._depth, self._begin = 0.0, threading.get_ident(), 0, 0.0
 
     def on_start(self, event: Event) -> None:
-        """Start the clock, unless one function is compiled for another one."""
+        """Start the stopwatch, unless it runs already because a function is compiled during another compilation."""
         if threading.get_ident() != self._thread:
             return
         if self._depth == 0:
@@ -412,7 +435,7 @@ class CodeSeconds(Listener):  # type: ignore[misc, unused-ignore]  # numba is an
         self._depth += 1
 
     def on_end(self, event: Event) -> None:
-        """Add the time of the outermost function."""
+        """Stop the stopwatch at the end of the outermost compilation."""
         if threading.get_ident() != self._thread:
             return
         self._depth -= 1
@@ -422,7 +445,7 @@ class CodeSeconds(Listener):  # type: ignore[misc, unused-ignore]  # numba is an
 
 @contextmanager
 def seconds_of_machine_code() -> Iterator[CodeSeconds]:
-    """Measure the time in which numba compiles and reads functions in this thread, inside the block."""
+    """Measure the time that numba spends on compiling and reading functions in this thread during a with block."""
     with install_listener("numba:compiler_lock", CodeSeconds()) as listener:
         yield listener
 
@@ -430,6 +453,6 @@ def seconds_of_machine_code() -> Iterator[CodeSeconds]:
 if __name__ == "__main__":
     try:
         status = main(sys.argv[1])
-    except Exception as error:  # reported to the waiting process
+    except Exception as error:  # reported to the parent process
         status = failed(error)
-    os._exit(status)  # at once: the teardown of numba and LLVM takes half a second
+    os._exit(status)  # without the teardown of numba and LLVM, which takes half a second

@@ -1,7 +1,7 @@
-"""Processes that compile machine code, and the compilation of modules that lack it.
+"""Processes that compile machine code, and the compilation of modules whose machine code is not on the disk.
 
 The processes start before a module is derived, and load numba during the derivation. This file imports neither numpy
-nor numba, so that the processes start at once.
+nor numba, so that the processes start without delay.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from codegen.solving.loading import GeneratedModule
 
 CAN_FORK = hasattr(os, "fork")
+"""True if the operating system can fork a process."""
 START = """
 import runpy, sys
 folder = sys.argv.pop(1)
@@ -33,22 +34,23 @@ runpy.run_module("codegen.solving.machine_code.compilation", run_name="__main__"
 """
 """The program of a process. It imports this package, not a package of the same name in the current folder."""
 NOTE = "codegen: note: "
-"""Prefix of a line that is no error."""
+"""Prefix of an output line of a process that is a note and no error."""
 COMPILING, ONCE = "Compiling", "Compiling the solver, once on this machine"
+"""Texts of the progress display; the second one is shown if functions of the runtime are compiled as well."""
 _LOCKS: dict[Path, threading.Lock] = {}
-"""A thread that needs the same module waits for the first one, and then has its machine code."""
+"""A lock for the file of each module: only one thread compiles a module, and other threads wait for the result."""
 
 
 class Compilers:
-    """Processes that load numba, and compile a module as soon as they have its path."""
+    """Processes that load numba, and compile a module when they receive its path."""
 
     def __init__(self) -> None:
-        self.failure = ""  # type and message of the error of a process
-        self.notes: list[str] = []  # notes of processes
+        self.failure = ""  # type and message of the error of a process; empty if all succeed
+        self.notes: list[str] = []  # notes that processes printed
         self.processes: list[subprocess.Popen[bytes]] = []
 
     def start(self) -> None:
-        """Start the processes, unless they have been started."""
+        """Start the processes, unless they have been started before."""
         if self.processes:
             return
         self.processes = [
@@ -64,17 +66,17 @@ class Compilers:
         ]
 
     def compile(self, path: Path, tell: Callable[[int, int], None] = lambda done, count: None) -> bool:
-        """Compile all functions that solutions of a module call; return True on success.
+        """Compile all functions that the solver of the module in the file `path` calls; return True on success.
 
-        `tell` is called with the numbers of finished parts and of all parts. If a process fails, its error is in
-        `failure`.
+        `tell` is called after each part with the number of finished parts and the number of all parts. If a process
+        fails, `failure` has its error.
         """
         from codegen.solving.machine_code.compilation import COUNT, DONE
 
         self.start()
         for process in self.processes:
             assert process.stdin is not None
-            with suppress(BrokenPipeError):  # reported by its exit status
+            with suppress(BrokenPipeError):  # the exit status of the process reports the failure
                 process.stdin.write(os.fsencode(path.absolute()))
                 process.stdin.close()
         errors, done, count = [], 0, 0
@@ -97,7 +99,7 @@ class Compilers:
 
     @property
     def notices(self) -> list[str]:
-        """Lines for the user: notes, and the error of a failed compilation."""
+        """Lines for the user: the notes of the processes, and the error of a failed compilation."""
         if not self.failure:
             return self.notes
         reason = f"machine code could not be made ahead ({one_line(self.failure)}); a first solve has made it"
@@ -120,7 +122,7 @@ class Compilers:
 
 @contextmanager
 def compilers() -> Iterator[Compilers]:
-    """Provide processes that can be started, and end them with the block."""
+    """Provide processes, which are not started yet, and end them at the end of the with block."""
     processes = Compilers()
     try:
         yield processes
@@ -129,7 +131,7 @@ def compilers() -> Iterator[Compilers]:
 
 
 def shares() -> tuple[str, ...]:
-    """Return the shares of the processes to start."""
+    """Return an argument for each process to start, which selects its parts; see `compilation.main`."""
     if (os.cpu_count() or 1) == 1:
         return ("0/1",)
     return ("both",) if CAN_FORK else ("0/2", "1/2")
@@ -142,9 +144,10 @@ def require(
     working: Callable[[str], AbstractContextManager[Any]],
     processes: Compilers | None = None,
 ) -> tuple[float, list[str]]:
-    """Compile a module that lacks machine code; return the seconds, and lines for the user.
+    """Compile a module unless all its machine code is on the disk; return the seconds, and lines for the user.
 
-    `processes` may have been started before. `working` displays progress.
+    A module that `is_new` was derived just now, and is always compiled. `working` displays a text in a with block, and
+    its value may have a method `update` for progress. `processes` may have been started before; None means new ones.
     """
     from codegen.solving.machine_code.compilation import parts_of
 
@@ -165,7 +168,10 @@ def require(
 
 
 def prepare(path: Path, processes: Compilers, tell: Callable[[int, int], None] = lambda done, count: None) -> None:
-    """Compile all functions that a solution of a module calls, in this process if the others fail."""
+    """Compile all functions that the solver of a module calls; compile them in this process if `processes` fail.
+
+    `tell` is called after each part with the number of finished parts and the number of all parts.
+    """
     if processes.compile(path, tell):
         return
     from codegen.solving.loading import load  # importing numpy at the top would delay the start of the processes
@@ -179,7 +185,7 @@ def prepare(path: Path, processes: Compilers, tell: Callable[[int, int], None] =
 
 
 def unwritable_cache_error(module: GeneratedModule, error: OSError) -> FileError:
-    """Return the error for machine code that cannot be written, with the folder and the remedy."""
+    """Return the error for machine code that cannot be written to the disk, with the folder and the remedy."""
     from codegen.files import refused
     from codegen.runtime.kept_code import code_folder
 

@@ -1,20 +1,21 @@
 """The motion of a solution inside intervals: violated path conditions, poles, and stages beyond bounds.
 
-Path conditions on states alone hold at nodes, and where the scheme evaluates. On a coarse grid a motion may still pass
-through a thin obstacle, or jump from one branch of an equality to another. The solution is transferred to a grid on
-which every interval is divided into `PARTS`, then to a grid with the peaks between these samples. The conditions are
-components of the gradient of the Lagrangian at the indices of their multipliers. Compiled code of the module evaluates
-the gradient.
+Path conditions on states alone hold at nodes, and at the points where the scheme evaluates. On a coarse grid a motion
+may still pass through a thin obstacle, or jump from one branch of an equality to another. The solution is therefore
+transferred to two finer grids. The first one divides every interval into `PARTS` equal parts. The second one has a node
+at the largest violation inside every interval, which a parabola through the values on the first grid predicts. The
+value of a condition is the derivative of the Lagrangian with respect to its multiplier. Compiled code of the module
+evaluates the gradient of the Lagrangian.
 
-Poles of the equations of motion lie between two nodes, for example of a thrust over a mass that passes through zero.
-The discrete equations hold on both sides of a pole, but no motion crosses it. The solution is a straight line between
-nodes. The right-hand sides along this line are components of the gradient of the Lagrangian on a finer grid. The grid
-is refined repeatedly around their largest change. Near a pole the change grows without limit; for a smooth right-hand
-side, however steep, it converges to zero.
+A pole of the equations of motion may lie between two nodes, for example if a thrust is divided by a mass that passes
+through zero. The discrete equations hold on both sides of a pole, but no motion crosses it. The solution is
+interpolated linearly between the nodes. The right-hand sides along this line are components of the gradient of the
+Lagrangian on a finer grid. The grid is refined repeatedly around their largest change. Near a pole the change grows
+without limit; for a smooth right-hand side, however steep, it converges to zero.
 
-Stages of explicit schemes may lie beyond the bounds of states, although the dynamics were evaluated there. Such a stage
-follows from the node before it less accurately than the step does, so that no bound is imposed on it. Kinetics that
-change their sign beyond a bound lead to a motion that does not exist.
+Stages of explicit schemes may lie beyond the bounds of states, although the dynamics were evaluated there. An explicit
+scheme computes a stage less accurately than the step, and no bound is imposed on the stage. Reaction rates that change
+their sign beyond a bound then lead to a motion that does not exist.
 """
 
 from __future__ import annotations
@@ -31,36 +32,48 @@ from codegen.runtime.search.termination import sizes_of_terms
 from codegen.solving.loading import ControlModule, Grid, Matrix, Vector, time_grid
 
 PARTS = 8
-"""Number of parts of an interval."""
+"""Number of parts into which every interval is divided."""
 GROSS = 0.05
-"""Violation relative to the terms of a condition above which a solution has a note."""
+"""Violation, relative to the terms of the condition, above which the user is warned."""
 NEGLIGIBLE = 1e-7
-"""Violation relative to the largest terms of the condition along the motion below which it is ignored."""
+"""Violations below this multiple of the largest term of the condition along the motion are ignored."""
 INCREMENT = 1e-6
 """Relative increment of the finite differences that measure the terms of a condition."""
 LEVELS = 8
-"""Number of refinements around a suspected pole; each one reduces the distance to three eighths."""
+"""Number of refinements around a suspected pole; each one reduces the refined neighbourhood to three eighths."""
 BESIDE = 1.5
-"""Width to either side of the largest change, in parts; values at nodes are unknown next to the ends."""
+"""Half width, in parts of an interval, of the first neighbourhood that is refined around the largest change."""
 CONSPICUOUS = 5.0
-"""Largest change between parts of an interval, relative to the usual change, that suggests a pole."""
+"""A pole is suspected if the largest change between two parts exceeds the usual change of the interval by this."""
 WITHOUT_END = 1e3
-"""The same after all refinements: about 2.7^LEVELS at a simple pole, less than one for a smooth right-hand side."""
+"""The same ratio that confirms a pole after all refinements.
+
+The ratio is about 2.7^LEVELS at a simple pole, and less than one for a smooth right-hand side.
+"""
 GROWTH = 16.0
-"""Growth of the change in the last refinements: some hundred at a pole, one at a jump."""
+"""Least ratio of the change in the last refinement to the smallest change in the first half of the refinements.
+
+The ratio is some hundred at a pole, and one at a jump.
+"""
 SHORTEST, ROOM, LEAST_FRACTION = 1e-5, 2e-10, 1e-8
-"""Shortest part of an interval, and of the duration; shortest interval that can be divided, as a fraction."""
+"""Least length of a part relative to its interval, of a part relative to the duration, and of an interval.
+
+Grids with an interval shorter than the fraction `LEAST_FRACTION` of the duration are not searched for poles.
+"""
 NEGLIGIBLE_POLE, ROUNDING = 1e-6, 1e-9
-"""Negligible change, relative to the largest value on all intervals, and to the largest terms of equations."""
+"""Negligible change, relative to the largest value of the equation, and to the largest terms of all equations."""
 STAGES_NEGLIGIBLE = 1e-6
-"""Distance of a stage from a bound, relative to the largest value of the state, that is ignored."""
+"""Distance of a stage from a bound that is ignored, relative to the largest value of the state."""
 
 
 # Transfer to finer grids
 
 
 def _divided(module: ControlModule, coarse: Grid, cuts: Matrix) -> Grid:
-    """Return the grid on which every interval is divided into the fractions `cuts` (intervals, parts)."""
+    """Return the finer grid: interval i is divided into parts whose relative lengths are row i of `cuts`.
+
+    `cuts` has the shape (intervals, parts).
+    """
     phases = module.metadata.phases
     parts = (np.diff(coarse.nodes)[:, None] * cuts).reshape(phases, -1)
     parts /= parts.sum(axis=1, keepdims=True)
@@ -70,9 +83,10 @@ def _divided(module: ControlModule, coarse: Grid, cuts: Matrix) -> Grid:
 def _transferred(
     module: ControlModule, coarse: Grid, fine: Grid, unknowns: Vector, parts: int, straight: bool = False
 ) -> Vector:
-    """Return the unknowns on the finer grid: states interpolated, intervals repeated, slacks and multipliers zero.
+    """Return the unknowns of a solution on the grid `fine`, which divides each interval of `coarse` into `parts`.
 
-    States are linear between the nodes of a scheme of order two, or if `straight`, and otherwise monotone cubics.
+    States are interpolated linearly for a scheme of order two or if `straight` is True, otherwise by monotone cubics.
+    Values on intervals are repeated for each part. Slacks and multipliers are zero.
     """
     result = np.zeros(fine.is_multiplier.size)
     nodes, intervals = module.views(coarse, unknowns)
@@ -90,9 +104,9 @@ def _transferred(
             share = np.clip((at - t[left]) / width, 0.0, 1.0)[None, :, None]
             new_nodes[:, new] = (1.0 - share) * values[:, left] + share * values[:, right]
         else:
-            from scipy.interpolate import PchipInterpolator  # which takes long to import
+            from scipy.interpolate import PchipInterpolator  # its import is slow
 
-            with np.errstate(over="ignore"):  # reciprocals of slopes that are next to zero
+            with np.errstate(over="ignore"):  # scipy divides by slopes, which may be almost zero
                 new_nodes[:, new] = PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1]))
     new_intervals[:] = np.repeat(intervals, parts, axis=1)
     new_intervals[:, :, module.problem.structure.slacks - nodes.shape[2]] = 0.0
@@ -111,22 +125,22 @@ def _of_body(body: int | None) -> str:
 
 @dataclass(frozen=True)
 class Excursion:
-    """The worst violation of a condition inside an interval.
+    """The worst violation of a path condition or holonomic constraint g(x) inside an interval.
 
     Attributes
     ----------
     condition : str
-        Name in the module, with the segment of a problem with delays.
+        Name of the condition in the module; a problem with delays appends the segment of the motion.
     violation, relative : float
-        Violation d, and d relative to d + sum |x_i dg/dx_i|, between 0 and 1. Next to a limit `relative` is the
-        distance to the feasible set relative to the states x. In the middle of an obstacle, where the gradient
-        vanishes, it is 1.
+        Violation d, and d relative to d + sum |x_i dg/dx_i|, between 0 and 1. Close to the feasible set, `relative` is
+        the distance to the feasible set relative to the states x. In the middle of an obstacle, where the gradient
+        vanishes, `relative` is 1.
     time : float
-        Time of the whole motion.
+        Time of the violation, measured from the start of the whole motion.
     body : int or None
-        Number of the body, if there are several.
+        Number of the body from 0; None for a single body.
     segment : int
-        0 without delays.
+        Number of the segment of a problem with delays, from 1; 0 without delays.
     """
 
     condition: str
@@ -143,7 +157,7 @@ class Excursion:
 
     @property
     def note(self) -> str:
-        """The message for the author, with the remedy."""
+        """The warning for the user, with the remedy."""
         condition = self.condition.removesuffix(f" in segment {self.segment}")
         return (
             f"between nodes the motion{_of_body(self.body)} violates {condition} by {self.figures}: the grid is too "
@@ -152,7 +166,7 @@ class Excursion:
 
     @property
     def figures(self) -> str:
-        """Amount and time of the violation."""
+        """The text of the amount, the time and the relative size of the violation."""
         percent = 100.0 * self.relative
         share = f"{percent:.0f}" if percent >= 1.0 else f"{percent:.1g}"
         return f"{self.violation:.2g} at t = {self.time:.4g}, {share} % of the size of its terms"
@@ -160,7 +174,12 @@ class Excursion:
 
 @dataclass(frozen=True)
 class _Row:
-    """A condition in the gradient: the index of its multiplier in a node or an interval, and of states in a node."""
+    """A path condition or holonomic constraint, with its location in the gradient of the Lagrangian.
+
+    `index` is the index of its multiplier among the unknowns of a node for an `equality`, and otherwise among the
+    unknowns of a node and the interval after it. `states` are the indices in a node of the states on which the
+    condition depends. `phases` are the phases in which it is imposed.
+    """
 
     name: str
     index: int
@@ -173,8 +192,9 @@ class _Row:
 def excursions(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None) -> list[Excursion]:
     """Return the worst violation between nodes of every path condition on states and of every holonomic constraint.
 
-    The grid has `steps` intervals in every phase, equal ones or those of `fractions`. The first interval after a switch
-    is omitted, because a state may jump there. Satisfied conditions are not in the list.
+    The grid has `steps` intervals in every phase. `fractions` are the lengths of the intervals relative to the
+    duration; None means equal intervals. The first interval after a switch is omitted, because a state may jump there.
+    Conditions without a significant violation are not in the list.
     """
     rows = list(_rows(module))
     if not rows:
@@ -199,10 +219,11 @@ def sampled_conditions(module: ControlModule) -> tuple[str, ...]:
 
 
 def _rows(module: ControlModule) -> Iterator[_Row]:
-    """Yield the conditions of a module that depend only on states of one node, time and parameters."""
+    """Yield the conditions of a module that depend only on the states of one node, on time and on parameters."""
     metadata, structure = module.metadata, module.problem.structure
     first, stride = structure.node, structure.stride
-    # The Hessian of the Lagrangian couples an index of an interval, with both its nodes, with its partners.
+    # Indices count the unknowns of a node, an interval and the next node. Partners of an index are all indices with
+    # which the Hessian of the Lagrangian has a non-zero entry.
     partners: dict[int, set[int]] = {}
     for i, j in zip(structure.rows.tolist(), structure.columns.tolist(), strict=True):
         partners.setdefault(i, set()).add(j)
@@ -232,7 +253,10 @@ def _rows(module: ControlModule) -> Iterator[_Row]:
 
 
 class _Sampled:
-    """Values of conditions, and the size of their terms, on intervals that are divided into fractions `cuts`."""
+    """A solution on a finer grid, with the values of conditions and the magnitudes of their terms.
+
+    Row i of `cuts` (intervals, parts) has the relative lengths of the parts of interval i.
+    """
 
     def __init__(self, module: ControlModule, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
         self.module, self.grid = module, _divided(module, coarse, cuts)
@@ -243,18 +267,21 @@ class _Sampled:
         self.times = np.asarray(module.unpack(self.grid, self._unknowns)[0])
 
     def values(self, row: _Row, gradient: Vector | None = None) -> Matrix:
-        """Return the values (bodies, intervals, parts + 1), from the left node of an interval to its right node."""
+        """Return the values of a condition (bodies, intervals, parts + 1) from the left to the right node of intervals.
+
+        The values are read from `gradient`, the gradient of the Lagrangian; None means the gradient at the solution.
+        """
         nodes, intervals = self.module.views(self.grid, self._gradient if gradient is None else gradient)
         if row.equality:
             at_nodes = nodes[:, :, row.index]
-        else:  # values at the right nodes of intervals; the first node has none
+        else:  # an inequality has a value at the right node of each interval, and none at the first node
             at_right = intervals[:, :, row.index - nodes.shape[2]]
             at_nodes = np.concatenate([np.full((at_right.shape[0], 1), -np.inf), at_right], axis=1)
         index = self.parts * np.arange(self.intervals)[:, None] + np.arange(self.parts + 1)
         return np.asarray(at_nodes[:, index])
 
     def terms(self, row: _Row) -> Matrix:
-        """Return the sum of |x_i dg/dx_i| over all states, in the shape of `values`."""
+        """Return the sum of |x_i dg/dx_i| over all states, as an array with the shape of `values`."""
         values = self.values(row)
         total = np.zeros_like(values)
         for state in row.states:
@@ -267,10 +294,11 @@ class _Sampled:
 
 
 def _peaks(row: _Row, values: Matrix) -> Vector | None:
-    """Return the peak of the violation in every interval, as a fraction, from parabolas through three samples.
+    """Return the positions (intervals,) of the largest violation inside each interval, as fractions of the interval.
 
-    An obstacle that is thinner than the distance of samples lies between two of them, and bends the values around it.
-    Return None if no peak violates the condition.
+    `values` (bodies, intervals, parts + 1) are values of the condition. Each position is the extremum of a parabola
+    through three neighbouring values. An obstacle that is thinner than a part lies between two values, and still bends
+    the values around it. Intervals without a violation have the position 1/2. Return None if no interval has one.
     """
     left, middle, right = values[..., :-2], values[..., 1:-1], values[..., 2:]
     with np.errstate(all="ignore"):
@@ -290,7 +318,10 @@ def _peaks(row: _Row, values: Matrix) -> Vector | None:
 
 
 def _worst(sampled: _Sampled, row: _Row, steps: int) -> Excursion | None:
-    """Return the worst violation of a condition inside intervals beyond its violation at their nodes."""
+    """Return the worst violation of a condition inside intervals, relative to its terms; None if it is negligible.
+
+    The larger violation at the two nodes of an interval is subtracted. Every phase has `steps` intervals.
+    """
     values = sampled.values(row)
     violation = np.abs(values) if row.equality else np.maximum(values, 0.0)
     at_nodes = np.maximum(violation[:, :, :1], violation[:, :, -1:])
@@ -321,7 +352,10 @@ def _worst(sampled: _Sampled, row: _Row, steps: int) -> Excursion | None:
 
 @dataclass(frozen=True)
 class Pole:
-    """A pole of the equation of a state inside an interval: name of the state, time, and body if there are several."""
+    """A pole inside an interval, where the equation of motion of a state is infinite.
+
+    `state` is the name of the state. `body` is the number of the body from 0, or None for a single body.
+    """
 
     state: str
     time: float
@@ -329,7 +363,7 @@ class Pole:
 
     @property
     def note(self) -> str:
-        """The message for the author, with the remedy."""
+        """The warning for the user, with the remedy."""
         return (
             f"between nodes, at t = {self.time:.4g}, the equation of {self.state}{_of_body(self.body)} grows without "
             "end: what was found leaps over a pole, and may be no motion beyond it; keep what is divided by away from "
@@ -339,7 +373,10 @@ class Pole:
 
 @dataclass(frozen=True)
 class _Equation:
-    """The equation of a state, and its index among the unknowns of a node, or else of an interval."""
+    """The equation of motion of a state.
+
+    `index` is the index of its multiplier among the unknowns of a node if `at_nodes`, otherwise of an interval.
+    """
 
     state: str
     index: int
@@ -348,10 +385,10 @@ class _Equation:
 
 @dataclass(frozen=True)
 class _Suspect:
-    """An equation with a large change inside an interval.
+    """An equation of motion with a conspicuously large change inside an interval, which may be a pole.
 
-    `middle` is the place of the change as a fraction of the interval, `usual` the usual change, and `largest` the
-    largest changes in the refinements so far.
+    `middle` is the position of the change as a fraction of the interval. `usual` is the usual change in the interval.
+    `largest` has the largest change of each refinement so far.
     """
 
     equation: _Equation
@@ -363,10 +400,11 @@ class _Suspect:
 
 
 def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None) -> list[Pole]:
-    """Return the poles that a solution crosses: at most one of each equation of motion, and in each interval.
+    """Return the poles that a solution crosses: at most one pole per equation of motion, and at most one per interval.
 
-    `unknowns` (n,) belong to `steps` intervals in each phase, equal ones or those of `fractions`. The first interval
-    after a switch is omitted, because a state may jump there. Grids with intervals below `LEAST_FRACTION` are omitted.
+    `unknowns` (n,) belong to `steps` intervals in each phase. `fractions` are the lengths of the intervals relative to
+    the duration; None means equal intervals. The first interval after a switch is omitted, because a state may jump
+    there. The list is empty if an interval is shorter than `LEAST_FRACTION`.
     """
     coarse = time_grid(module, steps, fractions)
     lengths = np.diff(coarse.nodes) / steps
@@ -391,7 +429,7 @@ def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector
     for level in range(LEVELS):
         width = (BESIDE / PARTS) * (2.0 * BESIDE / PARTS) ** level
         cuts = evenly.copy()
-        for suspect in suspects:  # parts around the middle, and one part before and one after them
+        for suspect in suspects:  # PARTS short parts around the middle, and the rest of the interval on each side
             begin, end = max(0.0, suspect.middle - width), min(1.0, suspect.middle + width)
             parts = np.diff(np.concatenate([[0.0], np.linspace(begin, end, PARTS + 1), [1.0]]))
             parts = np.maximum(parts, max(SHORTEST, ROOM / lengths[suspect.interval]))
@@ -410,12 +448,15 @@ def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector
 
 
 class _Refined:
-    """The equations of motion on a finer grid, on which a solution is linear inside every interval."""
+    """The equations of motion on a finer grid, on which the solution is linear inside every original interval.
+
+    Row i of `cuts` (intervals, parts) has the relative lengths of the parts of interval i.
+    """
 
     def __init__(self, module: ControlModule, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
         self.module, self.cuts, self.grid = module, cuts, _divided(module, coarse, cuts)
         self._unknowns = _transferred(module, coarse, self.grid, unknowns, cuts.shape[1], straight=True)
-        # Stages lie between the nodes of the finer grid.
+        # The value of each stage is the mean of the two nodes of its part.
         nodes, intervals = self.module.views(self.grid, self._unknowns)
         names = list(self.module.metadata.node)
         for index, name in enumerate(self.module.metadata.interval):
@@ -426,7 +467,7 @@ class _Refined:
         self._gradient = module.evaluate(self.grid, self._unknowns).gradient
 
     def equations(self) -> Iterator[_Equation]:
-        """Yield the equations of motion of states, without those of stages."""
+        """Yield the equations of motion of states, without the equations of stages."""
         metadata = self.module.metadata
         for at_nodes, names in ((True, metadata.node), (False, metadata.interval)):
             for index, name in enumerate(names):
@@ -435,26 +476,30 @@ class _Refined:
                     yield _Equation(meaning.of, index, at_nodes)
 
     def changes(self, equation: _Equation) -> Matrix:
-        """Return the changes of an equation between parts of intervals: (bodies, intervals, parts - 1).
+        """Return the absolute changes of an equation between neighbouring parts, shape (bodies, intervals, parts - 1).
 
-        At nodes only those inside intervals count, one less. Values that are not finite count as zero.
+        An equation at nodes has values only at the nodes inside intervals, and the last axis has parts - 2 entries.
+        Values that are not finite count as zero.
         """
         return np.abs(np.diff(self._values(equation), axis=2))
 
     def usual(self, equation: _Equation) -> Matrix:
-        """Return the median of the changes on each interval (bodies, intervals), or the negligible change."""
+        """Return the median change of an equation in each interval, shape (bodies, intervals).
+
+        The median is at least `NEGLIGIBLE_POLE` times the largest value of the equation.
+        """
         largest = float(np.abs(self._values(equation)).max())
         usual: Matrix = np.median(self.changes(equation), axis=2)
         return np.maximum(usual, max(NEGLIGIBLE_POLE * largest, 1e-300))
 
     def middle(self, equation: _Equation, interval: int, part: int) -> float:
-        """Return the place of a change as a fraction of an interval."""
+        """Return the position of the change with the index `part`, as a fraction of an interval."""
         ends = np.concatenate([[0.0], np.cumsum(self.cuts[interval])])
         places = ends[1:-1] if equation.at_nodes else 0.5 * (ends[:-1] + ends[1:])
         return float(0.5 * (places[part] + places[part + 1]))
 
     def _values(self, equation: _Equation) -> Matrix:
-        """Return the values per length of an interval, in every part of it or at the nodes between the parts."""
+        """Return the values of an equation divided by the time step, in all parts or at the nodes between the parts."""
         nodes, intervals = self.module.views(self.grid, self._gradient)
         lengths = np.diff(self.grid.nodes).reshape(self.cuts.shape)
         if equation.at_nodes:
@@ -465,7 +510,7 @@ class _Refined:
         return np.asarray(np.nan_to_num(rows / lengths, nan=0.0, posinf=0.0, neginf=0.0))
 
     def time(self, interval: int, share: float) -> float:
-        """Return the time at a fraction of an interval."""
+        """Return the time at the fraction `share` of an interval."""
         times = np.asarray(self.module.unpack(self.grid, self._unknowns)[0])
         begin, end = times[interval * self.cuts.shape[1]], times[(interval + 1) * self.cuts.shape[1]]
         return float(begin + share * (end - begin))
@@ -476,7 +521,10 @@ class _Refined:
 
 @dataclass(frozen=True)
 class StageBeyond:
-    """The stage of a state that is farthest beyond a bound: its value, the bound, and the start of its interval."""
+    """The stage value of a state that is farthest beyond a bound.
+
+    `limit` is the bound. `time` is the start of the interval of the stage. `body` is None for a single body.
+    """
 
     state: str
     value: float
@@ -486,7 +534,7 @@ class StageBeyond:
 
     @property
     def note(self) -> str:
-        """The message for the author, with the remedy."""
+        """The warning for the user, with the remedy."""
         return (
             f"{self.state}{_of_body(self.body)} is {self.value:.4g} at a stage of the interval from t = "
             f"{self.time:.4g}, {abs(self.value - self.limit):.2g} beyond its bound, and the dynamics were evaluated "
@@ -497,9 +545,10 @@ class StageBeyond:
 def stages_beyond(
     module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None
 ) -> Iterator[StageBeyond]:
-    """Yield the worst stage of every state with bounds whose stages have none, if a stage is beyond a bound.
+    """Yield for each bounded state the stage value that is farthest beyond the bound, if any stage is beyond it.
 
-    `unknowns` (n,) belong to `steps` intervals in each phase, equal ones or those of `fractions`.
+    States whose stage values have bounds of their own are omitted. `unknowns` (n,) belong to `steps` intervals in each
+    phase. `fractions` are the lengths of the intervals relative to the duration; None means equal intervals.
     """
     generated: Any = module
     metadata = module.metadata
@@ -518,7 +567,7 @@ def stages_beyond(
         if any(np.isfinite(inside[:, :, columns]).any() for _, inside in limits):
             continue
         index = names.index(state)
-        # For every interval the bound of most nodes of its phase; ends may have other bounds.
+        # The bound of an interval is the median of the bounds at the nodes of its phase, as ends may have other bounds.
         bounds = []
         for at_nodes, _ in limits:
             rows = (slice(phase * steps + min(phase, 1), (phase + 1) * steps + 1) for phase in range(metadata.phases))

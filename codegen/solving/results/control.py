@@ -32,16 +32,17 @@ from codegen.solving.results.result import (
 from codegen.solving.results.segments import put_together, segments_of
 
 LARGE_MULTIPLIERS = 100.0
-"""Mean modulus of the multipliers above which the tolerance of the optimality conditions is relative to it."""
+"""Mean modulus of the multipliers above which the tolerance of the optimality conditions is scaled with this mean."""
 MANY_TERMS = 100
-"""Number of terms from which on the accumulated rounding error of a sum counts."""
+"""Least number of terms of a sum for which the accumulation of rounding errors is taken into account."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Termination status, message and cost after the evaluation of all equations outside the driver.
+    """The termination status of an attempt after all equations were evaluated again, independently of the driver.
 
-    `residual` and `stationarity` are max-norms. The cost of a solution is corrected for the residuals.
+    `residual` is the max-norm of all equations and bounds, and `stationarity` of the optimality conditions. The `cost`
+    of a solution is corrected for the residuals.
     """
 
     status: str
@@ -52,9 +53,10 @@ class Verdict:
 
 
 def control_verdict(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, grid: Grid) -> Verdict:
-    """Evaluate residual and stationarity of an attempt on a grid, and correct a false claim of success.
+    """Return the termination status of an attempt, from residuals that are evaluated independently of the driver.
 
-    Besides the unknowns only the scaling factors at the guess, and the scaled bounds, are taken from the driver.
+    A driver's claim of success is replaced by a failure if the residuals are too large. `grid` has no scaling factors.
+    From the driver only the unknowns, the scaling factors at the initial guess and the scaled bounds are used.
     """
     metadata, unknowns, scaled = module.metadata, attempt.unknowns, attempt.scaled
     if scaled is None and run.scaling == "none":
@@ -79,7 +81,7 @@ def control_verdict(module: ControlModule, driver: str, run: Run, attempt: Contr
             f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
         )
     elif status != "solved" and not attempt.generated and not attempt.is_explained:
-        # Other optimisers number the rows, for which the module has names.
+        # Messages of other optimisers number the equations; the module knows the name of the worst one.
         message += f"; {worst_row(grid, module.evaluate(grid, unknowns))}"
     if status == "solved":
         point = conditions.point
@@ -94,7 +96,10 @@ def control_verdict(module: ControlModule, driver: str, run: Run, attempt: Contr
 def control_result(
     module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, seconds: float = math.nan
 ) -> Result:
-    """Return the result of an attempt, with the status of `control_verdict`."""
+    """Return the result of an attempt, with the status of `control_verdict`.
+
+    `seconds` is the time of the fastest run of the driver.
+    """
     metadata, unknowns, grid = module.metadata, attempt.unknowns, time_grid(module, run.steps, run.grid)
     verdict = control_verdict(module, driver, run, attempt, grid)
     t, q, p, u, multipliers = module.unpack(grid, unknowns)
@@ -102,12 +107,12 @@ def control_result(
     if verdict.status == "solved" and metadata.observations is not None:
         estimates = estimates_of(module, grid, unknowns, held_at_bounds(module, grid, unknowns))
     bodies, node = metadata.bodies, len(metadata.node)
-    # Errors at the end: of prescribed values, and of the equations of the last nodes.
+    # The residuals of the last nodes and of the linking variables belong to the end of the motion.
     chain = grid.steps * (node + len(metadata.interval)) + node
     indices = np.arange(unknowns.size)
     at_end = (indices >= bodies * chain) | (indices % chain >= chain - node)
     equations = derivatives.constraints(grid, unknowns)[at_end[module.multiplier_unknowns(grid)]]
-    # The multiplier of an integral condition is the rate at which the cost falls as the value of the integral grows.
+    # The multiplier of an integral constraint is minus the derivative of the cost with respect to its prescribed value.
     root = unknowns.size - module.problem.structure.root
     named = _free_parameters(module, unknowns)
     named |= {f"multiplier of {name}": float(unknowns[root + index]) for name, index in metadata.integrals}
@@ -136,7 +141,10 @@ def control_result(
 
 
 def control_outline(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt) -> Outline:
-    """Return the status of an attempt and its trajectories; those of segments are assembled."""
+    """Return the status and the trajectories of an attempt, which a sweep stores.
+
+    For a problem with delays the trajectories of all segments are assembled to one motion.
+    """
     if segments_of(module.metadata) is not None:
         outline = outline_of(put_together(control_result(module, driver, run, attempt), module.metadata))
         return replace(outline, free=_free_parameters(module, attempt.unknowns))
@@ -149,13 +157,13 @@ def control_outline(module: ControlModule, driver: str, run: Run, attempt: Contr
 
 
 def control_numbers(metadata: ControlRecord, run: Run) -> int:
-    """Return how many numbers the generated solver stores: 26 for every unknown, by measurement."""
+    """Return the number of floating-point numbers that the generated solver stores: 26 per unknown, as measured."""
     intervals = run.steps * int(metadata.phases)
     return 26 * (intervals + 1) * (len(metadata.node) + len(metadata.interval))
 
 
 def held_at_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> NDArray[np.bool_]:
-    """Return the mask (n,) of unknowns at a bound, for a grid without scaling factors."""
+    """Return a mask (n,) that is True for each unknown at an active bound; `grid` must have no scaling factors."""
     held = np.zeros(unknowns.size, dtype=bool)
     primal = module.primal_unknowns(grid)
     distance = np.minimum(*bound_distances(module, grid, unknowns))
@@ -164,7 +172,10 @@ def held_at_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> NDArr
 
 
 def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tuple[Vector, Vector]:
-    """Return the distances of the free primal unknowns from their lower and upper bounds; infinite without a bound."""
+    """Return the distances of the free primal unknowns from their lower bounds, and from their upper bounds.
+
+    Both arrays have the shape (p,). Entries are negative if a bound is violated, and infinite without a bound.
+    """
     primal = module.primal_unknowns(grid)
     if not module.metadata.inequalities:
         none = np.full(primal.size, np.inf)
@@ -175,16 +186,16 @@ def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tupl
 
 
 def _free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:
-    """Return the values of free parameters, which are stored before the multipliers of couplings."""
+    """Return the values of free parameters by name; their unknowns precede the multipliers of coupling conditions."""
     names = module.metadata.free_parameters
     last = unknowns.size - module.problem.structure.couplings
     return dict(zip(names, map(float, unknowns[last - len(names) : last]), strict=True))
 
 
 class _Conditions:
-    """The violations of all conditions at given unknowns, evaluated once, in the units of the problem.
+    """The violations of all equations, bounds and optimality conditions at `unknowns` (n,), in the problem's units.
 
-    Bounds are those of the grid `scaled`, in whose units slacks may violate them; `grid` has no scaling factors.
+    The bounds are read from the grid `scaled`, which has scaling factors; `grid` has none.
     """
 
     def __init__(self, module: ControlModule, grid: Grid, scaled: Grid, unknowns: Vector) -> None:
@@ -194,9 +205,13 @@ class _Conditions:
         self._distances = bound_distances(module, scaled, unknowns) if module.metadata.inequalities else None
 
     def norms(self, scales: Vector | None = None, weight: float = 1.0) -> tuple[float, float]:
-        """Return the max-norms of all equations and bounds, and of the stationarity, in scaled units if given."""
+        """Return the max-norm of all equations and bounds, and the max-norm of the stationarity.
+
+        `scales` (n,) are the scaling factors of the unknowns, and `weight` the scaling factor of the cost. Without
+        them the norms are in the units of the problem.
+        """
         if scales is None and self._distances is None:  # the most frequent case, for example in a sweep
-            # Pinned unknowns have no entry in the gradient: the norms are those of the free unknowns.
+            # Pinned unknowns have no entry in the gradient, and do not contribute to the norms of the point.
             return max(self.point.residual, max_norm(self._misses)), self.point.stationarity
         gradient = self.point.gradient
         scales = np.ones(gradient.size) if scales is None else scales
@@ -207,17 +222,17 @@ class _Conditions:
             violations.append(self._misses / scales)
         if self._distances is not None:
             violations.append(np.maximum(0.0, -np.minimum(*self._distances)) / primal)
-            # Complementarity: an active bound balances a slope that leads out of it. The remainder is the slope times
-            # the distance to the bound in scaled units.
+            # Complementarity: a slope of the Lagrangian is permitted at an active bound if the cost falls beyond the
+            # bound. The error is the slope times the distance to the bound in scaled units, which is at most 1.
             below, above = (np.clip(distance / primal, 0.0, 1.0) for distance in self._distances)
             slopes = np.where(slopes > 0.0, slopes * below, slopes * above)
         return max(max_norm(values) for values in violations), max_norm(weight * primal * slopes)
 
 
 def _misses(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
-    """Return the deviations (n,) of pinned unknowns from their boundary values; empty if all are zero."""
+    """Return the deviations (n,) of prescribed unknowns from their boundary values; empty if all are zero."""
     pinned = module.with_pinned_values(grid, unknowns)
-    if (pinned == unknowns).all():  # as for the generated solver, which sets prescribed values
+    if (pinned == unknowns).all():  # always true for the generated solver, which inserts prescribed values
         return np.empty(0)
     misses = unknowns - pinned
     misses[module.primal_unknowns(grid)] = 0.0
@@ -228,10 +243,12 @@ def _misses(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
 def _is_accurate(
     module: ControlModule, scaled: Grid, attempt: ControlAttempt, conditions: _Conditions, norms: tuple[float, float]
 ) -> bool:
-    """Return True if residual and stationarity, scaled, are within the promised tolerance or the rounding errors.
+    """Return True if scaled residual and stationarity are below the tolerance of the attempt or the rounding errors.
 
-    If the mean modulus of the multipliers, including the duals of bounds, is large, optimality conditions are sums of
-    large terms, and their tolerance is relative to it. Source: Waechter and Biegler (2006), equation (6).
+    `norms` are the residual and the stationarity in the units of the problem. Both may exceed the limit by a factor of
+    10. Optimality conditions are sums of large terms if the mean modulus of the multipliers is large. This mean
+    includes the multipliers of bounds, and the tolerance is relative to it. Source: Waechter and Biegler (2006),
+    equation (6).
     """
     residual, stationarity = conditions.norms(scaled.sizes, scaled.weight) if scaled.sizes.size else norms
     if not math.isfinite(residual + stationarity):
@@ -249,7 +266,8 @@ def _is_accurate(
     total = np.abs(unknowns[dual] / scales[dual]).sum() + slopes[bounded].sum()
     mean_multiplier = float(total / max(1, dual.size + bounded.sum()))
     scale = max(1.0, steepest, mean_multiplier / LARGE_MULTIPLIERS)
-    # Unlimited multipliers would permit any slope. Linear-quadratic problems have no scaling factors, and no limit.
+    # The tolerance grows with the multipliers, so a limit that is independent of them bounds the stationarity as well.
+    # Linear-quadratic problems have no scaling factors, and do not need this limit.
     if not grid.problem.structure.linear_quadratic and stationarity > STEEP * max(1.0, steepest):
         return False
     limit = 10.0 * max(attempt.tolerance * scale, rounding)
@@ -257,10 +275,11 @@ def _is_accurate(
 
 
 def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights: Vector) -> float:
-    """Return the error of a weighted residual if every unknown has a relative error of eps: eps max_i |K| |x|.
+    """Return the largest rounding error of the weighted residuals: eps max_i w_i (|K| |x|)_i with the KKT matrix K.
 
-    Sums over all intervals, such as an integral condition or the derivative by a free duration, have an additional
-    factor, the square root of the number of terms. Source: Higham (2002), Accuracy and stability of numerical
+    `weights` (n,) are the factors w_i. Every unknown x_j is assumed to have the relative error eps. Sums over all
+    intervals have an additional factor, the square root of the number of terms. Examples are an integral constraint and
+    the derivative with respect to a free duration. Source: Higham (2002), Accuracy and stability of numerical
     algorithms, sections 4.2 and 7.2.
     """
     columns, rows = module.primal_unknowns(grid), module.multiplier_unknowns(grid)

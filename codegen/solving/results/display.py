@@ -23,26 +23,27 @@ if TYPE_CHECKING:
     from codegen.solving.loading import GeneratedModule, Vector
 
 _COLUMNS = {"q": "coordinate", "p": "momentum", "u": "control"}
-"""The dimension of the columns of each array, named as in the data set of a sweep."""
+"""The name of the dimension of the columns of each array in an xarray data set, the same as for sweeps."""
 _TEXTS = ("problem", "title", "task", "driver", "scheme", "status", "message")
+"""Fields of a result that are text attributes of its data set."""
 _TIMED = ("steps_per_second",)
-"""Entries of a summary that depend on the time of the solve."""
+"""Entries of a summary that depend on the measured time of the solve, and are ignored in comparisons."""
 
 _PICTURE, _FILM = Deferred("show.notebook", "picture"), Deferred("show.notebook", "film")
 _HTML = Deferred("show.notebook", "html")
 
 
 class Display:
-    """The methods of a `Result` that do not concern the numerics."""
+    """The base class of `Result`: access to columns, comparison, conversion to tables, figures and films."""
 
     def __eq__(self, other: object) -> bool:
-        """Return True if all values except measured times are equal to the last bit."""
+        """Return True if all values except measured times are identical to the last bit."""
         return same(self, other) if type(other) is type(self) else NotImplemented
 
     __hash__ = None  # type: ignore[assignment]  # arrays can be changed
 
     def __getitem__(self, name: str) -> Vector:
-        """Return the column of `q`, `p` or `u` with a name, as in `result["theta"]`.
+        """Return the column of `q`, `p` or `u` with a name, for example `result["theta"]`.
 
         Parameters
         ----------
@@ -68,10 +69,10 @@ class Display:
         remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(columns)}"
         raise ArgumentError(f"the result of {result.problem} has no column {name!r}", remedy)
 
-    if not TYPE_CHECKING:  # a type checker reports misspelt fields only where it does not see this method
+    if not TYPE_CHECKING:  # with this method visible, a type checker would accept misspelt fields
 
         def __getattr__(self, name: str) -> Vector:
-            """Return the column with a name that no field has."""
+            """Return the column with a name, if no field of the result has the name."""
             if any(name in names for names in self.__dict__.get("names", {}).values()):
                 return self[name]
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
@@ -83,7 +84,7 @@ class Display:
         return [name for names in cast(Any, self).names.values() for name in names]
 
     def differences(self, other: Any) -> dict[str, float]:
-        """Return the distance to another solution of the problem, by quantity.
+        """Return the max-norm distance to another solution of the problem for each quantity.
 
         Parameters
         ----------
@@ -93,14 +94,14 @@ class Display:
         Returns
         -------
         dict of str to float
-            The max-norm of the difference for each quantity by name, in its units; `t` is the difference of the
-            durations. `other` is interpolated linearly at the nodes of this solution; controls are compared at the
-            control times of this solution.
+            The largest absolute difference of each coordinate, momentum, control and the cost by name, in its units.
+            `t` is the difference of the durations. `other` is interpolated linearly at the nodes of this solution.
+            Controls are compared at the control times of this solution.
 
         Raises
         ------
         ArgumentError
-            If `other` has other quantities, or the problem concerns particles.
+            If `other` has other quantities, or the problem is about particles.
         """
         one = cast(Any, self)
         for name in ("task", "names"):
@@ -128,10 +129,11 @@ class Display:
         Returns
         -------
         xarray.Dataset
-            Dimensions are named as in the data set of a sweep. Variables are `t` (node), `q` (node, coordinate),
-            `p` (node, momentum), `u` and `multipliers` on nodes, intervals or stages, `energy` (node) of a simulation,
-            `cost`, `residual` and `stationarity`. Other numbers and texts are attributes. Units are those of the
-            problem; declared units are in `coordinate_unit`, `momentum_unit`, `control_unit` and in attributes.
+            Dimensions have the same names as in the data set of a sweep. Variables are `t` (node), `q` (node,
+            coordinate), `p` (node, momentum), `u` and `multipliers` on nodes, intervals or stages, `energy` (node) of a
+            simulation, `cost`, `residual` and `stationarity`. Other numbers and texts are attributes. Values are in the
+            units of the problem. Declared units are in `coordinate_unit`, `momentum_unit`, `control_unit` and in the
+            attribute `units` of `t`, `energy` and `cost`.
 
         Raises
         ------
@@ -186,7 +188,7 @@ class Display:
         pandas.DataFrame
             The index is the time `t`; columns are coordinates, momenta, controls and the energy by name. A control that
             is constant on intervals has the value of the interval that begins at the node; the last node has the value
-            of the last interval. Units are those of the problem; `attrs["units"]` has the declared units.
+            of the last interval. Values are in the units of the problem; `attrs["units"]` has the declared units.
 
         Raises
         ------
@@ -265,13 +267,16 @@ class Display:
 
 
 def _require_library(library: str, purpose: str) -> None:
-    """Raise ExtraError, which names the extra to install, if a library is missing."""
+    """Raise ExtraError with the command of the installation if a library is missing.
+
+    The text `purpose` states what needs the library.
+    """
     if find_spec(library) is None:
         raise ExtraError(f"{purpose} needs {library}, which is not installed", "pip install xarray zarr netCDF4")
 
 
 def _with_columns(display: Display) -> Any:
-    """Return the result; raise ArgumentError if its arrays have no columns with names."""
+    """Return the result itself; raise ArgumentError for a result of particles, whose columns have no names."""
     result = cast(Any, display)
     if result.q.ndim != 2:
         raise ArgumentError(f"{result.problem} is about particles, whose path has no columns", "take its arrays")
@@ -279,7 +284,10 @@ def _with_columns(display: Display) -> Any:
 
 
 def same(one: Any, other: Any) -> bool:
-    """Return True if two values are equal to the last bit, including nested arrays; NaN equals NaN."""
+    """Return True if two values are identical to the last bit, including nested arrays; NaN equals NaN.
+
+    Fields that are excluded from comparison, and entries in `_TIMED`, are ignored.
+    """
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         is_number = isinstance(one, np.ndarray) and one.dtype.kind in "fc"
         return bool(np.array_equal(one, other, equal_nan=is_number))
@@ -298,10 +306,11 @@ def same(one: Any, other: Any) -> bool:
 
 @dataclass(frozen=True)
 class Background:
-    """The module and the problem of a result, from which figures are drawn.
+    """The module and the problem of a result, which figures need.
 
-    A pickle contains the `path` instead of the loaded `module`, which is loaded again on demand. A pickle omits a
-    `source` that cannot be pickled; figures then lack the drawing. `arguments` are those of the problem file.
+    `source` is the problem file or object, and `arguments` are the arguments of its function problem(). A pickle
+    contains the `path` of the module instead of the loaded `module`, which is loaded again on demand. A pickle omits a
+    `source` that cannot be pickled; figures then lack the drawing of the problem.
     """
 
     module: GeneratedModule
@@ -313,7 +322,7 @@ class Background:
         source = self.source
         try:
             pickle.dumps(source)
-        except Exception:  # functions of an author may have no importable name
+        except Exception:  # for example, user functions may have no importable name
             source = None
         return {"module": None, "path": self.path, "source": source, "arguments": dict(self.arguments)}
 

@@ -1,12 +1,12 @@
 """Accuracy of fitted parameters: standard errors, correlations, confidence intervals.
 
-The cost is a sum of squares over variances. The inverse of its reduced Hessian is half the covariance of the estimates.
-States, controls and multipliers are eliminated from the KKT matrix at the solution, which leaves a Hessian of the free
-parameters. If no standard deviations are given, a common one is estimated from the residuals of the fit. For robust
-losses the covariance is that of M-estimators. Gauss-Newton errors, as in `nls` of R and `curve_fit` of scipy, leave the
-second derivatives of the motion out. Sources: Bard (1974), Nonlinear parameter estimation, chapter 7; Seber
-and Wild (1989), Nonlinear regression, sections 2.1 and 5.1; Huber (1967), The behavior of maximum likelihood estimates
-under nonstandard conditions.
+The cost is the sum of the squared errors divided by their variances. The covariance of the estimates is twice the
+inverse of its reduced Hessian. The reduced Hessian is the Schur complement of the KKT matrix at the solution for the
+free parameters: states, controls and multipliers are eliminated. If no standard deviations are given, a common standard
+deviation is estimated from the residuals of the fit. For robust losses the sandwich formula of M-estimators gives the
+covariance. Gauss-Newton errors, as in `nls` of R and `curve_fit` of scipy, neglect the second derivatives of the
+motion. Sources: Bard (1974), Nonlinear parameter estimation, chapter 7; Seber and Wild (1989), Nonlinear regression,
+sections 2.1 and 5.1; Huber (1967), The behavior of maximum likelihood estimates under nonstandard conditions.
 """
 
 from __future__ import annotations
@@ -20,23 +20,38 @@ from numpy.typing import NDArray
 from codegen.solving.loading import ControlModule, Grid, Matrix, Vector
 
 CONFIDENCE = 0.95
+"""Confidence level of the intervals of parameters."""
 AT_BOUND = 1e-6
-"""Distance to an active bound relative to the unknown, or to one."""
+"""Largest distance to an active bound, relative to the value of the unknown or to 1, whichever is larger."""
 FLAT = 1e-11
-"""Curvature relative to the largest one below which a direction is undetermined: rounding of the KKT matrix."""
+"""Curvature, relative to the largest curvature, below which a direction is undetermined.
+
+Smaller curvatures are rounding errors of the KKT matrix.
+"""
 WITHOUT_EFFECT = 1e-10
-"""Negligible change of the cost, relative to the largest one, as a parameter changes by its value."""
+"""Effect of a parameter on the cost, relative to the largest effect, below which the parameter is undetermined.
+
+The effect of a parameter is its curvature times the square of its value.
+"""
 NO_SIZE = 1e-9
-"""Parameter value relative to the largest parameter, or to one, below which the value defines no scale."""
+"""Parameter value below which 1 is used as the scale of the parameter.
+
+The value is relative to the largest parameter, or to 1 if all parameters are smaller.
+"""
 _PART = 1e-3
-"""Component of a flat direction above which a parameter is undetermined."""
+"""Component of an undetermined direction above which a parameter is undetermined."""
 
 
 class Fit:
-    """Measurements and the values of the motion at the same times, one after the other for each body."""
+    """The measurements of all bodies, and the values of the motion at the times of the measurements.
+
+    A sample is all quantities that were measured at one time for one body. Samples are sorted by body. `bodies` and
+    `times` have the shape (samples,). `measured`, `fitted` and `weights` (reciprocal standard deviations) have the
+    shape (samples, columns). A missing value has the weight zero.
+    """
 
     def __init__(self, module: ControlModule, grid: Grid, unknowns: Vector) -> None:
-        """Read the samples from the parameters of a grid, and evaluate the motion at the samples."""
+        """Read the samples from the parameters of the grid, and evaluate the motion at their times."""
         self._module, self._unknowns = module, unknowns
         self._structure = s = module.problem.structure
         self._chain = grid.steps * s.stride + s.node
@@ -67,7 +82,7 @@ class Fit:
         return size - self._structure.root + self._structure.root_indices()
 
     def _arguments(self, sample: Any) -> tuple[Any, ...]:
-        """Return the arguments of a kernel for a sample."""
+        """Return the arguments of the compiled functions `sample_values` and `sample_gradient` for a sample."""
         body, k, begin, row, nodes = sample
         first = body * self._chain + k * self._structure.stride
         local = self._unknowns[first : first + self._structure.element]
@@ -75,7 +90,7 @@ class Fit:
 
     @property
     def errors(self) -> Matrix:
-        """Motion minus measurement in standard deviations; NaN for missing values."""
+        """Motion minus measurement, divided by the standard deviation (samples, columns); NaN for missing values."""
         return np.where(self.weights > 0.0, (self.fitted - self.measured) * self.weights, np.nan)
 
     @property
@@ -89,17 +104,19 @@ class Fit:
         return float(np.nansum(self.errors**2))
 
     def slopes(self, following: Matrix) -> Matrix:
-        """Return the derivatives (samples, p) of the loss of each sample by p quantities.
+        """Return the derivatives (samples, p) of the loss of each sample with respect to p quantities.
 
-        `following` (n, p) has the derivatives of all unknowns by these quantities.
+        `following` (n, p) has the derivatives of all n unknowns with respect to these quantities.
         """
         return np.array([self._slope(sample, following) for sample in self._samples])
 
     def error_slopes(self, following: Matrix) -> Matrix:
-        """Return the derivatives (count, p) of all errors by p quantities, for a loss of squares.
+        """Return the derivatives (count, p) of all weighted errors w e with respect to p quantities.
 
-        The square (w e)^2 has the derivative w de where e = 1/(2 w), so that the gradient of a sample with this one
-        error has the derivative of the error.
+        `following` (n, p) has the derivatives of all n unknowns with respect to these quantities. The loss must be
+        "squares". The module has code only for derivatives of the loss of a sample. The loss (w e)^2 of one error
+        e = 1/(2 w) has the derivative w de. Each measured value is therefore replaced such that its error is 1/(2 w),
+        and the sample omits all other values.
         """
         slopes, columns = [], self.fitted.shape[1]
         for sample, fitted, weights in zip(self._samples, self.fitted, self.weights, strict=True):
@@ -113,7 +130,7 @@ class Fit:
         return np.array(slopes).reshape(self.count, following.shape[1])
 
     def _slope(self, sample: Any, following: Matrix) -> Vector:
-        """Return the derivatives (p,) of the loss of one sample."""
+        """Return the derivatives (p,) of the loss of one sample; see `slopes` for `following`."""
         s = self._structure
         local = np.zeros(s.element + s.shared)
         plain(self._module.sample_gradient)(*self._arguments(sample), local)
@@ -125,37 +142,42 @@ class Fit:
 
 
 def plain(function: Any) -> Any:
-    """Return the Python function of a compiled function, whose call compiles nothing."""
+    """Return the Python function behind a function of numba, so that a call compiles nothing."""
     return getattr(function, "py_func", function)
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """Free parameters and their accuracy; arrays have an entry for each of the p `names`.
+    """The optimal values of p free parameters with their accuracy.
 
     Attributes
     ----------
     names : tuple of str
+        Names of the free parameters, in the order of all arrays.
     values, standard_errors : ndarray, shape (p,)
-        From the reduced Hessian; NaN for the error of a parameter in `at_bounds` or `undetermined`.
+        Standard errors are computed from the reduced Hessian. The error is NaN for a parameter in `at_bounds` or
+        `undetermined`.
     gauss_newton_errors : ndarray, shape (p,)
-        From the first derivatives of the errors, as R and scipy have them; NaN also for robust losses.
+        Standard errors from the first derivatives of the errors, as R and scipy compute them. They are NaN for robust
+        losses.
     intervals : ndarray, shape (p, 2)
-        Confidence intervals, `quantile` standard errors to both sides.
+        Confidence intervals, which extend `quantile` standard errors to both sides of the value.
     correlations : ndarray, shape (p, p)
     deviation : float
-        Standard deviation of errors: one if the deviations are given, else estimated with `freedom` degrees of freedom.
+        Standard deviation of the measurement errors, estimated with `freedom` degrees of freedom. It is 1 if standard
+        deviations are given, because errors are then divided by them.
     is_estimated : bool
         True if `deviation` is estimated.
     freedom : int
         Number of measured values minus the number of estimated quantities.
     quantile : float
+        Quantile of Student's t distribution if `deviation` is estimated, otherwise of the normal distribution.
     unknown_errors : ndarray, shape (n,)
-        Standard errors of all unknowns, NaN if there are free quantities besides the parameters.
+        Standard errors of all unknowns; NaN if quantities other than the parameters are free.
     at_bounds, undetermined : tuple of str
         Parameters at a bound; parameters that can change without a change of the cost.
     reason : str
-        Why there are no standard errors; empty if there are.
+        Reason for missing standard errors; empty if they exist.
     """
 
     names: tuple[str, ...]
@@ -189,9 +211,9 @@ class Estimates:
 
 
 def estimates_of(module: ControlModule, grid: Grid, unknowns: Vector, held: NDArray[np.bool_]) -> Estimates | None:
-    """Return the accuracy of the free parameters at a solution; None without measurements or free parameters.
+    """Return the free parameters of a solution with their accuracy; None without measurements or free parameters.
 
-    `held` (n,) marks the `unknowns` (n,) at bounds.
+    `held` (n,) is a mask of the `unknowns` (n,) that are at a bound.
     """
     observations, names = module.metadata.observations, tuple(module.metadata.free_parameters)
     if not observations or not names:
@@ -246,9 +268,11 @@ def estimates_of(module: ControlModule, grid: Grid, unknowns: Vector, held: NDAr
 
 @dataclass(frozen=True)
 class _Reduced:
-    """The Hessian (p, p) of the cost by free parameters, and the derivatives (n, p) of all unknowns by them.
+    """The reduced Hessian (p, p) of the cost with respect to the free parameters.
 
-    `terms` (p,) are the sums of the moduli of the terms on the diagonal; `freedom` is the number of free quantities.
+    Each diagonal entry is a sum, and `terms` (p,) has the sums of the moduli of its terms. `following` (n, p) has the
+    derivatives of all unknowns with respect to the free parameters. `freedom` is the number of quantities that the
+    measurements determine: primal unknowns that are not at a bound, minus equations.
     """
 
     hessian: NDArray[np.float64]
@@ -260,7 +284,11 @@ class _Reduced:
 def _reduced(
     module: ControlModule, grid: Grid, unknowns: Vector, held: NDArray[np.bool_], free: Any
 ) -> _Reduced | None:
-    """Return the Hessian of the cost by the `free` unknowns if all others follow; None if the others are singular."""
+    """Return the reduced Hessian of the cost with respect to the unknowns with the indices `free`.
+
+    The optimality conditions determine all other unknowns, except the unknowns in the mask `held`, which stay fixed.
+    Return None if the KKT matrix of the other unknowns is singular.
+    """
     from scipy import sparse
     from scipy.sparse.linalg import splu
 
@@ -293,9 +321,9 @@ def _reduced(
 
 @dataclass(frozen=True)
 class _Inverse:
-    """The inverse of a Hessian on the directions with curvature.
+    """The pseudoinverse (p, p) of a Hessian, which omits undetermined directions.
 
-    `flat` is the number of the other directions; `lost` (p,) marks the parameters that take part in them.
+    `flat` is the number of undetermined directions. `lost` (p,) is a mask of the parameters that contribute to them.
     """
 
     matrix: NDArray[np.float64]
@@ -304,11 +332,11 @@ class _Inverse:
 
 
 def _inverse(reduced: _Reduced, values: Vector) -> _Inverse:
-    """Return the inverse of a reduced Hessian by parameters with these `values` (p,).
+    """Return the pseudoinverse of the reduced Hessian; `values` (p,) are the values of the free parameters.
 
-    Directions are compared in units in which every parameter has curvature one. A parameter without effect on the cost
-    has curvature zero: its computed curvature is rounding, or an error of the optimum that is negligible relative to
-    other parameters, each multiplied by its value.
+    The Hessian is scaled such that every diagonal entry is 1, and its eigenvalues are compared with the largest one. A
+    parameter without effect on the cost is undetermined. Its computed curvature is a rounding error, or a negligible
+    error of the optimum. Effects of parameters are compared by their curvature times the square of their value.
     """
     hessian, diagonal = reduced.hessian, np.abs(np.diag(reduced.hessian))
     scales = np.where(np.abs(values) > NO_SIZE * np.abs(values).max(initial=1.0), np.abs(values), 1.0)
@@ -323,7 +351,7 @@ def _inverse(reduced: _Reduced, values: Vector) -> _Inverse:
 
 
 def as_record(estimates: Estimates) -> dict[str, Any]:
-    """Return the part of the JSON object for estimates."""
+    """Return the estimates as an object for JSON, in which NaN is None."""
     numbers = estimates.values, estimates.standard_errors, estimates.gauss_newton_errors, estimates.intervals
     return {
         "parameters": {
@@ -346,5 +374,5 @@ def as_record(estimates: Estimates) -> dict[str, Any]:
 
 
 def as_finite(number: float | None) -> float | None:
-    """Return a finite number, None for NaN and infinity."""
+    """Return the number as a float, or None for NaN, infinity and None."""
     return float(number) if number is not None and np.isfinite(number) else None

@@ -25,7 +25,7 @@ from codegen.solving.results.result import (
 )
 
 UNITS = 1e4
-"""Ratio of the perturbations by which the effect of rounding is measured to rounding errors."""
+"""Ratio of the perturbations, which measure the effect of rounding errors, to the rounding errors."""
 TOLERANCE = 1e-12
 """Default tolerance of the arrival of particles."""
 
@@ -33,9 +33,10 @@ TOLERANCE = 1e-12
 def simulate_result(
     module: SimulateModule, driver: str, run: Run, attempt: SimulateAttempt, seconds: float = math.nan
 ) -> Result:
-    """Return the result of an attempt; its residual is evaluated again if all states are stored.
+    """Return the result of an attempt; if all states are stored, the residual is evaluated independently of the driver.
 
-    Rounding errors bound the residual of ordinary equations; a variational step divides them by h.
+    `seconds` is the time of the fastest run. Residuals below the level of rounding errors are accepted. Variational
+    schemes divide rounding errors by the time step h.
     """
     step = attempt.t[-1] / max(attempt.steps, 1)
     scale = max(1.0, max_norm(attempt.q), max_norm(attempt.p)) * max(1.0, 1.0 / step if step > 0.0 else 1.0)
@@ -59,7 +60,7 @@ def simulate_result(
     summary = {
         "duration": float(attempt.t[-1]),
         **{f"final_{name}": float(value) for name, value in final.items()},
-        # A driven or damped motion changes its energy, which then is no error of the scheme.
+        # The energy of a driven or damped motion changes, and this change is no error of the scheme.
         ("energy_drift" if is_conserved else "energy_change"): float(drift.max() if is_conserved else final_change),
         "steps_per_second": attempt.steps / seconds if seconds > 0.0 else float("inf"),
     }
@@ -71,20 +72,21 @@ def simulate_result(
 
 
 def simulate_outline(module: SimulateModule, driver: str, run: Run, attempt: SimulateAttempt) -> Outline:
-    """Return the outline of a result."""
+    """Return the status and the arrays of an attempt, which a sweep stores."""
     return outline_of(simulate_result(module, driver, run, attempt))
 
 
 def simulate_numbers(metadata: Record, run: Run) -> int:
-    """Return how many numbers are stored: the path, its positions and momenta, times and energies."""
+    """Return the number of stored floating-point numbers: states, positions, momenta, times and energies."""
     return (run.steps // run.every + 1) * (4 * len(metadata.coordinates) + 2)
 
 
 def rounding_level(module: SimulateModule, steps: int, q: Matrix, p: Matrix) -> float:
-    """Return the change of the residual of states (M, n) that have errors of two units in the last place.
+    """Return the residual that rounding errors cause: its increase if all states have errors of two units roundoff.
 
-    Stiff forces amplify rounding errors. The perturbations are larger by UNITS. The residual without perturbations is
-    subtracted, so that a wrong state does not raise the level. The level is zero if it is not finite.
+    `q` and `p` (M, n) are the states of all nodes of a grid of `steps` steps. Stiff forces amplify rounding errors. The
+    states are perturbed by UNITS times the rounding errors, and the increase is divided by UNITS. The residual without
+    perturbations is subtracted, so that a wrong state does not raise the level. The level is zero if it is not finite.
     """
     path, grid = np.hstack([q, p]), module.make_grid(steps)
     signs = np.where(np.add.outer(np.arange(path.shape[0]), np.arange(path.shape[1])) % 2, 1.0, -1.0)
@@ -96,7 +98,10 @@ def rounding_level(module: SimulateModule, steps: int, q: Matrix, p: Matrix) -> 
 def connect_result(
     module: ConnectModule, driver: str, run: Run, attempt: ConnectAttempt, seconds: float = math.nan
 ) -> Result:
-    """Return the result of an attempt, with all steps and the arrival evaluated again."""
+    """Return the result of an attempt, with residuals that are evaluated independently of the driver.
+
+    The equations of all steps and the arrival at the targets are evaluated. `seconds` is the time of the fastest run.
+    """
     metadata, case, path = module.metadata, case_of(module, run), attempt.path
     energy = np.array([module.hamiltonian(np.ascontiguousarray(z), case.own, case.parameters) for z in path])
     finite = bool(np.isfinite(path).all())
@@ -135,24 +140,27 @@ def connect_result(
 
 
 def connect_outline(module: ConnectModule, driver: str, run: Run, attempt: ConnectAttempt) -> Outline:
-    """Return the outline of a result."""
+    """Return the status and the arrays of an attempt, which a sweep stores."""
     return outline_of(connect_result(module, driver, run, attempt))
 
 
 def connect_numbers(metadata: Record, run: Run) -> int:
-    """Return how many numbers are stored: states at all nodes with the data of Newton's method, and two matrices."""
+    """Return the number of stored floating-point numbers.
+
+    These are the states at all nodes with the data of Newton's method, and two matrices with a row for each particle.
+    """
     count = 0 if run.points is None else len(run.points.start)
     return 40 * (run.steps + 1) * count * len(metadata.coordinates) + 2 * count**2
 
 
 def particle_names(metadata: Record, count: int) -> dict[str, tuple[str, ...]]:
-    """Return the names of the columns of q and p: the coordinates of one particle after the other."""
+    """Return the names of the columns of q and p, sorted by particle; the number of the particle ends each name."""
     groups = {"q": metadata.coordinates, "p": metadata.rates, "u": ()}
     return {key: tuple(f"{name}_{i + 1}" for i in range(count) for name in group) for key, group in groups.items()}
 
 
 def case_of(module: ConnectModule, run: Run) -> Any:
-    """Return the case for the points of a run; raise PointsError for points that the module refuses."""
+    """Return the case of a connect module for the points of a run; raise PointsError for unsuitable points."""
     points = run.points
     if points is None:
         raise PointsError("there are no points to connect", "give a file of points")
@@ -166,9 +174,10 @@ def case_of(module: ConnectModule, run: Run) -> Any:
 
 
 def intersecting_paths(start: Vector, target: Vector) -> list[tuple[int, int]]:
-    """Return the pairs of points, numbered from 1, whose segments from start to target, arrays (n, d), cross.
+    """Return the pairs of particles, numbered from 1, whose straight lines from start to target cross.
 
-    Segments that only touch or overlap are not counted. The list is empty unless d = 2.
+    `start` and `target` have the shape (n, d). Lines that only touch or overlap are not counted. The list is empty
+    unless d = 2.
     """
     pairs = list[tuple[int, int]]()
     if start.shape[1] != 2:
@@ -186,7 +195,7 @@ def intersecting_paths(start: Vector, target: Vector) -> list[tuple[int, int]]:
 
 
 def condition_number(module: ConnectModule, case: Any, most: int = 1500) -> float:
-    """Return the condition number of H_pp at the start in the 2-norm; NaN for more than `most` rows."""
+    """Return the condition number of H_pp = d2H/dp2 in the 2-norm at the start; NaN for more than `most` rows."""
     size = case.start.shape[0] * int(module.BLOCKS)
     if size > most:
         return math.nan

@@ -1,4 +1,4 @@
-"""Output of `codegen solve`: one JSON object, tables, an archive of arrays, and notes on a module from its metadata."""
+"""Output of `codegen solve`: a JSON object, tables, an archive of arrays, and notes on a module from its metadata."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ ARCHIVES = (".npz",)
 
 
 def require_writable(path: Path, kinds: tuple[str, ...], option: str) -> None:
-    """Raise ArgumentError, which names the option, for a file that cannot be written."""
+    """Raise ArgumentError, which names the command-line `option`, if the file cannot be written.
+
+    `kinds` are the permitted endings of the file name, such as ".npz".
+    """
     if path.suffix.lower() not in kinds:
         raise ArgumentError(f"{option} {path}: unknown kind of file", f"let it end in {' or '.join(kinds)}")
     if path.is_dir():
@@ -34,7 +37,10 @@ def require_writable(path: Path, kinds: tuple[str, ...], option: str) -> None:
 
 
 def require_folder(folder: Path, option: str, may_be_made: bool = False) -> None:
-    """Raise ArgumentError for a folder that does not exist (unless it may be made), is a file, or is not writable."""
+    """Raise ArgumentError, which names the command-line `option`, if no file can be written to the folder.
+
+    If `may_be_made` is True, the folder may be missing, provided that it can be created.
+    """
     while may_be_made and not folder.exists() and folder != folder.parent:
         folder = folder.absolute().parent
     if not folder.exists():
@@ -42,7 +48,7 @@ def require_folder(folder: Path, option: str, may_be_made: bool = False) -> None
     if not folder.is_dir():
         raise ArgumentError(f"{option}: {folder} is not a folder", "choose a folder")
     try:
-        # Permissions alone do not tell: the file system may be read-only.
+        # Permissions are not sufficient, because the file system may be read-only.
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
@@ -51,7 +57,10 @@ def require_folder(folder: Path, option: str, may_be_made: bool = False) -> None
 
 
 def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
-    """Return the JSON object of `--json`; every number is finite or null."""
+    """Return the object that `--json` prints; numbers that are not finite are None.
+
+    `build` and `load` are the seconds for deriving and for loading the module.
+    """
     names = ("problem", "task", "method", "scheme", "driver", "steps", "status", "message")
     record: dict[str, Any] = {
         **{name: getattr(result, name) for name in names},
@@ -90,23 +99,23 @@ def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
 
 
 def as_json(record: Mapping[str, Any]) -> str:
-    """Return one line of strict JSON."""
+    """Return the record as one line of strict JSON; raise ValueError for NaN and infinity."""
     return json.dumps(record, allow_nan=False)
 
 
 def with_unit(number: str, unit: str) -> str:
-    """Return a number with its declared unit, if any."""
+    """Return the text of a number followed by its unit; an empty unit is omitted."""
     return f"{number} {unit}" if unit else number
 
 
 def given(result: Result) -> str:
-    """Return the parameter overrides of a solve as text."""
+    """Return the parameter overrides of a solve as text, for example `m = 2 kg, g = 1.6`."""
     own = [(name, with_unit(_number(value), result.unit_of(name))) for name, value in result.parameters.items()]
     return ", ".join(f"{name} = {value}" for name, value in own)
 
 
 def as_table(record: Mapping[str, Any], result: Result) -> Table:
-    """Return the record as a table, with the number of steps and the summary in the words of the result."""
+    """Return the table of a result that the command prints; `record` is the object from `as_record`."""
     from rich import box
     from rich.table import Table
 
@@ -143,7 +152,11 @@ def as_table(record: Mapping[str, Any], result: Result) -> Table:
 
 
 def estimates_tables(record: Mapping[str, Any]) -> list[Table]:
-    """Return the table of free parameters with their accuracy, and the table of correlations of several parameters."""
+    """Return the table of free parameters with their accuracy, and the table of their correlations.
+
+    `record` is the entry "estimates" of the object for `--json`. The second table is omitted for a single parameter,
+    and for more than `_CORRELATED` parameters.
+    """
     from rich import box
     from rich.table import Table
 
@@ -174,7 +187,11 @@ def estimates_tables(record: Mapping[str, Any]) -> list[Table]:
 
 
 def sensitivities_table(record: Mapping[str, Any]) -> Table:
-    """Return the derivatives of the cost, of free numbers and of the state at the end, a row for each quantity."""
+    """Return the table of sensitivities, with a row for each quantity with respect to which derivatives were taken.
+
+    The columns are the derivatives of the cost, of free parameters and of the first states at the end. `record` is the
+    entry "sensitivities" of the object for `--json`.
+    """
     from rich import box
     from rich.table import Table
 
@@ -192,20 +209,20 @@ def sensitivities_table(record: Mapping[str, Any]) -> Table:
 
 
 _SHOWN = 4
-"""Number of states in the table of sensitivities; `--json` has all."""
+"""Number of states at the end in the table of sensitivities; `--json` prints all states."""
 _CORRELATED = 10
-"""Largest number of parameters with a table of correlations; `--json` has all."""
+"""Largest number of free parameters for which a table of correlations is printed; `--json` prints all correlations."""
 
 
 def log_table(result: Result) -> Table:
-    """Return the iterates of the generated solver."""
+    """Return the table of the iterates of the generated solver."""
     from rich import box
     from rich.table import Table
 
     table = Table(title="Iterations", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
     rows = result.log if result.log is not None else ()
     headings = ["iteration", "cost", "residual", "stationarity", "shift", "step"]
-    if any(len(row) > len(headings) - 1 for row in rows):  # of the interior point method
+    if any(len(row) > len(headings) - 1 for row in rows):  # only the interior point method has a barrier parameter
         headings.append("barrier")
     for heading in headings:
         table.add_column(heading, justify="right")
@@ -237,7 +254,10 @@ def _duration(seconds: float | None) -> str:
 
 
 def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
-    """Write all arrays to an .npz archive, with the record of the run as JSON text in `result`."""
+    """Write all arrays of a result to an .npz archive.
+
+    The entry `result` of the archive is `record`, the object for `--json`, as text.
+    """
     import numpy as np
 
     names = ("t", "q", "p", "u", "multipliers", "energy", "log", "unknowns")
@@ -252,11 +272,14 @@ def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
 
 
 NAME = 40
-"""Number of characters to which a condition is shortened; interior angles of a polygon fill six lines."""
+"""Number of characters to which the text of a condition is shortened in notes.
+
+The condition on an interior angle of a polygon, for example, would fill six lines.
+"""
 
 
 def notes(record: Record) -> list[str]:
-    """Return notes on the problem of a module, such as unused symbols, omitted conditions and kinks."""
+    """Return warnings about the problem of a module, such as unused symbols, omitted conditions and kinks."""
     lines = []
     if unused := record.unused:
         lines.append(f"{', '.join(unused)} {'is' if len(unused) == 1 else 'are'} declared but never used")
@@ -308,17 +331,17 @@ def notes(record: Record) -> list[str]:
 
 
 def notes_of_file(path: Path) -> list[str]:
-    """Return the notes of a module in a file, without importing the module."""
+    """Return the warnings about the problem of a module in a file, without importing the module."""
     return notes(record_in(path.read_text(encoding="utf-8")))
 
 
 def record_in(text: str) -> Record:
-    """Return the record in the text of a generated module."""
+    """Return the record, the metadata of a generated module, from the source text of the module."""
     assigned = (node for node in ast.parse(text).body if isinstance(node, ast.Assign))
     made = next(node.value for node in assigned if getattr(node.targets[0], "id", "") == "metadata")
     return cast(Record, eval(compile(ast.Expression(made), "metadata", "eval"), dict(vars(record))))
 
 
 def shortened(name: str, limit: int = NAME) -> str:
-    """Return the beginning of a long name."""
+    """Return the name, or its first `limit` characters followed by " ..." if it is longer."""
     return name if len(name) <= limit else name[:limit].rstrip() + " ..."

@@ -17,11 +17,11 @@ from codegen.solving.results.display import Background, Display
 from codegen.solving.results.estimates import Estimates
 
 INACCURATE = 1e-7
-"""Relative residual of the linear equations of sensitivities above which a note warns of inaccurate derivatives."""
+"""Relative residual of the linear equations for sensitivities above which the user is warned."""
 _NAMED = 3
-"""Number of unknowns that a note on strict complementarity names."""
+"""Largest number of unknowns that a note on strict complementarity names."""
 LARGE_ERROR = 0.01
-"""Relative discretisation error of states or cost above which a solution has a note.
+"""Relative discretisation error of states or cost above which the user is warned.
 
 A choice of this project: an error of one per cent is visible in a figure of the motion.
 """
@@ -29,7 +29,7 @@ UNKNOWN_ERROR = (
     "the error of the discretisation could not be estimated: no optimum was found on half as many intervals; compare "
     "with more --steps, or take --accuracy"
 )
-"""The note of a solution without an estimate."""
+"""The note of a solution without an estimate of its discretisation error."""
 
 STATUSES = {
     "solved": "the equations hold to the driver's tolerance, or to rounding",
@@ -58,13 +58,16 @@ class Derivatives:
     Attributes
     ----------
     cost : float
+        Derivative of the optimal cost.
     durations : ndarray, shape (D,)
-        One for each phase.
+        Derivatives of the durations of all phases.
     free : dict of str to float
-        Derivatives of free parameters by name.
+        Derivatives of the optimal free parameters, by the name of the free parameter.
     t, q, p, u, multipliers : ndarray
-        The shapes of the arrays of the result; `q` and `p` at nodes that move with `t`.
+        Derivatives of the arrays of the result, with the same shapes. `q` and `p` are derivatives of the values at the
+        nodes, whose times change by `t`.
     unknowns : ndarray, shape (n,)
+        Derivatives of all unknowns.
     """
 
     cost: float
@@ -80,22 +83,25 @@ class Derivatives:
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities(Mapping[str, Derivatives]):
-    """Derivatives with respect to parameters, boundary values such as `start.x`, and `duration`, by name.
+    """The derivatives of a solution with respect to parameters, boundary values and a given duration.
 
-    Boundary values and the duration follow from parameters by the formulas of the problem, as in a sweep. The set of
+    Keys are names such as `m`, `start.x` and `duration`, and values are `Derivatives`. If the problem defines boundary
+    values or the duration by formulas of parameters, they change with these parameters, as in a sweep. The set of
     active bounds is kept.
 
     Attributes
     ----------
     names : tuple of str
+        Names of the m quantities with respect to which derivatives are taken.
     costs : ndarray, shape (m,)
         Derivatives of the cost in the order of `names`.
     reason : str
-        Why there are no derivatives; empty if there are.
+        Reason for missing derivatives; empty if they exist.
     doubtful : tuple of str
-        Unknowns for which strict complementarity fails. There the active set changes, and derivatives are one-sided.
+        Unknowns for which strict complementarity fails. A change of a quantity then changes the set of active bounds,
+        and derivatives are one-sided.
     inaccuracy : float
-        Residual of the linear equations relative to the size of their terms.
+        Residual of the linear equations for the derivatives, relative to the size of their terms.
     """
 
     names: tuple[str, ...]
@@ -115,7 +121,7 @@ class Sensitivities(Mapping[str, Derivatives]):
         return self._by_name[name]
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names."""
+        """Return an iterator over the names of the quantities."""
         return iter(self.names)
 
     def __len__(self) -> int:
@@ -124,7 +130,7 @@ class Sensitivities(Mapping[str, Derivatives]):
 
     @property
     def notes(self) -> list[str]:
-        """Notes for the user, one line each."""
+        """Warnings for the user, one line each."""
         notes = [f"no sensitivities: {self.reason}"] if self.reason else []
         if self.doubtful:
             names, rest = ", ".join(self.doubtful[:_NAMED]), len(self.doubtful) - _NAMED
@@ -136,18 +142,19 @@ class Sensitivities(Mapping[str, Derivatives]):
 
 
 Watch: TypeAlias = Callable[[int, tuple[float, ...]], None]
-"""A function that is called with the number of an iterate and its row of the log."""
+"""A function that a driver calls at every iterate with the number of the iterate and its row of the log."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """The request to a driver.
+    """The request to a driver: the grid, the initial guess and the limits of one solve.
 
-    `every` is the stride of stored steps of a simulation. `guess` (n,) is the initial guess of an optimisation, and
-    `near` states that it is close to the solution. `points` belong to a connect problem. None as `tolerance` or
-    `max_iterations` means the default of the driver. `time_limit` is in seconds. `watch` is called at every iterate.
-    With the `scaling` "none" an optimiser works in the units of the problem. `grid` has the fractions of the duration
-    that intervals last, (N,), or (phases, N) for each phase; None means equal intervals.
+    A simulation stores every `every`-th step. `guess` (n,) is the initial guess of an optimisation; None means the
+    guess of the problem. `near` is True if `guess` is close to the solution. `points` belong to a connect problem. If
+    `tolerance` or `max_iterations` is None, the default of the driver applies. `time_limit` is in seconds. `watch` is
+    called at every iterate. If `scaling` is "none", an optimiser works in the units of the problem. `grid` has the
+    lengths of the intervals relative to the duration, with the shape (N,), or (phases, N) for each phase; None means
+    equal intervals.
     """
 
     steps: int
@@ -165,9 +172,11 @@ class Run:
 
 @dataclass(frozen=True)
 class ConnectAttempt:
-    """The claim of a driver for a connect problem: states at the nodes, shape (N + 1, 2, n, d).
+    """The attempt of a driver at a connect problem, before its residuals are checked.
 
-    `generated` is True if the claim is that of the generated solver, also in the classes below.
+    `path` (N + 1, 2, n, d) has the positions and momenta of n particles in d dimensions at the nodes. `attempts`
+    describes the initial guesses that were tried. `tangents` is the number of tangent vectors that were propagated.
+    `generated` is True if the driver is the generated solver.
     """
 
     status: str
@@ -182,10 +191,11 @@ class ConnectAttempt:
 
 @dataclass(frozen=True)
 class ControlAttempt:
-    """The claim of a driver for an optimal-control problem; `tolerance` is the promised accuracy.
+    """The attempt of a driver at an optimal-control problem, before its residuals are checked.
 
-    A driver may add `trajectories`, the unpacked unknowns, and `scaled`, the grid with the scaling factors at the
-    guess. `is_explained` is True if the message names the cause of a failure other than a violated equation.
+    The driver promises residuals below `tolerance`. It may add `trajectories`, the arrays t, q, p, u and multipliers,
+    and `scaled`, the grid with the scaling factors at the initial guess. `is_explained` is True if `message` already
+    names the cause of a failure. `generated` is True if the driver is the generated solver.
     """
 
     status: str
@@ -202,7 +212,10 @@ class ControlAttempt:
 
 @dataclass(frozen=True)
 class SimulateAttempt:
-    """The claim of a driver for a simulation, at the stored steps."""
+    """The attempt of a driver at a simulation, before its residuals are checked; arrays have a row per stored step.
+
+    `steps` is the number of computed steps. `generated` is True if the driver is the generated solver.
+    """
 
     status: str
     message: str
@@ -222,9 +235,10 @@ Attempt: TypeAlias = ConnectAttempt | ControlAttempt | SimulateAttempt
 
 @dataclass(frozen=True)
 class Outline:
-    """The part of a result that sweeps store: status, cost, arrays by name, and unknowns for a warm start.
+    """The part of a result that sweeps store.
 
-    `free` has the values of free parameters by name.
+    `arrays` has the arrays of the result by name, and `free` the values of free parameters by name. `unknowns` (n,) are
+    stored for warm starts.
     """
 
     status: str
@@ -238,7 +252,7 @@ class Outline:
 
 @dataclass(frozen=True)
 class GridLevel:
-    """The solve on one grid: intervals of each phase, status, estimated error, iterations, seconds."""
+    """The solve on one grid of a refinement: number of intervals of each phase, status, and estimated error."""
 
     intervals: int
     status: str
@@ -249,10 +263,11 @@ class GridLevel:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """The outcome of a request for accuracy.
+    """The outcome of a solve with a requested accuracy, which refines the grid repeatedly.
 
-    `estimate` is the estimated relative error; it is largest for `quantity` at `time`. `reason` is empty if the request
-    was met. `levels` are the grids in the order of their solution.
+    `request` is the requested and `estimate` the estimated relative error. The error is largest for `quantity` at
+    `time`. `reason` states why the accuracy was not reached, and is otherwise empty. `levels` are the solves on all
+    grids, in order.
     """
 
     request: float
@@ -268,7 +283,7 @@ class DiscretisationError:
     """The estimated distance of a solution from the solution of the continuous problem.
 
     `states` is the largest error of a state or free parameter, relative to the largest value of the same quantity.
-    This error belongs to `quantity` at `time`. `cost` is relative to the cost.
+    This error occurs for `quantity` at `time`. `cost` is the error of the cost relative to the cost.
     """
 
     states: float
@@ -278,12 +293,12 @@ class DiscretisationError:
 
     @property
     def is_large(self) -> bool:
-        """True if the error is above the limit for a note."""
+        """True if the error is so large that the user is warned."""
         return max(self.states, self.cost) > LARGE_ERROR
 
     @property
     def note(self) -> str:
-        """The message for the author, with the remedy."""
+        """The warning for the user, with the remedy."""
         return (
             f"the estimated error of the discretisation is {100.0 * self.states:.2g} % of {self.quantity} at t = "
             f"{self.time:.4g}, and {100.0 * self.cost:.2g} % of the cost: take more --steps, or --accuracy"
@@ -294,7 +309,7 @@ class DiscretisationError:
 class Result(Display):
     """A solution with its residuals.
 
-    `result["theta"]` and `result.theta` are the column of `q`, `p` or `u` with this name.
+    `result["theta"]` and `result.theta` return the column of `q`, `p` or `u` with the name "theta".
 
     Attributes
     ----------
@@ -303,36 +318,42 @@ class Result(Display):
     cost : float or None
         Cost of an optimisation, None for a simulation.
     residual, stationarity : float
-        Max-norm of all discrete equations, and of the optimality conditions. Both are evaluated outside the driver.
+        Max-norm of all discrete equations, and of the optimality conditions. Both are evaluated independently of the
+        driver.
     iterations : int
         Iterations of the last run.
     t, q, p : ndarray, shapes (M + 1,), (M + 1, coordinates)
         Times, coordinates (or states) and momenta at the nodes.
     u : ndarray or None
-        Controls; the rows belong to `control_times`.
+        Controls, with a row for each entry of `control_times`; None for a simulation.
     multipliers, energy, log, unknowns : ndarray or None
-        Multipliers of the equations of motion; energy at the nodes; iterates; all unknowns (n,), for a warm start.
+        Multipliers of the equations of motion; energy at the nodes; table of the iterates, with a row for each; vector
+        of all unknowns (n,), for a warm start.
     names, units : dict
         Names of the columns of `q`, `p` and `u`; units of columns, `t`, `cost` and `energy` by name.
     summary, labels : dict
-        Further numbers by name; names of entries in tables, see `label`.
+        Further numbers by name; texts that tables print for these names, see `label`.
     parameters : dict
         Parameter overrides of the solve.
     seconds_solve, seconds_code : float
-        Time of the fastest run; time of machine code, which was compiled if `compiled`, else read from the disk.
+        Time of the fastest run; time for compiling machine code, or for reading it from the disk.
+    compiled : bool
+        True if machine code was compiled.
     attempts, notes : tuple of str
-        Initial guesses that were tried; warnings about a solution.
+        Descriptions of the initial guesses that were tried; warnings about the solution.
     levels : tuple of Result
-        Results on the grids of a refinement.
+        Results on all grids of a refinement.
+    stage_abscissae : tuple of float
+        Positions of the stages as fractions of an interval; empty if controls are not at stages.
     grid : ndarray or None
-        Fractions of the duration, or of every phase, of unequal intervals.
+        Lengths of the intervals relative to the duration, or for each phase; None for equal intervals.
     accuracy, error, estimates, sensitivity
-        Outcome of a request for accuracy; estimated discretisation error; standard errors of free parameters;
-        derivatives, see `sensitivities`.
+        Outcome of a solve with a requested accuracy; estimated discretisation error; standard errors of free
+        parameters; derivatives of the solution, which the method `sensitivities` returns.
     by_segments : Result or None
-        For a problem with delays the result with columns for each segment.
+        For a problem with delays, the same result with separate columns for each segment.
     background : Background or None
-        Module and problem for figures.
+        Module and problem, which figures need.
     """
 
     problem: str
@@ -386,26 +407,29 @@ class Result(Display):
         Returns
         -------
         Sensitivities
-            `result.sensitivities()["start.x"].cost` is the derivative of the cost by a boundary value, `.q` has the
-            shape of `q`.
+            `result.sensitivities()["start.x"].cost` is the derivative of the cost with respect to a boundary value.
+            `result.sensitivities()["start.x"].q` is the derivative of `q`, and has the shape of `q`.
 
         Raises
         ------
         ArgumentError
-            If the solve had no option `sensitivities=True`.
+            If the solve did not have the option `sensitivities=True`.
         """
         if self.sensitivity is None:
             raise ArgumentError("this result has no sensitivities", "solve with sensitivities=True")
         return self.sensitivity
 
     def unit_of(self, entry: str) -> str:
-        """Return the unit of an entry of the summary or of a value such as `start.x`; empty if it is not known."""
+        """Return the unit of an entry of the summary, or of a value such as `start.x`; empty if no unit is declared."""
         of_time = {"duration": "t", "energy_drift": "energy", "energy_change": "energy"}
         name = of_time.get(entry, entry.removeprefix("final_").removeprefix("start.").removeprefix("end."))
         return self.units.get(name, "")
 
     def label(self, entry: str) -> str:
-        """Return the text for an entry of the summary: names of the author as written, other words with blanks."""
+        """Return the text that tables print for an entry of the summary.
+
+        Names from the problem are unchanged. In other entries blanks replace underscores.
+        """
         return self.labels.get(entry, entry.replace("_", " "))
 
     @property
@@ -428,7 +452,7 @@ class Result(Display):
         Parameters
         ----------
         times : array_like, shape (T,)
-            In the unit of `t`.
+            Times in the unit of `t`.
 
         Returns
         -------
@@ -454,13 +478,13 @@ class Result(Display):
 
     @property
     def intervals(self) -> str:
-        """The number of steps in words: `20 steps`, or `2 x 20 steps` in two phases."""
-        phases = (self.t.size - 1) // self.steps  # zero if a simulation has stored fewer
+        """The number of steps as text: `20 steps`, or `2 x 20 steps` in two phases."""
+        phases = (self.t.size - 1) // self.steps  # zero for a simulation that did not store every step
         return f"{phases} x {self.steps} steps" if phases > 1 else f"{self.steps} steps"
 
 
 def outline_of(result: Result) -> Outline:
-    """Return the outline of a result."""
+    """Return the part of a result that sweeps store."""
     named = {name: getattr(result, name) for name in ("t", "q", "p", "u", "multipliers", "energy")}
     arrays = {name: array for name, array in named.items() if array is not None}
     return Outline(result.status, result.message, result.cost, result.residual, arrays, result.unknowns)
@@ -474,17 +498,20 @@ def origin(metadata: Record, driver: str, run: Run, attempt: Attempt, seconds: f
 
 
 def contradicted(driver: str, finding: str, remedy: str) -> tuple[str, str]:
-    """Return status and message for a driver that reports success although equations are violated."""
+    """Return the status and the message for a driver that reports success although equations are violated.
+
+    `finding` states which equations are violated.
+    """
     return "inaccurate", f"{driver} reported success, but {finding}; {remedy}"
 
 
 def other_driver(attempt: Attempt) -> str:
-    """Return the remedy for a false claim of success."""
+    """Return the text of the remedy if a driver reports success although equations are violated."""
     return "try more steps, or another guess" if attempt.generated else "try more steps, or driver newton"
 
 
 def max_norm(values: Vector) -> float:
-    """Return the max-norm; infinite if an entry is not finite."""
+    """Return the max-norm of an array: 0 if it is empty, and infinity if an entry is not finite."""
     if values.size == 0:
         return 0.0
     norm = float(np.abs(values).max())
@@ -492,7 +519,7 @@ def max_norm(values: Vector) -> float:
 
 
 def component_names(metadata: Record) -> dict[str, tuple[str, ...]]:
-    """Return the names of the columns of q, p and u; with several bodies names end in the number of the body."""
+    """Return the names of the columns of q, p and u; for several bodies each name ends with the number of the body."""
     coordinates = tuple(metadata.coordinates)
     if metadata.form == Form.HAMILTONIAN:
         momenta = tuple(metadata.rates)
@@ -506,7 +533,7 @@ def component_names(metadata: Record) -> dict[str, tuple[str, ...]]:
 
 
 def component_units(metadata: Record) -> dict[str, str]:
-    """Return the units of columns and other quantities by name."""
+    """Return the declared units of columns and other quantities by name."""
     units: dict[str, str] = dict(metadata.units)
     if units and metadata.bodies > 1:
         for row in component_names(replace(metadata, bodies=1)).values():

@@ -1,7 +1,8 @@
 """The motion of a problem with delays, assembled from its segments.
 
-A problem with delays is solved as M segments on an M-th of the duration (`codegen.discretise.model.delays`). Its
-module has columns for the quantities of each segment. Users see the quantities of the problem over the whole duration.
+The motion of a problem with delays is cut into M segments of equal duration, which are solved together
+(`codegen.discretise.model.delays`). The module has a column for each quantity of each segment. Users see one column for
+each quantity, over the whole duration.
 """
 
 from __future__ import annotations
@@ -18,41 +19,57 @@ from codegen.solving.loading import Matrix, Vector
 from codegen.solving.results.result import Result
 
 _STEM = r"(?:joined|pi|lambda|mu|nu|p|start|end)_"
-"""Prefixes of the names of multipliers, momenta and linking variables."""
+"""Regular expression of the prefixes that multipliers, momenta and linking variables have before a quantity's name."""
 
 
 @dataclass(frozen=True)
 class Segments:
-    """The number of segments; for each of their quantities the name in the author's problem, and the segment."""
+    """The segments of a problem with delays, and conversions from the module's columns to the user's quantities.
+
+    `number` is the number of segments. `names` maps the name of a quantity in the module to its name in the user's
+    problem and to the number of its segment, from 1.
+    """
 
     number: int
     names: Mapping[str, tuple[str, int]]
 
     def steps(self, total: int) -> int:
-        """Return the intervals of each segment for `total` intervals, rounded up."""
+        """Return the number of intervals of each segment, rounded up, if the whole motion has `total` intervals."""
         return -(-total // self.number)
 
     def columns(self, names: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
-        """Return the names without segments, and the indices (segments, names) of their columns."""
+        """Return the names of the user's quantities, and the indices (segments, quantities) of their columns.
+
+        `names` are the names of the columns in the module.
+        """
         indices: dict[str, list[int]] = {}
         for index, name in enumerate(names):
             indices.setdefault(self.split(name)[0], []).append(index)
         return tuple(indices), np.array([*indices.values()], dtype=int).reshape(-1, self.number).T
 
     def in_order(self, table: Matrix, columns: np.ndarray, at_nodes: bool) -> Matrix:
-        """Return the rows of all segments in order; where two segments meet, the node of the first one is kept."""
+        """Return the table of the whole motion, with the rows of all segments one after the other.
+
+        Row i of `columns` has the indices of the columns of `table` that belong to segment i. If `at_nodes` is True,
+        the rows are values at nodes. The first node of each later segment is then omitted, because it coincides with
+        the last node of the segment before.
+        """
         return np.concatenate([table[int(at_nodes and i > 0) :, row] for i, row in enumerate(columns)])
 
     def times(self, t: Vector) -> Vector:
-        """Return the times of the nodes of all segments."""
+        """Return the times of all nodes of the whole motion; `t` are the times of the nodes of the first segment."""
         return np.concatenate([t + 0.0, *(t[1:] + i * (t[-1] - t[0]) for i in range(1, self.number))])
 
     def text(self, text: str, steps: int, duration: float) -> str:
-        """Return a message with the author's names, and with nodes, intervals and times of the whole motion."""
+        """Return a message of the module in terms of the whole motion.
+
+        Names become the names of the user. Nodes, intervals and times are counted from the start of the motion. Each
+        segment has `steps` intervals and lasts `duration`.
+        """
         named = "|".join(sorted(map(re.escape, self.names), key=len, reverse=True))
         place = r"(?: (?:at node|on interval|of interval) \d+ \(t = [^)]*\))"
 
-        # Where a segment ends, the next one begins.
+        # A violated continuity condition belongs to the time at which its segment ends and the next one begins.
         def at_switch(match: re.Match[str]) -> str:
             name, segment = self.names[match[2]]
             return f"{match[1]}{name} at t = {segment * duration:.3g}"
@@ -76,7 +93,10 @@ class Segments:
         return name + re.sub(r"((?:at node|on interval|of interval) )(\d+) \(t = ([^)]*)\)", shifted, rest)
 
     def split(self, name: str) -> tuple[str, int]:
-        """Return a name without its segment, and the segment; other names are unchanged, with segment 1."""
+        """Return the name of a column without its segment, and the number of the segment.
+
+        A name that belongs to no segment is unchanged, and has the number 1.
+        """
         inner, stage = re.fullmatch(r"(.+?)((?:_stage\d+)?)", name).groups()  # type: ignore[union-attr]
         stem = ""
         while inner not in self.names and (prefix := re.match(_STEM, inner)):
@@ -86,13 +106,13 @@ class Segments:
 
 
 def segments_of(metadata: Record) -> Segments | None:
-    """Return the segments of a module's problem, None without delays."""
+    """Return the segments of a problem with delays from the metadata of its module; None for other problems."""
     record = metadata.segments
     return Segments(record.number, record.names) if record else None
 
 
 def multiplier_names(metadata: ControlRecord, count: int) -> list[str]:
-    """Return the names of the `count` columns of multipliers."""
+    """Return the names of the `count` columns of the array `multipliers` of a result."""
     if metadata.method == Method.VARIATIONAL:
         return [f"lambda_{name}" for name in metadata.coordinates]
     names = metadata.interval
@@ -101,7 +121,10 @@ def multiplier_names(metadata: ControlRecord, count: int) -> list[str]:
 
 
 def put_together(result: Result, metadata: Record) -> Result:
-    """Return the result of a problem with delays in the author's quantities; other results are unchanged."""
+    """Return the result of a problem with delays with one column for each quantity of the user's problem.
+
+    The columns of `result` are quantities of segments. Results of other problems are returned unchanged.
+    """
     segments = segments_of(metadata)
     if segments is None:
         return result

@@ -1,4 +1,4 @@
-"""Sensitivities of a solution: its derivatives by parameters, boundary values and a given duration, by name."""
+"""Sensitivities of a solution: its derivatives with respect to parameters, boundary values and a given duration."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from codegen.solving.results.result import Derivatives, Result, Sensitivities
 from codegen.solving.results.segments import put_together, segments_of
 
 SHARP = 1e-12
-"""The tolerance for another solve if a solution has no sensitivities."""
+"""The tolerance of the solve that is repeated if the derivatives do not exist at a solution."""
 UNSOLVED = "the problem was not solved"
+"""The reason for missing sensitivities of a failed solve."""
 
 
 def require_sensitive(module: Any) -> None:
-    """Raise ArgumentError for a module that was built without sensitivities."""
+    """Raise ArgumentError if a module for optimal control was built without code for sensitivities."""
     task, problem = module.metadata.task, module.metadata.problem
     if task == Task.CONTROL and module.metadata.sensitivities is None:
         finding = f"the module of {problem} has no sensitivities"
@@ -30,7 +31,11 @@ def require_sensitive(module: Any) -> None:
 
 @dataclass(frozen=True)
 class Rates:
-    """The derivatives from a module at the unknowns (n,) of a solution; `sensitivities` has no arrays yet."""
+    """The derivatives that a module computed at the unknowns (n,) of a solution.
+
+    `found` is the return value of `sensitivities` of the module, with derivatives of the vector of unknowns.
+    `sensitivities` has the names and derivatives of the cost, but no derivatives of trajectories yet.
+    """
 
     module: Any
     grid: Grid
@@ -40,14 +45,17 @@ class Rates:
 
     @property
     def free(self) -> dict[str, Vector]:
-        """Derivatives (m,) of free parameters by all quantities."""
+        """Derivatives (m,) of each free parameter, by its name, with respect to all m quantities."""
         names, couplings = self.module.metadata.free_parameters, self.module.problem.structure.couplings
         last = self.found.unknowns.shape[1] - couplings
         columns = self.found.unknowns[:, last - len(names) : last].T
         return dict(zip(names, columns, strict=True))
 
     def derivatives(self, result: Result) -> list[Derivatives]:
-        """Return the derivatives of a result by each quantity; those of segments are assembled."""
+        """Return the derivatives of a result with respect to each quantity.
+
+        For a problem with delays the derivatives of all segments are assembled to derivatives of the whole motion.
+        """
         module, found, segments = self.module, self.found, segments_of(self.module.metadata)
         each = []
         for i, _ in enumerate(self.sensitivities.names):
@@ -68,10 +76,12 @@ class Rates:
 def rates_at(
     module: Any, steps: int, unknowns: Vector, given: Sequence[str] = (), fractions: Vector | None = None
 ) -> Rates:
-    """Return the derivatives of a solution on a grid of intervals, which may last `fractions` of the duration.
+    """Return the derivatives of a solution `unknowns` (n,) on a grid of `steps` intervals.
 
-    The quantities `given` by name do not follow from others. If the derivatives do not exist, they are evaluated again
-    at a solution with the tolerance `SHARP`: where curvatures are small, errors of the multipliers may hide a minimum.
+    `fractions` are the lengths of the intervals relative to the duration; None means equal intervals. `given` names
+    boundary values or durations that parameters do not change, even if the problem defines them by formulas. If the
+    derivatives do not exist, the problem is solved again with the tolerance `SHARP`. Errors of the multipliers may hide
+    a minimum whose curvatures are small.
     """
     names, grid = tuple(module.metadata.sensitivities), time_grid(module, steps, fractions)
     found = module.sensitivities(grid, unknowns, given)
@@ -86,9 +96,9 @@ def rates_at(
 
 
 def with_sensitivities(result: Result, module: Any, given: tuple[str, ...] = ()) -> Result:
-    """Return the result of a module, before the assembly of segments, with its sensitivities.
+    """Return the result with its sensitivities; for a problem with delays its segments must not be assembled yet.
 
-    The quantities `given` by name do not follow from others.
+    `given` names boundary values or durations that parameters do not change; see `rates_at`.
     """
     if not result.solved or result.unknowns is None:
         names = tuple(module.metadata.sensitivities)
@@ -103,14 +113,17 @@ def with_sensitivities(result: Result, module: Any, given: tuple[str, ...] = ())
 
 
 def quantity_values(module: Any, result: Result) -> dict[str, Vector]:
-    """Return the default values (bodies,) of the quantities of sensitivities, and the duration of a solution."""
+    """Return the values (bodies,) of the quantities with respect to which sensitivities are taken, by name.
+
+    Parameters and boundary values have their default values. The duration is read from the result.
+    """
     names, parameters = module.metadata.sensitivities, module.make_grid(few_steps(module, 4)).parameters
     values = dict(zip(names[: module.OWN_QUANTITIES], parameters.T))
     return values | ({"duration": np.array([result.t[-1] - result.t[0]])} if "duration" in names else {})
 
 
 def _unknown_name(module: Any, grid: Grid, index: int) -> str:
-    """Return the description of an unknown with its node or interval."""
+    """Return the description of the unknown with an index, for example "state x at node 3"."""
     metadata = module.metadata
     node, bodies = len(metadata.node), metadata.bodies
     stride = node + len(metadata.interval)
@@ -126,7 +139,10 @@ def _unknown_name(module: Any, grid: Grid, index: int) -> str:
 
 
 def as_record(sensitivities: Sensitivities, result: Result) -> dict[str, Any]:
-    """Return the part of the JSON object for sensitivities: derivatives of numbers, and of the state at the end."""
+    """Return the sensitivities as an object for JSON.
+
+    For each quantity the object has the derivatives of the cost, durations, free parameters and the state at the end.
+    """
     by: dict[str, Any] = dict.fromkeys(sensitivities)
     if not sensitivities.reason:
         for name, derivatives in sensitivities.items():
@@ -146,7 +162,10 @@ def as_record(sensitivities: Sensitivities, result: Result) -> dict[str, Any]:
 
 
 def as_arrays(sensitivities: Sensitivities) -> dict[str, Any]:
-    """Return the arrays of an archive: `d_...` has a row for each of `d_names`."""
+    """Return the arrays that an .npz archive stores, by name.
+
+    Each array `d_...` has a row for each quantity in `d_names`, with respect to which derivatives were taken.
+    """
     if sensitivities.reason:
         return {}
     arrays = {"d_names": np.array(sensitivities.names), "d_cost": sensitivities.costs}
