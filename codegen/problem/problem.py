@@ -127,6 +127,21 @@ class Simulate(Problem):
 
     A Simulate has a Lagrangian or a Hamiltonian. For first-order dynamics, holonomic constraints and delays, use a
     Control without controls and cost, whose time steps are solved together.
+
+    Parameters
+    ----------
+    lagrangian, hamiltonian : expression
+        Exactly one of these arguments defines the motion: the Lagrangian L(q, dq, t) or the Hamiltonian H(q, p, t).
+    force : dict
+        Generalised forces by coordinates.
+    duration : expression
+        Duration T of the motion.
+    start : dict
+        Values at t = 0 of all coordinates, and of all velocities or all momenta.
+    steps : int
+        Default number N of time steps.
+    drawing : sequence of Item
+        Drawing of the system for figures and films (see `codegen.drawing`), without effect on the solution.
     """
 
     task: ClassVar[str] = "simulate"
@@ -142,8 +157,18 @@ class Control(Problem):
 
     Parameters
     ----------
-    lagrangian, hamiltonian, dynamics, force, duration, start, steps, drawing
-        See Problem. Boundary values that `start` and `end` omit are free.
+    lagrangian, hamiltonian, dynamics : expression, expression, dict
+        Exactly one of these arguments defines the motion: the Lagrangian L(q, dq, t), the Hamiltonian H(q, p, t), or
+        the time derivative of each state, x' = f(x, u, t).
+    force : dict
+        Generalised forces by coordinates, which may contain controls.
+    duration : expression
+        Duration T of the motion; a free parameter makes it free.
+    start : dict
+        Values at t = 0 of coordinates and velocities (or momenta, or states). Values that `start` and `end` omit are
+        free.
+    steps, drawing
+        Default number N of intervals; drawing of the system, as for `Simulate`.
     cost, terminal_cost : expression
         Integrand of the cost, and cost at T.
     maximise, terminal_maximise : expression

@@ -202,7 +202,7 @@ def test_a_missing_library_is_named_with_its_extra(monkeypatch, solution, method
     monkeypatch.setattr(
         "codegen.solving.results.display.find_spec", lambda name: None if name == library else real(name)
     )
-    with pytest.raises(ExtraError, match=rf"needs {library}, which is not installed; pip install xarray zarr"):
+    with pytest.raises(ExtraError, match=rf"needs {library}, which is not installed; pip install {library}"):
         getattr(solution, method)()
 
 

@@ -99,10 +99,7 @@ _ROUNDED = 1e-9
 Neighbours that move apart have large momenta, so that rounding errors of positions come close to this value.
 """
 _OWN = ("tolerance", "trajectories", "scaled", "is_explained", "generated")
-"""Fields of an attempt that are not copied from the return value of `solve` of a module.
-
-Modules of earlier versions return no `scaled`.
-"""
+"""Fields of an attempt that are not copied from the return value of `solve` of a module."""
 _CLAIMED: dict[type, tuple[str, ...]] = {
     attempt: tuple(f.name for f in fields(attempt) if f.name not in _OWN)
     for attempt in (ControlAttempt, SimulateAttempt)
@@ -121,9 +118,8 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
         options["grid"] = run.grid
     solution = module.solve(steps=run.steps, guess=run.guess, warm=warm, tolerance=tolerance, **options)
     trajectories = (solution.t, solution.q, solution.p, solution.u, solution.multipliers)
-    scaled = getattr(solution, "scaled", None)
     return ControlAttempt(
-        **_claimed(ControlAttempt, solution), tolerance=tolerance, trajectories=trajectories, scaled=scaled,
+        **_claimed(ControlAttempt, solution), tolerance=tolerance, trajectories=trajectories, scaled=solution.scaled,
         generated=True,
     )  # fmt: skip
 

@@ -272,7 +272,7 @@ def _require_library(library: str, purpose: str) -> None:
     The text `purpose` states what needs the library.
     """
     if find_spec(library) is None:
-        raise ExtraError(f"{purpose} needs {library}, which is not installed", "pip install xarray zarr netCDF4")
+        raise ExtraError(f"{purpose} needs {library}, which is not installed", f"pip install {library}")
 
 
 def _with_columns(display: Display) -> Any:
