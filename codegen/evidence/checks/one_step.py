@@ -25,7 +25,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import mpmath
 import sympy
@@ -41,7 +40,7 @@ from codegen.discretise.schemes.base import Scheme, Tableau
 from codegen.discretise.simulation import phase_functions
 from codegen.errors import DegenerateError, NumericsError
 from codegen.evidence.analysis.modified_equations import vector_field
-from codegen.evidence.checks.base import Context, Finding, Function, does_not_apply, function_of, random_points
+from codegen.evidence.checks.base import Context, Finding, Function, Numbers, does_not_apply, function_of, random_points
 from codegen.problem.problem import Simulate
 from codegen.problem.symbols import coordinate, time
 from codegen.symbolic.zeros import identically_zero
@@ -110,7 +109,9 @@ def jacobians(left: Sequence[Symbol], right: Sequence[Symbol], equations: Sequen
     return column.jacobian(list(left)), column.jacobian(list(right))
 
 
-def solved_step(residual: Function, jacobian: Function, data: Sequence[Any], start: Sequence[Any]) -> list[Any]:
+def solved_step(
+    residual: Function, jacobian: Function, data: Sequence[mpmath.mpf], start: Sequence[mpmath.mpf]
+) -> Numbers:
     """Return the unknowns of a step by Newton's method in mpmath's current precision, from `start`.
 
     `residual` and `jacobian` (row by row) are functions of `data` and the unknowns. Raises NumericsError if the
@@ -129,7 +130,7 @@ def solved_step(residual: Function, jacobian: Function, data: Sequence[Any], sta
     raise NumericsError("the equations of a step could not be solved", "check the scheme")
 
 
-def _matrix(entries: list[Any], columns: int) -> mpmath.matrix:
+def _matrix(entries: Numbers, columns: int) -> mpmath.matrix:
     return mpmath.matrix([entries[i : i + columns] for i in range(0, len(entries), columns)])
 
 
@@ -392,7 +393,7 @@ def measured_order(scheme: Scheme) -> tuple[float, float]:
 
 
 @cache
-def _flow_after(divisions: int) -> list[mpmath.mpf]:
+def _flow_after(divisions: int) -> Numbers:
     """Return the exact flow of the generic system over a fraction of the unit of time, by mpmath's Taylor series."""
     phase = legendre.hamiltonian_form(generic_model().with_free_ends)
     rates = function_of([phase.time, *phase.coordinates, *phase.rates], vector_field(phase))
