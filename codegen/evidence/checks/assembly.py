@@ -102,7 +102,6 @@ def check_assembly(context: Context) -> Iterator[Finding]:
     # Compare the structured elimination with the dense matrix. A shift of the Hessian makes both regular.
     system, step = allocate_system(grid), np.empty_like(unknowns)
     # The last shift is large enough for any units of the Hessian: it makes every row diagonally dominant.
-    primal = module.primal_unknowns(grid)
     dominant = np.ones(unknowns.size)
     dominant[primal] += np.abs(matrix[np.ix_(primal, primal)]).sum(axis=1)
     for shift in (*_SHIFTS, dominant[free]):

@@ -6,7 +6,8 @@ second part belongs to the open questions of chapter 6.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,6 +18,10 @@ from codegen.evidence.report.page import colour_of
 from codegen.evidence.report.store import Settings, Store, Values, few_landmarks
 from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 from codegen.solving.drivers import DRIVERS
+from codegen.solving.loading import Vector
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLOURS = {
     "stepping, newton": BLUE,
@@ -35,7 +40,7 @@ Rows = list[tuple[int, Values]]
 """Numbers of steps, or of landmarks, and the values that were measured with them."""
 
 
-def reference_cost(store: Store, count: int) -> Any:
+def reference_cost(store: Store, count: int) -> float | None:
     """The cost of the reference of a set of landmarks, None if it was not measured."""
     return (store.get(landmark_effort.REFERENCES, f"nc {count}") or {}).get("cost")
 
@@ -61,7 +66,7 @@ def landmarks(settings: Settings) -> Figure:
     return figure
 
 
-def _draw_paths(axes: Any, path: Any, title: str) -> None:
+def _draw_paths(axes: Axes, path: Vector | Sequence[object], title: str) -> None:
     """Paths of points in the unit disc, array of shape (N + 1, n, 2)."""
     path = np.asarray(path, dtype=float)
     axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, color=GREY, linewidth=0.8))
@@ -86,11 +91,7 @@ def routes(settings: Settings, store: Store, scheme: str) -> Figure:
             solved = [(n, v) for n, v in rows if v["status"] == "solved"]
             failed = [(n, v) for n, v in rows if v["status"] != "solved"]
             colour, width = COLOURS[route.label], 2.6 if route.label == STEPPING else 1.2
-            look = {
-                "linestyle": "-" if DRIVERS[route.driver].generated else "--",
-                "color": colour,
-                "linewidth": width,
-            }
+            look = {"linestyle": "-" if DRIVERS[route.driver].generated else "--", "color": colour, "linewidth": width}
             steps = [n for n, _ in solved]
             if exact is not None:
                 cost_axes.semilogy(steps, [abs(v["cost"] - exact) for _, v in solved], alpha=0.9, **look)
@@ -123,8 +124,8 @@ def route_paths(settings: Settings, store: Store, scheme: str) -> Figure:
     rows = figure.subplots(len(counts), len(names), squeeze=False)
     for row, count in zip(rows, counts, strict=True):
         for axes, name in zip(row, names, strict=True):
-            if paths[count, name]:
-                _draw_paths(axes, paths[count, name], name if count == counts[0] else "")
+            if path := paths[count, name]:
+                _draw_paths(axes, path, name if count == counts[0] else "")
             else:
                 axes.axis("off")
                 axes.text(0.5, 0.5, "not measured", ha="center", va="center", fontsize=8, color=GREY,
@@ -311,15 +312,14 @@ def smoothness_figure(store: Store) -> Figure:
     return figure
 
 
-def warps(store: Store, amplitude: float) -> list[dict[str, Any]]:
+def warps(store: Store, amplitude: float) -> list[Values]:
     """The warps of an amplitude by growing N, with errors against the finest warp; empty without that warp."""
     prefix = f"amplitude {amplitude:g};"
-    rows = [dict(v) for name, v in store.rows(landmark_motion.SMOOTHNESS_SECTION) if name.startswith(prefix)]
+    rows = [v for name, v in store.rows(landmark_motion.SMOOTHNESS_SECTION) if name.startswith(prefix)]
     rows = sorted((v for v in rows if v["status"] == "solved"), key=lambda v: int(v["steps"]))
     if len(rows) < 2:
         return []
     *rows, finest = rows
-    for values in rows:
-        values["error"] = float(np.abs(np.array(values["places"]) - np.array(finest["places"])).max())
-        values["exact least area"] = finest["least area"]
-    return rows
+    errors = [float(np.abs(np.array(v["places"]) - np.array(finest["places"])).max()) for v in rows]
+    least = finest["least area"]
+    return [{**v, "error": error, "exact least area": least} for v, error in zip(rows, errors, strict=True)]
