@@ -34,11 +34,15 @@ _ROUNDING = mpmath.mpf("1e-40")
 
 @dataclass
 class Generator:
-    """An adjoined function: its expression, and its derivatives, which are computed once."""
+    """An adjoined function of an argument: its expression, and its slope by the argument.
+
+    The derivatives by all variables are computed once.
+    """
 
     expression: Expr
-    derivatives: Callable[[], tuple[Element, ...]]
-    computed: tuple[Element, ...] | None = None
+    slope: Callable[[], Element]
+    argument: Element
+    derivatives: tuple[Element, ...] | None = None
 
 
 class NormalForms:
@@ -167,21 +171,22 @@ class NormalForms:
         )
         return sympy.Add(*terms)
 
-    def _adjoin(self, key: Key, expression: Expr, derivatives: Callable[[], tuple[Element, ...]]) -> Element:
+    def _adjoin(self, key: Key, expression: Expr, slope: Callable[[], Element], argument: Element) -> Element:
         if key not in self._elements:
             if self._slot(len(self._adjoined)) < 0:
                 raise ExpressionError("more elementary functions than can be expanded", "write a smaller problem")
             self._elements[key] = self.ring.gens[self._slot(len(self._adjoined))]
-            self._adjoined.append(Generator(expression, derivatives))
+            self._adjoined.append(Generator(expression, slope, argument))
         return self._elements[key]
 
     def _slot(self, number: int) -> int:
         return self._size - 1 - len(self._symbols) - number
 
     def _derivatives(self, generator: Generator) -> tuple[Element, ...]:
-        if generator.computed is None:
-            generator.computed = generator.derivatives()
-        return generator.computed
+        if generator.derivatives is None:
+            slope = generator.slope()
+            generator.derivatives = tuple(self.product(slope, d) for d in self.gradient(generator.argument))
+        return generator.derivatives
 
     def _vanishes_at_points(self, element: Element, count: int) -> bool:
         points = 0
@@ -313,7 +318,7 @@ class FunctionRing(NormalForms):
         if value in self._index:
             return self.symbol(value)
         if isinstance(value, sympy.NumberSymbol):
-            return self._adjoin(("number", value), value, lambda: (self.zero,) * len(self.variables))
+            return self._adjoin(("number", value), value, lambda: self.zero, self.zero)
         if isinstance(value, (sympy.Add, sympy.Mul)):
             parts = [self._constant(part) for part in value.args]
             return sum(parts, self.zero) if isinstance(value, sympy.Add) else self.reduced(sympy.prod(parts))
@@ -331,11 +336,10 @@ class FunctionRing(NormalForms):
         factor = self._constant(exponent)
         key = ("power", base, factor)
 
-        def derivatives() -> tuple[Element, ...]:
-            slope = self.product(self.product(factor, self._elements[key]), self.reciprocal(base))
-            return tuple(self.product(slope, d) for d in self.gradient(base))
+        def slope() -> Element:
+            return self.product(self.product(factor, self._elements[key]), self.reciprocal(base))
 
-        return self._adjoin(key, self.expression(base) ** exponent, derivatives)
+        return self._adjoin(key, self.expression(base) ** exponent, slope, base)
 
     def reciprocal(self, base: Element) -> Element:
         """Return one over an element, as a product of the reciprocals of its factors."""
@@ -355,12 +359,8 @@ class FunctionRing(NormalForms):
                 return details[0]
         key = ("reciprocal", factor)
         if key not in self._elements:
-
-            def derivatives() -> tuple[Element, ...]:
-                square = self.power(self._elements[key], 2)
-                return tuple(-self.product(square, d) for d in self.gradient(factor))
-
-            element = self._adjoin(key, 1 / self.expression(factor), derivatives)
+            inverse = 1 / self.expression(factor)
+            element = self._adjoin(key, inverse, lambda: -self.power(self._elements[key], 2), factor)
             self._reciprocals.append((self._slot(len(self._adjoined) - 1), factor))
             self._rewrite_product(element, factor)
             for (kind, *details), root in list(self._elements.items()):
@@ -382,11 +382,10 @@ class FunctionRing(NormalForms):
         key = ("root", primitive, degree)
         if key not in self._elements:
 
-            def derivatives() -> tuple[Element, ...]:
-                slope = self.power(self.reciprocal(self._elements[key]), degree - 1) * QQ(1, degree)
-                return tuple(self.product(slope, d) for d in self.gradient(primitive))
+            def slope() -> Element:
+                return self.power(self.reciprocal(self._elements[key]), degree - 1) * QQ(1, degree)
 
-            element = self._adjoin(key, sympy.root(self.expression(primitive), degree), derivatives)
+            element = self._adjoin(key, sympy.root(self.expression(primitive), degree), slope, primitive)
             self._rules.append((sparse((element**degree).LM), primitive))
         return self.product(number, self._elements[key])
 
@@ -403,7 +402,7 @@ class FunctionRing(NormalForms):
             root = sympy.root(base, int(exponent.q))
             key = ("root", self.number(base), int(exponent.q))
             if key not in self._elements:
-                element = self._adjoin(key, root, lambda: (self.zero,) * len(self.variables))
+                element = self._adjoin(key, root, lambda: self.zero, self.zero)
                 self._rules.append((sparse((element ** int(exponent.q)).LM), self.number(base)))
             positive = self._elements[key]
             chosen = positive if exponent.p > 0 else self.reciprocal(positive)
@@ -421,20 +420,12 @@ class FunctionRing(NormalForms):
         if value.is_Rational:
             return self.number(value)
         slope = sympy.diff(function(_X), _X)
-
-        def derivatives() -> tuple[Element, ...]:
-            outer = self.function(slope, _X, argument)
-            return tuple(self.product(outer, d) for d in self.gradient(argument))
-
-        return self._adjoin((function.__name__, argument), value, derivatives)
+        key = (function.__name__, argument)
+        return self._adjoin(key, value, lambda: self.function(slope, _X, argument), argument)
 
     def _exponential(self, exponent: Element) -> Element:
         key = ("exp", exponent)
-
-        def derivatives() -> tuple[Element, ...]:
-            return tuple(self.product(self._elements[key], d) for d in self.gradient(exponent))
-
-        return self._adjoin(key, sympy.exp(self.expression(exponent)), derivatives)
+        return self._adjoin(key, sympy.exp(self.expression(exponent)), lambda: self._elements[key], exponent)
 
     def _turned(self, angle: Element) -> tuple[Element, Element]:
         """Return sine and cosine of a sum by the addition theorems, from the angles of the basis or from its terms."""
@@ -465,12 +456,8 @@ class FunctionRing(NormalForms):
         keys = ("sin", angle), ("cos", angle)
         if keys[0] not in self._elements:
             expression = self.expression(angle)
-
-            def scaled(key: Key, sign: int) -> Callable[[], tuple[Element, ...]]:
-                return lambda: tuple(self.product(self._elements[key] * sign, d) for d in self.gradient(angle))
-
-            cosine = self._adjoin(keys[1], sympy.cos(expression), scaled(keys[0], -1))
-            sine = self._adjoin(keys[0], sympy.sin(expression), scaled(keys[1], 1))
+            cosine = self._adjoin(keys[1], sympy.cos(expression), lambda: -self._elements[keys[0]], angle)
+            sine = self._adjoin(keys[0], sympy.sin(expression), lambda: self._elements[keys[1]], angle)
             self._rules.append((sparse((sine**2).LM), self.one - cosine**2))
         return self._elements[keys[0]], self._elements[keys[1]]
 

@@ -190,8 +190,18 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
     z = [*conditions.states, *conditions.costates]
     substitution = dict(zip(model.controls, conditions.optimal_control, strict=True))
     eliminated = conditions.hamiltonian.xreplace(substitution)
-    if _is_surely_curved(eliminated, z, model):
-        return None
+    # Third differences on some line, in 60 digits, may show that K is not quadratic in z. The expansion of a long
+    # expression takes a minute and has the same result.
+    numbers = model.default_values | {model.time: 0.37}
+    evaluate = sympy.lambdify([*z, *numbers], eliminated, modules="mpmath", cse=True)
+    with mpmath.workdps(60):
+        begin = [mpmath.mpf(3 + 2 * i) / 17 for i in range(len(z))]
+        slopes = [mpmath.mpf(5 + 7 * i % 11) / 23 for i in range(len(z))]
+        data = [mpmath.mpf(value) for value in numbers.values()]
+        values = [evaluate(*(a + k * b for a, b in zip(begin, slopes, strict=True)), *data) for k in range(4)]
+        difference = abs(values[3] - 3 * values[2] + 3 * values[1] - values[0])
+        if difference > mpmath.mpf(10) ** -40 * max(abs(value) for value in values):
+            return None
     reduced = sympy.expand(eliminated)
     at_zero = dict.fromkeys(z, sympy.S.Zero)
     gradient = sympy.Matrix([reduced.diff(symbol) for symbol in z])
@@ -240,22 +250,6 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
         states=tuple(solution[:half]),
         controls=tuple(u.xreplace(trajectory) for u in conditions.optimal_control),
     )
-
-
-def _is_surely_curved(function: sympy.Expr, z: Sequence[sympy.Symbol], model: Model) -> bool:
-    """Return True if third differences on some line, in 60 digits, show that a function of z is not quadratic.
-
-    The expansion of a long expression takes a minute and has the same result.
-    """
-    numbers = model.default_values | {model.time: 0.37}
-    evaluate = sympy.lambdify([*z, *numbers], function, modules="mpmath", cse=True)
-    with mpmath.workdps(60):
-        first = [mpmath.mpf(3 + 2 * i) / 17 for i in range(len(z))]
-        slopes = [mpmath.mpf(5 + 7 * i % 11) / 23 for i in range(len(z))]
-        constants = [mpmath.mpf(value) for value in numbers.values()]
-        values = [evaluate(*(a + k * b for a, b in zip(first, slopes, strict=True)), *constants) for k in range(4)]
-        difference = abs(values[3] - 3 * values[2] + 3 * values[1] - values[0])
-        return bool(difference > mpmath.mpf(10) ** -40 * max(abs(value) for value in values))
 
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ not appear in the Lagrangian, so that no kernel verifies them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
 from typing import TypeAlias
@@ -222,9 +222,31 @@ def check_given_values(context: Context) -> Iterator[Finding]:
     """Compare the table of parameters, pinned values and bounds, entry by entry."""
     program = context.control
     flat = FlatVector.on_grid(program, few_steps(program, _FEW_STEPS))
-    yield _boundary_values(context, program)
+    # Compare every body's row of parameters and boundary values. Values of a free end cannot appear there.
+    module, model = context.module, context.model
+    written: dict[tuple[str, str], Expr] = {}
+    first, last, rates = (model.phases or (model,))[0], (model.phases or (model,))[-1], model.rates
+    if program.method == "variational" and model.form == "hamiltonian":
+        first, last = in_velocities(first), in_velocities(last)  # prescribed momenta are velocities there
+        rates = first.rates
+    for where, boundary in (("start", first.start), ("end", last.end)):
+        assert boundary is not None, "a control problem has an end"
+        quantities = zip((*model.coordinates, *rates), (*boundary.positions, *boundary.rates), strict=True)
+        written |= {(where, q.name): value for q, value in quantities if value is not None}
+    grid = module.make_grid(flat.phase_steps)
+    ends = [f"{v.where} {v.quantity}" for v in program.boundary_values]
+    if {(v.where, v.quantity) for v in program.boundary_values} != written.keys():
+        detail = f"values are given of {', '.join(ends)}, not of what was written"
+        yield Finding("given values", "boundary values", False, detail)
+    else:
+        entries = [*(f"parameter {p}" for p in model.parameters), *ends]
+        names, pairs = list[str](), list[tuple[float, float]]()
+        for body in range(program.bodies):
+            ours = [_number(written[v.where, v.quantity], program, body) for v in program.boundary_values]
+            names += [f"{entry} of body {body} is" for entry in entries]
+            pairs += zip(grid.parameters[body][: len(entries)], [*model.defaults, *ours], strict=True)
+        yield _compared("boundary values", names, pairs, f"{', '.join(ends) or 'none'}: as written")
     # Compare the entries that `with_pinned_values` overwrites in an arbitrary vector, and their values.
-    grid = context.module.make_grid(flat.phase_steps)
     before = np.random.default_rng(5).uniform(1.0, 2.0, flat.size)
     expected, free = before.copy(), flat.free()
     for body in range(program.bodies):
@@ -238,12 +260,11 @@ def check_given_values(context: Context) -> Iterator[Finding]:
         for k in range(1, flat.steps):
             indices = flat.node(body, k)[list(program.inner.unknowns)]
             expected[indices] = np.where(free[indices], before[indices], 0.0)
-    pinned, fixed = context.module.with_pinned_values(grid, before), np.count_nonzero(expected != before)
+    pinned, fixed = module.with_pinned_values(grid, before), np.count_nonzero(expected != before)
     detail = f"{fixed} unknowns at the ends have their values, all others are left alone"
     names = [f"{name} is given" for name in flat.names()]
     yield _compared("pinned unknowns", names, list(zip(pinned, expected, strict=True)), detail)
     # Compare tables of bounds with the author's bounds. Slacks are not negative, pinned unknowns have no bounds.
-    module, model = context.module, context.model
     if not program.has_inequalities:
         passed = not hasattr(module, "variable_bounds")
         detail = "there are none" if passed else "there are none, but the module has variable_bounds"
@@ -304,13 +325,12 @@ def check_given_values(context: Context) -> Iterator[Finding]:
         node, jumps = flat.node(0, number * flat.phase_steps), model.jumps[number - 1]
         jumping = {symbol.name for symbol, _ in jumps}
         put(node, program.node, 0, {name: pair for name, pair in of_phases[number].items() if name not in jumping})
-        ends = {symbol.name for symbol in prescribed(model.phases[number - 1], "end")}
-        indices = node[[i for i, unknown in enumerate(program.node) if unknown.name in ends]]
+        at_end = {symbol.name for symbol in prescribed(model.phases[number - 1], "end")}
+        indices = node[[i for i, unknown in enumerate(program.node) if unknown.name in at_end]]
         lower[indices], upper[indices] = -np.inf, np.inf
-    free = flat.free()
     lower[~free], upper[~free] = -np.inf, np.inf
 
-    bounds = module.variable_bounds(module.make_grid(flat.phase_steps))
+    bounds = module.variable_bounds(grid)
     names = [f"the {side} bound of {name} is" for side in ("lower", "upper") for name in flat.names()]
     pairs = [*zip(bounds[0], lower, strict=True), *zip(bounds[1], upper, strict=True)]
     count = np.count_nonzero(np.isfinite(lower)) + np.count_nonzero(np.isfinite(upper))
@@ -336,30 +356,3 @@ def _compared(subject: str, names: Sequence[str], pairs: Sequence[tuple[float, f
     ]
     more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
     return Finding("given values", subject, not wrong, f"{wrong[0]}{more}" if wrong else right)
-
-
-def _boundary_values(context: Context, program: ControlProgram) -> Finding:
-    """Compare every body's row of parameters and boundary values. Values of a free end cannot appear there."""
-    model = context.model
-    written: dict[tuple[str, str], Expr] = {}
-    first, last = (model.phases or (model,))[0], (model.phases or (model,))[-1]
-    if program.method == "variational" and model.form == "hamiltonian":
-        first, last = in_velocities(first), in_velocities(last)  # prescribed momenta are velocities there
-        model = replace(model, rates=first.rates)
-    for where, boundary in (("start", first.start), ("end", last.end)):
-        assert boundary is not None, "a control problem has an end"
-        quantities = zip((*model.coordinates, *model.rates), (*boundary.positions, *boundary.rates), strict=True)
-        written |= {(where, q.name): value for q, value in quantities if value is not None}
-    grid = context.module.make_grid(few_steps(program, _FEW_STEPS))
-    ends = [f"{v.where} {v.quantity}" for v in program.boundary_values]
-    if {(v.where, v.quantity) for v in program.boundary_values} != written.keys():
-        detail = f"values are given of {', '.join(ends)}, not of what was written"
-        return Finding("given values", "boundary values", False, detail)
-    entries = [*(f"parameter {p}" for p in model.parameters), *ends]
-    names, pairs = list[str](), list[tuple[float, float]]()
-    for body in range(program.bodies):
-        values = [written[v.where, v.quantity] for v in program.boundary_values]
-        expected = [*model.defaults, *(_number(value, program, body) for value in values)]
-        names += [f"{entry} of body {body} is" for entry in entries]
-        pairs += zip(grid.parameters[body][: len(expected)], expected, strict=True)
-    return _compared("boundary values", names, pairs, f"{', '.join(ends) or 'none'}: as written")

@@ -1,7 +1,7 @@
 """The interface of a check, and the numerical tools that checks share.
 
 A check reads a `Context`: the author's model, the derived program, and the generated module on disk. It yields
-findings. `findings_table` and `findings_html` show them.
+findings. `findings_table` shows them.
 
 The numerical tools evaluate expressions in high precision at random points where all of them have values. Derivatives
 are differences of undifferentiated expressions in 120-digit arithmetic. They do not depend on sympy's differentiation
@@ -102,7 +102,11 @@ class Findings(tuple[Finding, ...]):
         return tuple(finding for finding in self if not finding.passed)
 
     def _repr_html_(self) -> str:
-        return findings_html(self)
+        """Return all findings as a table in HTML. Outcomes are words, because colours alone are not accessible."""
+        from codegen.show.notebook import table as html_table
+
+        rows = [(finding.check, finding.subject, finding.outcome, finding.detail) for finding in self]
+        return html_table(rows, ("check", "subject", "outcome", "detail"), verdict(self))
 
 
 def verdict(findings: Sequence[Finding]) -> str:
@@ -130,14 +134,6 @@ def findings_table(findings: Sequence[Finding]) -> Table:
         styled = f"[{styles.get(outcome, 'dim')}]{outcome}[/]"
         table.add_row(escape(finding.check), escape(finding.subject), styled, escape(detail))
     return table
-
-
-def findings_html(findings: Sequence[Finding]) -> str:
-    """Return all findings as a table in HTML. Outcomes are words, because colours alone are not accessible."""
-    from codegen.show.notebook import table as html_table
-
-    rows = [(finding.check, finding.subject, finding.outcome, finding.detail) for finding in findings]
-    return html_table(rows, ("check", "subject", "outcome", "detail"), verdict(findings))
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from sympy import Expr, S, Symbol
 
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.program import ControlProgram, EndElement, IntervalElement, SampleElement, StepProgram
+from codegen.discretise.program import ControlProgram, EndElement, SampleElement, StepProgram
 from codegen.emit.verify.comparison import complex_numbers, step_of
 from codegen.emit.verify.execution import Tape
 from codegen.emit.verify.shares import shared_symbols
@@ -66,7 +66,39 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
         yield from _step(context, program)
         return
     for stem, share in zip(kernel_stems(program), program.interval_elements, strict=True):
-        yield from _interval(context, program, stem, share)
+        # Compare the gradient, the cost and the Hessian of an interval with its share of the Lagrangian.
+        unknowns = program.element_symbols
+        symbols = [*unknowns, *other_symbols(program)]
+        scalar, cost = function_of(symbols, [share.element]), function_of(symbols, [share.cost])
+        tape, kind = Tape([share.element]), np.clongdouble
+        first, second, steps = Agreement(), Agreement(), Agreement()
+        module, pattern = context.module, pattern_of(context.module, "interval")
+        names = [f"dl/d{x}" for x in unknowns]
+        local, size = unknowns[: len(unknowns) - len(program.shared)], len(unknowns)
+        likely = near_interval(context, program, stem)
+        for point in random_points([share.element, share.cost], symbols, program.model, likely=likely):
+            numbers = [point[symbol] for symbol in symbols]
+            x, parameters = np.array([point[s] for s in local]), parameter_vector(point, program)
+            t, h = point[program.model.time], point[STEP]
+            slopes, entries = np.empty(size), np.empty(len(pattern))
+            emitted_cost = plain(getattr(module, f"{stem}_gradient"))(x, t, h, parameters, slopes)
+            plain(getattr(module, f"{stem}_hessian"))(x, t, h, parameters, entries)
+            with mpmath.workdps(DIGITS):
+                first.compare(names, slopes, gradient(scalar, numbers, range(size)))
+                first.compare(["Cd"], [emitted_cost], cost(*map(mpmath.mpf, numbers)))
+                exact = second_differences(scalar, numbers, pattern)
+                pairs = [f"d2l/d{unknowns[r]} d{unknowns[c]}" for r, c in pattern]
+                second.compare(pairs, entries, [exact[pair] for pair in pattern])
+            shifted = {symbol: np.full(size, number, kind) for symbol, number in point.items()}
+            for i, symbol in enumerate(unknowns):
+                shifted[symbol][i] += 1j * step_of(kind)
+            with np.errstate(all="ignore"):
+                (values,) = tape.evaluate(shifted, complex_numbers(kind))
+            along = np.broadcast_to(np.asarray(values, kind), size).imag / step_of(kind)
+            steps.compare(names, slopes, [mpmath.mpf(float(slope)) for slope in along])
+        yield first.finding(f"{stem}_gradient", "120-digit differences of l")
+        yield steps.finding(f"{stem}_gradient", "complex steps of l")
+        yield second.finding(f"{stem}_hessian", "120-digit second differences of l")
     yield from _end(context, program, "start", program.start, program.left_symbols)
     yield from _end(context, program, "end", program.end, program.right_symbols)
     yield from check_couplings(context, program)
@@ -143,42 +175,6 @@ def _step_arguments(point: Point, program: StepProgram) -> tuple[Vector, float, 
     numbers = numbers_of(program.model)
     parameters = np.array([*(point[symbol] for symbol in program.model.parameters), *numbers], dtype=float)
     return state, point[program.model.time], step_lengths(point, program), parameters
-
-
-def _interval(context: Context, program: ControlProgram, stem: str, share: IntervalElement) -> Iterator[Finding]:
-    """Compare the gradient, the cost and the Hessian of an interval with its share of the Lagrangian."""
-    unknowns = program.element_symbols
-    symbols = [*unknowns, *other_symbols(program)]
-    scalar, cost = function_of(symbols, [share.element]), function_of(symbols, [share.cost])
-    tape, kind = Tape([share.element]), np.clongdouble
-    first, second, steps = Agreement(), Agreement(), Agreement()
-    module, pattern = context.module, pattern_of(context.module, "interval")
-    names = [f"dl/d{x}" for x in unknowns]
-    local, size = unknowns[: len(unknowns) - len(program.shared)], len(unknowns)
-    likely = near_interval(context, program, stem)
-    for point in random_points([share.element, share.cost], symbols, program.model, likely=likely):
-        numbers = [point[symbol] for symbol in symbols]
-        x, parameters = np.array([point[s] for s in local]), parameter_vector(point, program)
-        t, h = point[program.model.time], point[STEP]
-        slopes, entries = np.empty(size), np.empty(len(pattern))
-        emitted_cost = plain(getattr(module, f"{stem}_gradient"))(x, t, h, parameters, slopes)
-        plain(getattr(module, f"{stem}_hessian"))(x, t, h, parameters, entries)
-        with mpmath.workdps(DIGITS):
-            first.compare(names, slopes, gradient(scalar, numbers, range(size)))
-            first.compare(["Cd"], [emitted_cost], cost(*map(mpmath.mpf, numbers)))
-            exact = second_differences(scalar, numbers, pattern)
-            pairs = [f"d2l/d{unknowns[r]} d{unknowns[c]}" for r, c in pattern]
-            second.compare(pairs, entries, [exact[pair] for pair in pattern])
-        shifted = {symbol: np.full(size, number, kind) for symbol, number in point.items()}
-        for i, symbol in enumerate(unknowns):
-            shifted[symbol][i] += 1j * step_of(kind)
-        with np.errstate(all="ignore"):
-            (values,) = tape.evaluate(shifted, complex_numbers(kind))
-        along = np.broadcast_to(np.asarray(values, kind), size).imag / step_of(kind)
-        steps.compare(names, slopes, [mpmath.mpf(float(slope)) for slope in along])
-    yield first.finding(f"{stem}_gradient", "120-digit differences of l")
-    yield steps.finding(f"{stem}_gradient", "complex steps of l")
-    yield second.finding(f"{stem}_hessian", "120-digit second differences of l")
 
 
 def _end(

@@ -381,13 +381,32 @@ def check_switches(context: Context) -> Iterator[Finding]:
     if solution.status != "solved":
         yield not_measured("switches", "all switches", solution.message)
         return
-    steps = (solution.t.size - 1) // len(program.phases)
+    chain, steps = context.model, (solution.t.size - 1) // len(program.phases)
+    flat, parameters = FlatVector(program, solution.t.size - 1), context.module.make_grid(steps).parameters[0]
     for number in range(1, len(program.phases)):
-        before = _values_before(context, number, number * steps)
-        yield _end_of_phase(context.model.phases[number - 1], before, number)
-        # Evaluate the equations of the first interval of the later phase with the values after the jump.
+        # Parameters, and the author's coordinates and rates before the switch.
         node = number * steps
-        chain, module, solution = context.model, context.module, context.solution
+        earlier = chain.phases[number - 1].with_free_ends
+        numbers: Numbers = data_at_solution(context) | {chain.time: float(solution.t[node])}
+        numbers |= dict(zip(earlier.coordinates, map(float, solution.q[node]), strict=True))
+        momenta = list(map(float, solution.p[node][: len(earlier.rates)]))
+        if earlier.form != "lagrangian":
+            before = numbers | dict(zip(earlier.rates, momenta, strict=True))
+        else:
+            phase_space = numbers | dict(zip(legendre.conjugate_symbols(earlier), momenta, strict=True))
+            velocities = (_number(v, phase_space) for v in legendre.velocity_of_momentum(earlier))
+            before = numbers | dict(zip(earlier.rates, velocities, strict=True))
+        # Evaluate the conditions at the end of the earlier phase.
+        ends = prescribed(chain.phases[number - 1], "end").items()
+        conditions = {f"{symbol} = {sympy.sstr(value)}": symbol - value for symbol, value in ends}
+        conditions |= {c.name: c.expression for c in chain.phases[number - 1].end_conditions if c.equality}
+        errors = [abs(_number(value, before)) for value in conditions.values()]
+        passed, detail = True, f"phase {number} says nothing of its end"
+        if errors:
+            passed = max(errors) <= _HELD * max(1.0, *map(abs, before.values()))
+            detail = f"{', '.join(conditions)}: up to {max(errors):.1g}"
+        yield Finding("switches", f"switch {number}, before it", passed, detail)
+        # Evaluate the equations of the first interval of the later phase with the values after the jump.
         jumps = chain.jumps[number - 1]
         after = before | {symbol: _number(value, before) for symbol, value in jumps}
         model, alone = chain.phases[number], _phase_alone(program, chain, number)
@@ -395,16 +414,14 @@ def check_switches(context: Context) -> Iterator[Finding]:
         if model.form == "lagrangian":
             slopes = [_number(sympy.diff(model.function, v), after) for v in model.rates]
             values |= {f"p_{q}": slope for q, slope in zip(model.coordinates, slopes, strict=True)}
-        flat = FlatVector(program, solution.t.size - 1)
         unknowns = solution.unknowns[flat.element(0, node)]
         for index, unknown in enumerate(program.node):
             if not unknown.multiplier:
                 unknowns[index] = values.get(unknown.name, unknowns[index])
         step = float(solution.t[node + 1] - solution.t[node])
-        parameters = module.make_grid((solution.t.size - 1) // len(program.phases)).parameters[0]
         others = [*parameters[: len(other_symbols(program)) - 2], float(solution.t[node]), step]
         # The factors of multipliers in the Lagrangian: -p_k of an interval, or the equations of a step.
-        momenta: list[float] = []
+        momenta = []
         if program.method == "variational":
             size = len(model.coordinates)
             multipliers = alone.left_symbols[size : 2 * size]
@@ -426,33 +443,6 @@ def check_switches(context: Context) -> Iterator[Finding]:
         if not passed:
             detail = f"{jump}: the equations of the next interval do not hold with these values, by {error:.2g}"
         yield Finding("switches", f"switch {number}, after it", passed, detail)
-
-
-def _values_before(context: Context, number: int, node: int) -> Numbers:
-    """Return parameters, and the author's coordinates and rates before a switch."""
-    chain, solution = context.model, context.solution
-    model = chain.phases[number - 1].with_free_ends
-    numbers: Numbers = data_at_solution(context) | {chain.time: float(solution.t[node])}
-    numbers |= dict(zip(model.coordinates, map(float, solution.q[node]), strict=True))
-    momenta = list(map(float, solution.p[node][: len(model.rates)]))
-    if model.form != "lagrangian":
-        return numbers | dict(zip(model.rates, momenta, strict=True))
-    phase_space = numbers | dict(zip(legendre.conjugate_symbols(model), momenta, strict=True))
-    velocities = (_number(v, phase_space) for v in legendre.velocity_of_momentum(model))
-    return numbers | dict(zip(model.rates, velocities, strict=True))
-
-
-def _end_of_phase(model: Model, before: Numbers, number: int) -> Finding:
-    """Evaluate the conditions at the end of the earlier phase."""
-    ends = prescribed(model, "end").items()
-    conditions = {f"{symbol} = {sympy.sstr(value)}": symbol - value for symbol, value in ends}
-    conditions |= {c.name: c.expression for c in model.end_conditions if c.equality}
-    errors = [abs(_number(value, before)) for value in conditions.values()]
-    subject = f"switch {number}, before it"
-    if not errors:
-        return Finding("switches", subject, True, f"phase {number} says nothing of its end")
-    passed = max(errors) <= _HELD * max(1.0, *map(abs, before.values()))
-    return Finding("switches", subject, passed, f"{', '.join(conditions)}: up to {max(errors):.1g}")
 
 
 def _number(expression: Expr, at: Mapping[Symbol, float]) -> float:

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from types import ModuleType
 
 import numpy as np
 import sympy
@@ -43,7 +42,7 @@ from codegen.evidence.checks.solution import data_at_solution, integral_of_cost
 from codegen.runtime.record import phrase
 from codegen.runtime.search import point
 from codegen.runtime.search.point import submatrix
-from codegen.solving.loading import ControlSolution, Entries, Grid, Indices, Vector
+from codegen.solving.loading import ControlSolution, Entries, Indices, Vector
 from codegen.solving.results.between_nodes import Excursion, excursions, sampled_conditions
 from codegen.solving.results.output import shortened
 from codegen.symbolic import checks as expressions
@@ -68,12 +67,33 @@ def check_boundary_rank(context: Context) -> Iterator[Finding]:
     guess, generator = module.initial_guess(grid), np.random.default_rng(11)
     columns, rows = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     free = np.concatenate([columns, rows])
+
+    def dense(entries: Entries, width: int) -> Vector:
+        matrix = np.zeros((rows.size, width))
+        np.add.at(matrix, (entries[0], entries[1]), entries[2])
+        return matrix
+
     decompositions = []
     for amount in (0.0, 0.05):
         unknowns = guess.copy()
         unknowns[free] += amount * generator.uniform(-1, 1, free.size) * (1 + np.abs(unknowns[free]))
-        decomposition = _null_vectors(module, grid, module.with_pinned_values(grid, unknowns))
-        decompositions += [decomposition] if decomposition is not None else []
+        unknowns = module.with_pinned_values(grid, unknowns)
+        matrix = dense(point.jacobian(grid, unknowns), columns.size)
+        if not np.isfinite(matrix).all():
+            continue
+        # The left null vectors of the scaled Jacobian (columns), and their products with all columns (rows).
+        row_scale = np.abs(matrix).max(axis=1, initial=0.0)
+        row_scale[row_scale == 0.0] = 1.0
+        scaled = matrix / row_scale[:, None]
+        column_scale = np.abs(scaled).max(axis=0, initial=0.0)
+        column_scale[column_scale == 0.0] = 1.0
+        left, singular, _ = np.linalg.svd(scaled / column_scale, full_matrices=True)
+        nulls = left[:, int(np.sum(singular > _SINGULAR * singular.max(initial=0.0))) :]
+        every = np.flatnonzero(~grid.is_multiplier)
+        full = dense(submatrix(grid, unknowns, rows, every, False), every.size)
+        touched = np.zeros((nulls.shape[1], unknowns.size))
+        touched[:, every] = np.abs(nulls.T @ (full / row_scale[:, None]))
+        decompositions.append((nulls, touched))
     if not decompositions:
         reason = "their Jacobian is not finite at the guess nor beside it"
         yield not_measured("boundary rank", "all equations", reason)
@@ -119,35 +139,6 @@ def check_boundary_rank(context: Context) -> Iterator[Finding]:
         # Shortened names may begin alike.
         subject = name if name == names[index] else f"number {index + 1}, {name}"
         yield Finding("boundary rank", subject, passed, detail)
-
-
-def _null_vectors(module: ModuleType, grid: Grid, unknowns: Vector) -> tuple[Vector, Vector] | None:
-    """Return the left null vectors of the scaled Jacobian (columns), and their products with all columns (rows).
-
-    None if the Jacobian is not finite.
-    """
-
-    def dense(entries: Entries, columns: int) -> Vector:
-        matrix = np.zeros((rows.size, columns))
-        np.add.at(matrix, (entries[0], entries[1]), entries[2])
-        return matrix
-
-    rows = module.multiplier_unknowns(grid)
-    matrix = dense(point.jacobian(grid, unknowns), module.primal_unknowns(grid).size)
-    if not np.isfinite(matrix).all():
-        return None
-    row_scale = np.abs(matrix).max(axis=1, initial=0.0)
-    row_scale[row_scale == 0.0] = 1.0
-    scaled = matrix / row_scale[:, None]
-    column_scale = np.abs(scaled).max(axis=0, initial=0.0)
-    column_scale[column_scale == 0.0] = 1.0
-    left, singular, _ = np.linalg.svd(scaled / column_scale, full_matrices=True)
-    nulls = left[:, int(np.sum(singular > _SINGULAR * singular.max(initial=0.0))) :]
-    every = np.flatnonzero(~grid.is_multiplier)
-    full = dense(submatrix(grid, unknowns, rows, every, False), every.size)
-    touched = np.zeros((nulls.shape[1], unknowns.size))
-    touched[:, every] = np.abs(nulls.T @ (full / row_scale[:, None]))
-    return nulls, touched
 
 
 def _dependent_equations(program: ControlProgram, intervals: int, null: Vector, rows: Indices, touched: Vector) -> str:

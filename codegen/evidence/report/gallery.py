@@ -144,7 +144,22 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
     if len(selection) > 1:
         sections.append(summary(selection, store))
     for chosen in selection:
-        sections += _sections(chosen, store)
+        problem, name = chosen.problem, chosen.problem.stem
+        survey = store.get(SURVEYS, name) or {}
+        if chosen.task not in KINDS:
+            if survey.get("status") == "refused" or chosen.extra is None:
+                reason = survey.get("message") or f"problems with the task {chosen.task} are not measured"
+                sections += [Section(f"{name}: not measured here", (reason,))]
+            else:
+                sections += chosen.extra.sections(store, problem)
+        else:
+            sections += [
+                *KINDS[chosen.task].sections(store, problem, chosen.variants, f"{name}: {_title_of(problem)}"),
+                *drift.section(store, problem, chosen.variants, f"{name}: energy in the long run"),
+                *(chosen.extra.sections(store, problem) if chosen.extra else []),
+                modules.modules(store, chosen.variants, f"{name}: modules", chosen.omitted),
+                *modules.omissions(store, problem, chosen.variants, f"{name}: what is left out"),
+            ]
     title = "Problems, measured" if len(selection) > 1 else _title_of(selection[0].problem)
     introduction = (
         "Every number was measured by the run that module this page; all of them are in measurements.csv beside it. "
@@ -167,23 +182,6 @@ def _cases(chosen: Chosen, workshop: Workshop, extent: Extent) -> Iterator[Case]
         yield from modules.cases(chosen.problem, chosen.variants, workshop, extent)
     if chosen.extra:
         yield from chosen.extra.cases(chosen.problem, chosen.extra.variants(chosen.problem), workshop, extent)
-
-
-def _sections(chosen: Chosen, store: Store) -> list[Section]:
-    problem, name = chosen.problem, chosen.problem.stem
-    survey = store.get(SURVEYS, name) or {}
-    if chosen.task not in KINDS:
-        if survey.get("status") == "refused" or chosen.extra is None:
-            reason = survey.get("message") or f"problems with the task {chosen.task} are not measured"
-            return [Section(f"{name}: not measured here", (reason,))]
-        return chosen.extra.sections(store, problem)
-    return [
-        *KINDS[chosen.task].sections(store, problem, chosen.variants, f"{name}: {_title_of(problem)}"),
-        *drift.section(store, problem, chosen.variants, f"{name}: energy in the long run"),
-        *(chosen.extra.sections(store, problem) if chosen.extra else []),
-        modules.modules(store, chosen.variants, f"{name}: modules", chosen.omitted),
-        *modules.omissions(store, problem, chosen.variants, f"{name}: what is left out"),
-    ]
 
 
 def _title_of(problem: Path) -> str:

@@ -179,9 +179,9 @@ def _guess(module: ConnectModule, case: Any, kind: str) -> Vector:
     if kind == "straight":
         return _straight_path(module, case)
     if kind == "curved":
-        return module.guessed_path(case)
+        return np.asarray(module.guessed_path(case))
     if kind == "spline":
-        return module.trajectory(case, module.first_momenta(case))[1]
+        return np.asarray(module.trajectory(case, module.first_momenta(case))[1])
     if kind == "shot":
         solution = module.solve_case(case._replace(tolerance=1e-6, max_iterations=2), module.first_momenta(case))
         return np.stack([solution.q, solution.p], axis=1)
@@ -191,7 +191,7 @@ def _guess(module: ConnectModule, case: Any, kind: str) -> Vector:
     below = np.minimum(nodes.astype(int), coarse.steps - 1)
     part = (nodes - below)[:, None, None, None]
     states = np.stack([solution.q, solution.p], axis=1)
-    return (1.0 - part) * states[below] + part * states[below + 1]
+    return np.asarray((1.0 - part) * states[below] + part * states[below + 1])
 
 
 def _iterations(settings: Settings, points: PointSet, kind: str) -> Values:

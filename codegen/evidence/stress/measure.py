@@ -79,7 +79,7 @@ def _with_values(module: ModuleType, case: Case) -> Any:
         guessed, solved = varied.initial_guess, varied.solve
 
         def initial_guess(grid: Grid) -> Vector:
-            free, guess = varied.primal_unknowns(grid), guessed(grid)
+            free, guess = varied.primal_unknowns(grid), np.array(guessed(grid))
             size = np.maximum(1.0, np.abs(guess[free]))
             guess[free] += case.noise * size * np.random.default_rng(1).standard_normal(free.size)
             return guess

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
+from types import ModuleType
 from typing import Any
 
 from codegen.errors import CodegenError
@@ -27,12 +28,12 @@ def serve(connection: Connection) -> None:
     """Answer each Setup by None once its module is ready, each Case by its Measurement, until the pipe is closed."""
     from codegen.evidence.stress.measure import measure
     from codegen.solving import compiler
-    from codegen.solving.loading import GeneratedModule, load
+    from codegen.solving.loading import load
     from codegen.solving.machine_code.compilation import compile_all
 
     warnings.simplefilter("ignore")
     threading.Thread(target=end_with_parent, daemon=True).start()
-    module: GeneratedModule | Measurement = Measurement()  # or the failure to make the module
+    module: ModuleType | Measurement = Measurement()  # or the failure to make the module
     with suppress(EOFError, KeyboardInterrupt):
         while True:
             message, answer = connection.recv(), None
@@ -40,9 +41,10 @@ def serve(connection: Connection) -> None:
                 if isinstance(message, Setup):
                     arguments = {name: str(value) for name, value in message.arguments}
                     path = compiler.build(message.file, arguments, scheme=message.scheme, method=message.method).path
-                    compiled = load(path)
-                    compile_all(compiled)
-                    module = compiled
+                    loaded = load(path)
+                    assert isinstance(loaded, ModuleType)
+                    compile_all(loaded)
+                    module = loaded
                 elif isinstance(message, Case):
                     answer = module if isinstance(module, Measurement) else measure(module, message)
             except CodegenError as error:

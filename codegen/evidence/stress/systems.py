@@ -24,7 +24,6 @@ from typing import Any, TypeAlias
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
 from codegen.discretise.schemes.base import Scheme
 from codegen.evidence.stress.cases import Case
@@ -32,8 +31,9 @@ from codegen.solving.results.result import Result
 
 # ---- Forces ----
 
-Array: TypeAlias = NDArray[Any]
-Number: TypeAlias = float | mpmath.mpf
+Array: TypeAlias = Any
+Number: TypeAlias = Any
+"""A float, or a number of mpmath."""
 Parameters: TypeAlias = Mapping[str, Any]
 Force = Callable[[Parameters, Array], Array]
 
@@ -274,48 +274,36 @@ Entries: TypeAlias = tuple[Number, Number, Number, Number]
 def step_matrix(scheme: Scheme, x: Number) -> Entries:
     """Entries a, b, c, d of q1 = a q + b p, p1 = c q + d p, in the arithmetic of x: a float, or a number of mpmath."""
     if scheme.variational:
-        return _of_action(scheme, x)
-    return _of_substeps(scheme, x) if scheme.is_chain else _of_stages(scheme, x)
-
-
-def _of_substeps(scheme: Scheme, x: Number) -> Entries:
-    """The product of the matrices of the substeps, each of a field at ((1-a) q + a q', (1-b) p + b p')."""
-    columns = []
-    for q, p in ((1, 0), (0, 1)):
-        for g, a, b in _substeps(scheme, x.__class__):
-            q, p = q + g * x * (1 - b) * p, p - g * x * (1 - a) * q  # right-hand sides of the equations
-            scale = 1 + (g * x) ** 2 * a * b
-            q, p = (q + g * x * b * p) / scale, (p - g * x * a * q) / scale
-        columns.append((q, p))
+        # With Ld = (a q0^2 + 2 b q0 q1 + d q1^2)/2, stationary in inner values, p0 = -a q0 - b q1 and p1 = b q0 + d q1.
+        points = _quadrature(scheme, x.__class__)
+        every = range(len(points[0][1]))
+        form = [[sum(w * (u[i] * u[j] / x - x * v[i] * v[j]) for w, v, u in points) for j in every] for i in every]
+        last = every[-1]
+        ends, inner = (0, last), every[1:-1]
+        block = [[form[i][j] for j in inner] for i in inner]
+        solutions = {j: _solved(block, [form[i][j] for i in inner]) for j in ends}
+        a, b, d = (
+            form[i][j] - sum(form[i][k] * value for k, value in zip(inner, solutions[j], strict=True))
+            for i, j in ((0, 0), (0, last), (last, last))
+        )
+        return -a / b, -1 / b, b - a * d / b, -d / b
+    columns: list[tuple[Number, Number]] = []
+    if scheme.is_chain:  # the product of the matrices of the substeps, of fields at ((1-a) q + a q', (1-b) p + b p')
+        for q, p in ((1, 0), (0, 1)):
+            for g, a, b in _substeps(scheme, x.__class__):
+                q, p = q + g * x * (1 - b) * p, p - g * x * (1 - a) * q  # right-hand sides of the equations
+                scale = 1 + (g * x) ** 2 * a * b
+                q, p = (q + g * x * b * p) / scale, (p - g * x * a * q) / scale
+            columns.append((q, p))
+    else:  # the stages satisfy Q = q + x A P and P = p - x B Q
+        a, b, (weights,) = _tableau(scheme, x.__class__)
+        count = range(len(weights))
+        matrix = [[(i == j) + x**2 * sum(b[i][k] * a[k][j] for k in count) for j in count] for i in count]
+        for q, p in ((1, 0), (0, 1)):
+            momenta = _solved(matrix, [p - x * sum(row) * q for row in b])
+            positions = [q + x * _product(row, momenta) for row in a]
+            columns.append((q + x * _product(weights, momenta), p - x * _product(weights, positions)))
     return columns[0][0], columns[1][0], columns[0][1], columns[1][1]
-
-
-def _of_stages(scheme: Scheme, x: Number) -> Entries:
-    """The stages satisfy Q = q + x A P and P = p - x B Q."""
-    a, b, (weights,) = _tableau(scheme, x.__class__)
-    count, columns = range(len(weights)), []
-    matrix = [[(i == j) + x**2 * sum(b[i][k] * a[k][j] for k in count) for j in count] for i in count]
-    for q, p in ((1, 0), (0, 1)):
-        momenta = _solved(matrix, [p - x * sum(row) * q for row in b])
-        positions = [q + x * _product(row, momenta) for row in a]
-        columns.append((q + x * _product(weights, momenta), p - x * _product(weights, positions)))
-    return columns[0][0], columns[1][0], columns[0][1], columns[1][1]
-
-
-def _of_action(scheme: Scheme, x: Number) -> Entries:
-    """With Ld = (a q0^2 + 2 b q0 q1 + d q1^2)/2, stationary in inner values, p0 = -a q0 - b q1 and p1 = b q0 + d q1."""
-    points = _quadrature(scheme, x.__class__)
-    every = range(len(points[0][1]))
-    form = [[sum(w * (u[i] * u[j] / x - x * v[i] * v[j]) for w, v, u in points) for j in every] for i in every]
-    last = every[-1]
-    ends, inner = (0, last), every[1:-1]
-    block = [[form[i][j] for j in inner] for i in inner]
-    solutions = {j: _solved(block, [form[i][j] for i in inner]) for j in ends}
-    a, b, d = (
-        form[i][j] - sum(form[i][k] * value for k, value in zip(inner, solutions[j], strict=True))
-        for i, j in ((0, 0), (0, last), (last, last))
-    )
-    return -a / b, -1 / b, b - a * d / b, -d / b
 
 
 def _numbers(rows: Rows, number: type[Number]) -> list[list[Number]]:
