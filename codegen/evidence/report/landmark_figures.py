@@ -52,6 +52,19 @@ def by_route(settings: Settings, store: Store, scheme: str, route: str, count: i
     return [(n, values) for n, values in rows if values is not None and values["seconds"] is not None]
 
 
+def _panels(counts: Sequence[int], size: tuple[float, float], *labels: str) -> tuple[Figure, Sequence[Sequence[Axes]]]:
+    """A figure with a row of axes for each label and a column for each number of landmarks, against N."""
+    figure = Figure(figsize=size, layout="constrained")
+    rows = figure.subplots(len(labels), len(counts), squeeze=False)
+    for row, label in zip(rows, labels, strict=True):
+        row[0].set_ylabel(label)
+    for axes, count in zip(rows[0], counts, strict=True):
+        axes.set_title(f"$n_c = {count}$")
+    for axes in rows[-1]:
+        axes.set_xlabel("steps $N$")
+    return figure, rows
+
+
 # ---- Chapter 5 ----
 
 
@@ -82,8 +95,7 @@ def _draw_paths(axes: Axes, path: Vector | Sequence[object], title: str) -> None
 def routes(settings: Settings, store: Store, scheme: str) -> Figure:
     """Figures 5.2 to 5.4 and 5.8 to 5.10: distance of the cost from the exact cost, and seconds, against N."""
     counts = settings.counts
-    figure = Figure(figsize=(3.3 * len(counts) + 0.2, 5.6), layout="constrained")
-    above, below = figure.subplots(2, len(counts), squeeze=False)
+    figure, (above, below) = _panels(counts, (3.3 * len(counts) + 0.2, 5.6), "|cost − exact|", "seconds")
     for cost_axes, time_axes, count in zip(above, below, counts, strict=True):
         exact = reference_cost(store, count)
         for route in landmark_effort.ROUTES:
@@ -100,10 +112,6 @@ def routes(settings: Settings, store: Store, scheme: str) -> Figure:
                 time_axes.plot([], [], "x", color=colour, label=route.label)
             steps, times = [n for n, _ in failed], [v["seconds"] for _, v in failed]
             time_axes.semilogy(steps, times, "x", color=colour, markersize=4)
-        cost_axes.set(title=f"$n_c = {count}$")
-        time_axes.set(xlabel="steps $N$")
-    above[0].set_ylabel("|cost − exact|")
-    below[0].set_ylabel("seconds")
     handles, labels = below[0].get_legend_handles_labels()
     last = dict(zip(labels, handles, strict=True))  # a route that always failed has a second, empty line
     figure.legend(last.values(), last.keys(), loc="outside lower center", ncols=4)
@@ -137,8 +145,7 @@ def route_paths(settings: Settings, store: Store, scheme: str) -> Figure:
 def best_of_each(settings: Settings, store: Store) -> Figure:
     """Figures 5.14 to 5.16: stepping by explicit Euler, by the midpoint rule, and by an adaptive code."""
     counts = settings.counts
-    figure = Figure(figsize=(3.3 * len(counts) + 0.2, 5.2), layout="constrained")
-    above, below = figure.subplots(2, len(counts), squeeze=False)
+    figure, (above, below) = _panels(counts, (3.3 * len(counts) + 0.2, 5.2), "cost", "seconds")
     for cost_axes, time_axes, count in zip(above, below, counts, strict=True):
         for scheme, colour in (("explicit-euler", BLUE), ("midpoint", GREEN)):
             rows = by_route(settings, store, scheme, STEPPING, count)
@@ -149,10 +156,6 @@ def best_of_each(settings: Settings, store: Store) -> Figure:
             look = {"color": RED, "linestyle": "--", "linewidth": 1.1}
             cost_axes.axhline(row["cost"], label="lsoda, tolerance $10^{-6}$", **look)
             time_axes.axhline(row["seconds"], **look)
-        cost_axes.set_title(f"$n_c = {count}$")
-        time_axes.set_xlabel("steps $N$")
-    above[0].set_ylabel("cost")
-    below[0].set_ylabel("seconds")
     figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
@@ -160,8 +163,7 @@ def best_of_each(settings: Settings, store: Store) -> Figure:
 def eulers(settings: Settings, store: Store) -> Figure:
     """The symplectic and implicit Euler methods, whose figures the thesis omits, and the explicit one."""
     counts = settings.counts
-    figure = Figure(figsize=(3.3 * len(counts) + 0.2, 3.1), layout="constrained")
-    panels = figure.subplots(1, len(counts), squeeze=False)[0]
+    figure, (panels,) = _panels(counts, (3.3 * len(counts) + 0.2, 3.1), "|cost − exact|")
     colours = {"explicit-euler": BLUE, "implicit-euler": RED, "symplectic-euler": GREEN, "midpoint": DARK}
     for axes, count in zip(panels, counts, strict=True):
         exact = reference_cost(store, count)
@@ -171,9 +173,8 @@ def eulers(settings: Settings, store: Store) -> Figure:
                 errors = [abs(v["cost"] - exact) for _, v in rows]
                 axes.loglog([n for n, _ in rows], errors, color=colour, label=scheme)
         ticks = [10, 20, 50, 100]
-        axes.set(title=f"$n_c = {count}$", xlabel="steps $N$", xticks=ticks, xticklabels=[str(n) for n in ticks])
+        axes.set(xticks=ticks, xticklabels=[str(n) for n in ticks])
         axes.xaxis.minorticks_off()
-    panels[0].set_ylabel("|cost − exact|")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
@@ -217,8 +218,7 @@ def forty(store: Store) -> Figure:
 def jump_figure(settings: Settings, store: Store) -> Figure:
     """Error of the optimiser's cost against Newton's on the same discrete problem, and its seconds, against N."""
     counts = settings.counts[:2]
-    figure = Figure(figsize=(4.6 * len(counts), 5.8), layout="constrained")
-    above, below = figure.subplots(2, len(counts), squeeze=False)
+    figure, (above, below) = _panels(counts, (4.6 * len(counts), 5.8), "|cost − minimum|", "seconds")
     styles = {
         ("curved", landmark_motion.LOOSE): "-", ("straight", landmark_motion.LOOSE): ":",
         ("curved", landmark_motion.TIGHT): "--", ("straight", landmark_motion.TIGHT): "-.",
@@ -234,10 +234,6 @@ def jump_figure(settings: Settings, store: Store) -> Figure:
             steps = [n for n, _ in rows]
             error_axes.semilogy(steps, [max(v["error"], 1e-16) for _, v in rows], label=label, **look)
             time_axes.semilogy(steps, [v["seconds"] for _, v in rows], **look)
-        error_axes.set_title(f"$n_c = {count}$")
-        time_axes.set_xlabel("steps $N$")
-    above[0].set_ylabel("|cost − minimum|")
-    below[0].set_ylabel("seconds")
     figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
