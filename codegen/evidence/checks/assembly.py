@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from sympy import Expr, Symbol
 
 from codegen.discretise.forms import in_velocities
-from codegen.discretise.model.definitions import Model, prescribed
+from codegen.discretise.model.definitions import prescribed
 from codegen.discretise.program import ControlProgram, EndElement, Unknown
 from codegen.emit.verify.shares import shared_symbols
 from codegen.evidence.checks.base import (
@@ -155,7 +155,12 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: G
     for body in range(program.bodies):
         for k in range(flat.steps):
             yield _Share(elements[flat.share(k).element], flat.element(body, k), data(body, k))
-        for k, arguments in _samples(context.model, body, times) if sample else ():
+        for time, *row in context.model.measurements[body].rows if sample else ():
+            # The position of a sample in its interval, then its values and their weights.
+            k = min(int(np.sum(times[1:] <= time)), times.size - 2)
+            arguments, columns = [(time - times[k]) / (times[k + 1] - times[k])], len(row) // 2
+            arguments += [z if np.isfinite(z) else 0.0 for z in row[:columns]]
+            arguments += [1 / s if np.isfinite(z) else 0.0 for z, s in zip(row[:columns], row[columns:], strict=True)]
             yield _Share(partial(losses, *arguments), flat.element(body, k), data(body, k))
         yield _Share(start, flat.end(body, "start"), data(body, 0))
         yield _Share(end, flat.end(body, "end"), data(body, flat.steps))
@@ -164,19 +169,6 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: G
         multiplier = Symbol(f"_{coupling.multiplier.name}", real=True)
         indices = np.append(every, flat.first_coupling + i)
         yield _Share(function(multiplier * coupling.expression, (*symbols, multiplier)), indices, data(0, 0))
-
-
-def _samples(model: Model, body: int, times: Vector) -> Iterator[tuple[int, list[float]]]:
-    """Yield the interval of each sample of a body, its position in the interval, its values and their weights."""
-    measurements = model.measurements[body]
-    columns = len(measurements.layout.columns)
-    for time, *row in measurements.rows:
-        k = min(int(np.sum(times[1:] <= time)), times.size - 2)
-        fraction = (time - times[k]) / (times[k + 1] - times[k])
-        pairs = [
-            (z, 1 / s) if np.isfinite(z) else (0.0, 0.0) for z, s in zip(row[:columns], row[columns:], strict=True)
-        ]
-        yield k, [fraction, *(z for z, _ in pairs), *(weight for _, weight in pairs)]
 
 
 def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Share], Numbers]) -> Numbers:

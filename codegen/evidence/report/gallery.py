@@ -334,28 +334,26 @@ def regressions(before: Sequence[Values], after: Sequence[Values]) -> list[Regre
     """The quantities that are worse in `after`, for the cases that both sequences of flat records have."""
     earlier = {(row["problem"], row["case"]): row for row in before}
     worse: list[Regression] = []
-    for row in after:
-        old = earlier.get((row["problem"], row["case"]))
-        if old is not None:
-            worse += [Regression(row["problem"], row["case"], *change) for change in _worse(old, row)]
+    for new in after:
+        problem, case = new["problem"], new["case"]
+        old = earlier.get((problem, case))
+        if old is None:
+            continue
+        if old.get("status") in ("solved", "built") and new.get("status") != old["status"]:
+            worse.append(Regression(problem, case, "status", old["status"], new.get("status")))
+            continue
+        for key, factor, least in (
+            ("error", ERROR_FACTOR, LEAST_ERROR), ("seconds", TIME_FACTOR, LEAST_SECONDS),
+            ("iterations", MORE_ITERATIONS, (old.get("iterations") or 0) + 1),
+            ("lines", MORE_LINES, old.get("lines") or 0),
+        ):  # fmt: skip
+            one, other = old.get(key), new.get(key)
+            if one is not None and other is not None and other > max(factor * one, least):
+                worse.append(Regression(problem, case, key, one, other))
+        one, other = old.get("order"), new.get("order")
+        if one is not None and (other is None or other < one - ORDER_LOSS):
+            worse.append(Regression(problem, case, "order", one, other))
     return worse
-
-
-def _worse(old: Values, new: Values) -> Iterator[tuple[str, object, object]]:
-    if old.get("status") in ("solved", "built") and new.get("status") != old["status"]:
-        yield "status", old["status"], new.get("status")
-        return
-    iterations, lines = old.get("iterations"), old.get("lines")
-    for key, factor, least in (
-        ("error", ERROR_FACTOR, LEAST_ERROR), ("seconds", TIME_FACTOR, LEAST_SECONDS),
-        ("iterations", MORE_ITERATIONS, (iterations or 0) + 1), ("lines", MORE_LINES, lines or 0),
-    ):  # fmt: skip
-        one, other = old.get(key), new.get(key)
-        if one is not None and other is not None and other > max(factor * one, least):
-            yield key, one, other
-    one, other = old.get("order"), new.get("order")
-    if one is not None and (other is None or other < one - ORDER_LOSS):
-        yield "order", one, other
 
 
 def comparison(worse: Sequence[Regression], before: Record, after: Record) -> Section:

@@ -133,7 +133,29 @@ def _routes(settings: Settings, store: Store, scheme: str, title: str, costs: st
         for route in landmark_effort.routes_of(scheme)
         for count in settings.counts
     }
-    table = _thesis_table if scheme == "explicit-euler" else _times_table
+    if scheme == "explicit-euler":
+        rows = []
+        for count in settings.counts:
+            cells = [str(count)]
+            for name, time in zip(_THESIS_ROUTES, THESIS_TIMES[count], strict=True):
+                solve = by_route[name, count].get(100)
+                measured = _time_or_reach(by_route[name, count], 100) if solve is None else seconds(solve["seconds"])
+                cells += [f"{number(time, 4)} s", measured]
+            rows.append((*cells, *(_time_or_reach(by_route[name, count], 100) for name in _NEWTON_ROUTES)))
+        head = ["nc"]
+        for name in ("optimal control", "full", "stepping fsolve", "stepping fmin"):
+            head += [f"{name}, thesis", "here"]
+        table = Table(
+            "Table 5.1 redone: seconds of explicit Euler, N = 100, the thesis's beside ours (SLSQP for fmincon, MINPACK "
+            "for fsolve, Nelder and Mead for fminsearch, all on generated derivatives). “N ≤” tells how far a "
+            "route was taken within the time allowed.",
+            (*head, *(f"{name} (generated)" for name in _NEWTON_ROUTES)),
+            tuple(rows),
+        )
+    else:
+        names, steps = list(dict.fromkeys(name for name, _ in by_route)), max(settings.steps)
+        rows = [(str(n), *(_time_or_reach(by_route[name, n], steps) for name in names)) for n in settings.counts]
+        table = Table(f"Seconds with N = {steps}", ("nc", *names), tuple(rows))
     pictures = (
         Picture(
             f"Figures {costs}: distance of the cost from that of the reference (above) and seconds of a warm solve "
@@ -188,40 +210,7 @@ def _routes(settings: Settings, store: Store, scheme: str, title: str, costs: st
         residuals = [residual for _, residual in failed if residual is not None]
         if residuals:
             text += f"; they stopped with residuals from {number(min(residuals), 2)} to {number(max(residuals), 2)}"
-    return Section(title, (*texts, f"{text}."), (table(settings, by_route),), pictures)
-
-
-ByRoute = dict[tuple[str, int], dict[int, Values]]
-"""The solves of a scheme: route and number of landmarks, then the number of steps."""
-
-
-def _thesis_table(settings: Settings, by_route: ByRoute) -> Table:
-    rows = []
-    for count in settings.counts:
-        cells = [str(count)]
-        for name, time in zip(_THESIS_ROUTES, THESIS_TIMES[count], strict=True):
-            solve = by_route[name, count].get(100)
-            measured = _time_or_reach(by_route[name, count], 100) if solve is None else seconds(solve["seconds"])
-            cells += [f"{number(time, 4)} s", measured]
-        rows.append((*cells, *(_time_or_reach(by_route[name, count], 100) for name in _NEWTON_ROUTES)))
-    head = ["nc"]
-    for name in ("optimal control", "full", "stepping fsolve", "stepping fmin"):
-        head += [f"{name}, thesis", "here"]
-    return Table(
-        "Table 5.1 redone: seconds of explicit Euler, N = 100, the thesis's beside ours (SLSQP for fmincon, MINPACK "
-        "for fsolve, Nelder and Mead for fminsearch, all on generated derivatives). “N ≤” tells how far a "
-        "route was taken within the time allowed.",
-        (*head, *(f"{name} (generated)" for name in _NEWTON_ROUTES)),
-        tuple(rows),
-    )
-
-
-def _times_table(settings: Settings, by_route: ByRoute) -> Table:
-    names, steps = list(dict.fromkeys(name for name, _ in by_route)), max(settings.steps)
-    rows = tuple(
-        (str(count), *(_time_or_reach(by_route[name, count], steps) for name in names)) for count in settings.counts
-    )
-    return Table(f"Seconds with N = {steps}", ("nc", *names), rows)
+    return Section(title, (*texts, f"{text}."), (table,), pictures)
 
 
 def _time_or_reach(values: dict[int, Values], steps: int) -> str:
