@@ -146,7 +146,7 @@ def check_inner_times(context: Context) -> Iterator[Finding]:
     pairs = zip(prescribed, on_grid, strict=True)
     nodes = [node if time is None else int(np.argmin(np.abs(solution.t - time))) for time, node in pairs]
     width, momenta, rates = len(model.coordinates), model.rates, dict[Symbol, Expr]()
-    if model.form == "lagrangian" and model.rates:
+    if model.inner_conditions and model.form == "lagrangian" and model.rates:
         momenta = legendre.conjugate_symbols(model)
         used = {s for c in model.inner_conditions for s in c.expression.free_symbols}
         if used & set(model.rates):
@@ -355,15 +355,12 @@ def check_second_order(context: Context) -> Iterator[Finding]:
     grid = module.make_grid((solution.t.size - 1) // max(1, len(program.phases)))
     # The diagonal z / distance of the unknowns at bounds; z is the gradient of the Lagrangian.
     diagonal = np.zeros(unknowns.size)
-    if not module.metadata.inequalities:
-        pass
-    else:
+    if module.metadata.inequalities:
         gradient = np.where(grid.is_multiplier, 0.0, module.evaluate(grid, unknowns).gradient)
         lower, upper = module.variable_bounds(grid)
         for z, distance in ((gradient, unknowns - lower), (-gradient, upper - unknowns)):
             pushes = np.isfinite(distance) & (z > 0.0)
             diagonal[pushes] += np.minimum(z[pushes] / np.maximum(distance[pushes], 1e-100), _FAST)
-        pass
 
     # The size of the second derivatives of every unknown, or a typical size. Slacks follow from other unknowns.
     rows, _, values = point.hessian(grid, unknowns)

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -153,27 +153,27 @@ def survey_of(problem: Path) -> Values:
 
     try:
         model = load_problem(problem, {})
+        rows: list[tuple[str, schemes.Scheme]]
+        if isinstance(model, Model):
+            form, phases, methods = model.form, len(model.phases), methods_for(model)
+            rows = [(method, scheme) for method in methods for scheme in schemes.of_method(method)]
+        else:
+            form, phases, methods = "particles", 0, ("stepping",) if model.connects else ("hamiltonian",)
+            usable = [scheme for scheme in PARTICLE_SCHEMES.values() if not scheme.adaptive]
+            rows = [(method, scheme) for method in methods for scheme in usable]
+        rows.sort(key=lambda row: (row[0] != methods[0], row[1].name != "midpoint"))
+        listed = [[method, scheme.name, scheme.order, scheme.symplectic] for method, scheme in rows]
+        cost = None
+        if isinstance(model, Model) and model.task == "control":
+            # Bounds, for example, and controls that the maximum principle does not determine, have no closed form.
+            with suppress(CodegenError):
+                optimum = exact_optimum(model)
+                cost = None if optimum is None else optimum.cost_at()
     except CodegenError as error:
         return {"status": "refused", "message": str(error)}
-    rows: list[tuple[str, schemes.Scheme]]
-    if isinstance(model, Model):
-        form, phases, methods = model.form, len(model.phases), methods_for(model)
-        rows = [(method, scheme) for method in methods for scheme in schemes.of_method(method)]
-    else:
-        form, phases, methods = "particles", 0, ("stepping",) if model.connects else ("hamiltonian",)
-        rows = [(method, scheme) for method in methods for scheme in PARTICLE_SCHEMES.values() if not scheme.adaptive]
-    rows.sort(key=lambda row: (row[0] != methods[0], row[1].name != "midpoint"))
-    listed = [[method, scheme.name, scheme.order, scheme.symplectic] for method, scheme in rows]
-    survey = {
-        "status": "read", "task": model.task, "schemes": listed, "form": form, "phases": phases, "exact cost": None,
+    return {
+        "status": "read", "task": model.task, "schemes": listed, "form": form, "phases": phases, "exact cost": cost,
     }  # fmt: skip
-    if isinstance(model, Model) and model.task == "control":
-        try:
-            optimum = exact_optimum(model)
-        except CodegenError:  # such as bounds, or controls that the maximum principle does not determine
-            return survey
-        survey["exact cost"] = None if optimum is None else optimum.cost_at()
-    return survey
 
 
 def build_one(variant: Variant, folder: Path) -> Values:

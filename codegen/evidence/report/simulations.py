@@ -74,9 +74,8 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
         field, sizes = _field_of(euler, duration), component_sizes(states)
         speeds = [float(np.linalg.norm(field(t, z) / sizes)) for t, z in zip(reference["times"], states, strict=True)]
         unit = 1.0 / (float(np.median(speeds)) or 1.0 / duration)
-        return order_values(
-            module, map(span, list(dict.fromkeys(min(duration, factor * unit) for factor in SPANS))), extent.limit
-        )
+        durations = dict.fromkeys(min(duration, factor * unit) for factor in SPANS)
+        return order_values(module, map(span, durations), extent.limit)
 
     for variant, module in modules.items():
         yield Case(section_of(problem, "orders"), variant.label, partial(order, module))
@@ -351,7 +350,8 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         "time to 1e-6", "ns per step", "failed runs",
     )  # fmt: skip
     caption = "Measured orders, least errors, and the time of the cheapest run with at most that error."
-    return [Section(title, tuple(texts), (Table(caption, head, tuple(rows)).without_empty_columns(),), (picture,))]
+    table = Table(caption, head, tuple(rows)).without_empty_columns()
+    return [Section(title, tuple(texts), (table,), (picture,))]
 
 
 def _time_to(rows: Sequence[Values], error: float) -> float | None:

@@ -175,10 +175,9 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
         return "false solved", f"the textbook's equations are off by {run.textbook:.1e} rounding errors"
     if math.isfinite(case.bound):
         if run.error <= case.bound:
-            limit = (
-                f"; {_stability(case, run)}" if math.isnan(case.h_omega) and not math.isnan(run.stable_below) else ""
-            )
-            return "accurate", f"error {run.error:.1e}, promised {case.bound:.1e}{limit}"
+            is_limit = math.isnan(case.h_omega) and not math.isnan(run.stable_below)
+            remark = f"; {_stability(case, run)}" if is_limit else ""
+            return "accurate", f"error {run.error:.1e}, promised {case.bound:.1e}{remark}"
         doubled = run.announced > 0.1 * min(run.error, 1.0)
         if run.drift > SIGN or doubled:
             estimate = run.announced if doubled else run.drift
@@ -245,8 +244,8 @@ def _of_connections(module: ModuleType, case: Case, result: Result) -> float:
 
 
 EXPECTATIONS = {
-    "simulate": Expectation(_of_simulations, lambda result: not result.solved, drift=0.1, keeps_energy=True),
-    "control": Expectation(_of_optima, lambda result: not result.solved, drift=math.nan, has_guess=True),
+    "simulate": Expectation(_of_simulations, lambda r: int(not r.solved), drift=0.1, keeps_energy=True),
+    "control": Expectation(_of_optima, lambda r: int(not r.solved), drift=math.nan, has_guess=True),
     "connect": Expectation(_of_connections, lambda r: int(r.summary["attempts"]) - int(r.solved), drift=1.0),
 }
 """A row for each task of `codegen.solving.tasks`."""

@@ -26,13 +26,13 @@ Serve = Callable[[Connection], None]
 
 def serve(connection: Connection) -> None:
     """Answer each Setup by None once its module is ready, each Case by its Measurement, until the pipe is closed."""
+    warnings.simplefilter("ignore")
+    threading.Thread(target=end_with_parent, daemon=True).start()
     from codegen.evidence.stress.measure import measure
     from codegen.solving import compiler
     from codegen.solving.loading import load
     from codegen.solving.machine_code.compilation import compile_all
 
-    warnings.simplefilter("ignore")
-    threading.Thread(target=end_with_parent, daemon=True).start()
     module: ModuleType | Measurement = Measurement()  # or the failure to make the module
     with suppress(EOFError, KeyboardInterrupt):
         while True:
