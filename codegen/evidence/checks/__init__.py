@@ -110,7 +110,7 @@ def run(
     module : Path, optional
         A generated file to be checked as it is. By default the module is built in the cache.
     steps : int, optional
-        The number of intervals of the solutions that are checked, at least 8. By default the problem's own.
+        The number of intervals of the solutions that are checked. By default the problem's own.
     time_limit : float
         Seconds of processor time. A check may take a quarter of the remaining time. A check that is interrupted
         yields a finding with that reason.
