@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from numpy.typing import NDArray
 
 from codegen.evidence.report import landmark_effort, landmark_motion
 from codegen.evidence.report.page import colour_of
@@ -52,7 +53,7 @@ def by_route(settings: Settings, store: Store, scheme: str, route: str, count: i
     return [(n, values) for n, values in rows if values is not None and values["seconds"] is not None]
 
 
-def _panels(counts: Sequence[int], size: tuple[float, float], *labels: str) -> tuple[Figure, Sequence[Sequence[Axes]]]:
+def _panels(counts: Sequence[int], size: tuple[float, float], *labels: str) -> tuple[Figure, NDArray[np.object_]]:
     """A figure with a row of axes for each label and a column for each number of landmarks, against N."""
     figure = Figure(figsize=size, layout="constrained")
     rows = figure.subplots(len(labels), len(counts), squeeze=False)
