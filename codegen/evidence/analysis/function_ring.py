@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import mpmath
 import sympy
@@ -24,19 +24,25 @@ from codegen.discretise.interval import STEP
 from codegen.errors import ExpressionError
 from codegen.symbolic import checks as expressions
 
-Element = Any
+Element: TypeAlias = Any
 """A polynomial of the ring (sympy's PolyElement)."""
+Key: TypeAlias = tuple[Any, ...]
+"""The kind of a function, and the elements and numbers that distinguish it."""
 _DIGITS = 60
 _ROUNDING = mpmath.mpf("1e-40")
 
 
 @dataclass
 class Generator:
-    """An adjoined function: its expression, and its derivatives, which are computed once."""
+    """An adjoined function of an argument: its expression, and its slope by the argument.
+
+    The derivatives by all variables are computed once.
+    """
 
     expression: Expr
-    derivatives: Callable[[], tuple[Element, ...]]
-    computed: tuple[Element, ...] | None = None
+    slope: Callable[[], Element]
+    argument: Element
+    derivatives: tuple[Element, ...] | None = None
 
 
 class NormalForms:
@@ -49,7 +55,7 @@ class NormalForms:
         # Later generators are greater, so that rewriting ends in earlier functions.
         self.ring = PolyRing([f"g{i}" for i in reversed(range(self._size))], QQ, lex)
         self._adjoined: list[Generator] = []
-        self._elements: dict[tuple[Any, ...], Element] = {}
+        self._elements: dict[Key, Element] = {}
         self._rules: list[tuple[tuple[tuple[int, int], ...], Element]] = []
         self._reciprocals: list[tuple[int, Element]] = []
         self._index = {symbol: self._size - 1 - i for i, symbol in enumerate(self._symbols)}
@@ -84,7 +90,12 @@ class NormalForms:
                 if not hits:
                     continue
                 rest = {m: c for m, c in element.items() if m not in hits}
-                divided = {_divided(m, lead): c for m, c in hits.items()}
+                divided = {}
+                for monomial, coefficient in hits.items():
+                    quotient = list(monomial)
+                    for index, exponent in lead:
+                        quotient[index] -= exponent
+                    divided[tuple(quotient)] = coefficient
                 element = self.ring.from_dict(rest) + self.ring.from_dict(divided) * replacement
                 changed = True
         return element
@@ -93,8 +104,13 @@ class NormalForms:
         """Return the derivatives by all variables."""
         total = [self.zero] * len(self.variables)
         for index in sorted({i for monomial in element for i, e in enumerate(monomial) if e}):
-            outer = element.diff(self.ring.gens[index])
-            for a, inner in enumerate(self._slopes(index)):
+            outer, number = element.diff(self.ring.gens[index]), self._size - 1 - index - len(self._symbols)
+            if number >= 0:
+                slopes = self._derivatives(self._adjoined[number])
+            else:
+                symbol = self._symbols[self._size - 1 - index]
+                slopes = tuple(self.one if symbol == variable else self.zero for variable in self.variables)
+            for a, inner in enumerate(slopes):
                 if inner:
                     total[a] += outer * inner
         return tuple(self.reduced(part) for part in total)
@@ -126,8 +142,12 @@ class NormalForms:
             return False
         for index, base in reversed(self._reciprocals):
             degree = element.degree(self.ring.gens[index])
-            if degree > 0:
-                element = self._cleared(element, index, base, degree)
+            if degree > 0:  # the element times base^degree, because the generator is one over the base
+                total = self.zero
+                for power in range(degree + 1):
+                    part = {(*m[:index], 0, *m[index + 1 :]): c for m, c in element.items() if m[index] == power}
+                    total += self.ring.from_dict(part) * base ** (degree - power)
+                element = self.reduced(total)
         return element == 0 or self._vanishes_at_points(element, 3)
 
     def equals(self, element: Element, expression: Expr) -> bool:
@@ -151,37 +171,22 @@ class NormalForms:
         )
         return sympy.Add(*terms)
 
-    def _adjoin(self, key: tuple[Any, ...], expression: Expr, derivatives: Callable[[], Any]) -> Element:
+    def _adjoin(self, key: Key, expression: Expr, slope: Callable[[], Element], argument: Element) -> Element:
         if key not in self._elements:
             if self._slot(len(self._adjoined)) < 0:
                 raise ExpressionError("more elementary functions than can be expanded", "write a smaller problem")
             self._elements[key] = self.ring.gens[self._slot(len(self._adjoined))]
-            self._adjoined.append(Generator(expression, derivatives))
+            self._adjoined.append(Generator(expression, slope, argument))
         return self._elements[key]
 
     def _slot(self, number: int) -> int:
         return self._size - 1 - len(self._symbols) - number
 
     def _derivatives(self, generator: Generator) -> tuple[Element, ...]:
-        if generator.computed is None:
-            generator.computed = generator.derivatives()
-        return generator.computed
-
-    def _slopes(self, index: int) -> Sequence[Element]:
-        """Return the derivatives of the generator at an index."""
-        number = self._size - 1 - index - len(self._symbols)
-        if number >= 0:
-            return self._derivatives(self._adjoined[number])
-        symbol = self._symbols[self._size - 1 - index]
-        return [self.one if symbol == variable else self.zero for variable in self.variables]
-
-    def _cleared(self, element: Element, index: int, base: Element, degree: int) -> Element:
-        """Return the element times base^degree; the generator at `index` is one over the base."""
-        total = self.zero
-        for power in range(degree + 1):
-            part = {(*m[:index], 0, *m[index + 1 :]): c for m, c in element.items() if m[index] == power}
-            total += self.ring.from_dict(part) * base ** (degree - power)
-        return self.reduced(total)
+        if generator.derivatives is None:
+            slope = generator.slope()
+            generator.derivatives = tuple(self.product(slope, d) for d in self.gradient(generator.argument))
+        return generator.derivatives
 
     def _vanishes_at_points(self, element: Element, count: int) -> bool:
         points = 0
@@ -197,24 +202,19 @@ class NormalForms:
         """Yield points at which all generators have values, and these values. Read them with _DIGITS digits."""
         for drawn in expressions.sample_points(self._symbols, {}, {}):
             point = {symbol: Rational(str(round(x, 6))) for symbol, x in drawn.items()}
-            values = self._values_at(point)
-            if values is not None:
+            values = [mpmath.mpf(0)] * self._size
+            for symbol, value in point.items():
+                values[self._index[symbol]] = mpmath.mpf(int(value.p)) / int(value.q)
+            for i, generator in enumerate(self._adjoined):
+                value = sympy.N(generator.expression.xreplace(point), _DIGITS)
+                if not (value.is_finite and value.is_real):
+                    break
+                values[self._slot(i)] = _number(value)
+            else:
                 yield point, values
 
-    def _values_at(self, point: Mapping[Symbol, Rational]) -> list[mpmath.mpf] | None:
-        """Return the values of all generators; None if one of them is not a finite real number."""
-        values = [mpmath.mpf(0)] * self._size
-        for symbol, value in point.items():
-            values[self._index[symbol]] = mpmath.mpf(int(value.p)) / int(value.q)
-        for i, generator in enumerate(self._adjoined):
-            value = sympy.N(generator.expression.xreplace(dict(point)), _DIGITS)
-            if not (value.is_finite and value.is_real):
-                return None
-            values[self._slot(i)] = _number(value)
-        return values
 
-
-def _term(monomial: tuple[int, ...], coefficient: Any, values: Sequence[mpmath.mpf]) -> mpmath.mpf:
+def _term(monomial: tuple[int, ...], coefficient: Rational, values: Sequence[mpmath.mpf]) -> mpmath.mpf:
     """Return the value of one term of a polynomial."""
     powers = mpmath.fprod(values[i] ** e for i, e in enumerate(monomial) if e)
     return powers * int(coefficient.numerator) / int(coefficient.denominator)
@@ -222,13 +222,6 @@ def _term(monomial: tuple[int, ...], coefficient: Any, values: Sequence[mpmath.m
 
 def _number(value: Expr) -> mpmath.mpf:
     return mpmath.mpf(sympy.Float(value, _DIGITS)._mpf_)
-
-
-def _divided(monomial: tuple[int, ...], lead: tuple[tuple[int, int], ...]) -> tuple[int, ...]:
-    quotient = list(monomial)
-    for index, exponent in lead:
-        quotient[index] -= exponent
-    return tuple(quotient)
 
 
 def sparse(monomial: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
@@ -325,7 +318,7 @@ class FunctionRing(NormalForms):
         if value in self._index:
             return self.symbol(value)
         if isinstance(value, sympy.NumberSymbol):
-            return self._adjoin(("number", value), value, lambda: (self.zero,) * len(self.variables))
+            return self._adjoin(("number", value), value, lambda: self.zero, self.zero)
         if isinstance(value, (sympy.Add, sympy.Mul)):
             parts = [self._constant(part) for part in value.args]
             return sum(parts, self.zero) if isinstance(value, sympy.Add) else self.reduced(sympy.prod(parts))
@@ -343,11 +336,10 @@ class FunctionRing(NormalForms):
         factor = self._constant(exponent)
         key = ("power", base, factor)
 
-        def derivatives() -> tuple[Element, ...]:
-            slope = self.product(self.product(factor, self._elements[key]), self.reciprocal(base))
-            return tuple(self.product(slope, d) for d in self.gradient(base))
+        def slope() -> Element:
+            return self.product(self.product(factor, self._elements[key]), self.reciprocal(base))
 
-        return self._adjoin(key, self.expression(base) ** exponent, derivatives)
+        return self._adjoin(key, self.expression(base) ** exponent, slope, base)
 
     def reciprocal(self, base: Element) -> Element:
         """Return one over an element, as a product of the reciprocals of its factors."""
@@ -367,12 +359,8 @@ class FunctionRing(NormalForms):
                 return details[0]
         key = ("reciprocal", factor)
         if key not in self._elements:
-
-            def derivatives() -> tuple[Element, ...]:
-                square = self.power(self._elements[key], 2)
-                return tuple(-self.product(square, d) for d in self.gradient(factor))
-
-            element = self._adjoin(key, 1 / self.expression(factor), derivatives)
+            inverse = 1 / self.expression(factor)
+            element = self._adjoin(key, inverse, lambda: -self.power(self._elements[key], 2), factor)
             self._reciprocals.append((self._slot(len(self._adjoined) - 1), factor))
             self._rewrite_product(element, factor)
             for (kind, *details), root in list(self._elements.items()):
@@ -394,11 +382,10 @@ class FunctionRing(NormalForms):
         key = ("root", primitive, degree)
         if key not in self._elements:
 
-            def derivatives() -> tuple[Element, ...]:
-                slope = self.power(self.reciprocal(self._elements[key]), degree - 1) * QQ(1, degree)
-                return tuple(self.product(slope, d) for d in self.gradient(primitive))
+            def slope() -> Element:
+                return self.power(self.reciprocal(self._elements[key]), degree - 1) * QQ(1, degree)
 
-            element = self._adjoin(key, sympy.root(self.expression(primitive), degree), derivatives)
+            element = self._adjoin(key, sympy.root(self.expression(primitive), degree), slope, primitive)
             self._rules.append((sparse((element**degree).LM), primitive))
         return self.product(number, self._elements[key])
 
@@ -415,7 +402,7 @@ class FunctionRing(NormalForms):
             root = sympy.root(base, int(exponent.q))
             key = ("root", self.number(base), int(exponent.q))
             if key not in self._elements:
-                element = self._adjoin(key, root, lambda: (self.zero,) * len(self.variables))
+                element = self._adjoin(key, root, lambda: self.zero, self.zero)
                 self._rules.append((sparse((element ** int(exponent.q)).LM), self.number(base)))
             positive = self._elements[key]
             chosen = positive if exponent.p > 0 else self.reciprocal(positive)
@@ -433,20 +420,12 @@ class FunctionRing(NormalForms):
         if value.is_Rational:
             return self.number(value)
         slope = sympy.diff(function(_X), _X)
-
-        def derivatives() -> tuple[Element, ...]:
-            outer = self.function(slope, _X, argument)
-            return tuple(self.product(outer, d) for d in self.gradient(argument))
-
-        return self._adjoin((function.__name__, argument), value, derivatives)
+        key = (function.__name__, argument)
+        return self._adjoin(key, value, lambda: self.function(slope, _X, argument), argument)
 
     def _exponential(self, exponent: Element) -> Element:
         key = ("exp", exponent)
-
-        def derivatives() -> tuple[Element, ...]:
-            return tuple(self.product(self._elements[key], d) for d in self.gradient(exponent))
-
-        return self._adjoin(key, sympy.exp(self.expression(exponent)), derivatives)
+        return self._adjoin(key, sympy.exp(self.expression(exponent)), lambda: self._elements[key], exponent)
 
     def _turned(self, angle: Element) -> tuple[Element, Element]:
         """Return sine and cosine of a sum by the addition theorems, from the angles of the basis or from its terms."""
@@ -477,12 +456,8 @@ class FunctionRing(NormalForms):
         keys = ("sin", angle), ("cos", angle)
         if keys[0] not in self._elements:
             expression = self.expression(angle)
-
-            def scaled(key: tuple[Any, ...], sign: int) -> Callable[[], tuple[Element, ...]]:
-                return lambda: tuple(self.product(self._elements[key] * sign, d) for d in self.gradient(angle))
-
-            cosine = self._adjoin(keys[1], sympy.cos(expression), scaled(keys[0], -1))
-            sine = self._adjoin(keys[0], sympy.sin(expression), scaled(keys[1], 1))
+            cosine = self._adjoin(keys[1], sympy.cos(expression), lambda: -self._elements[keys[0]], angle)
+            sine = self._adjoin(keys[0], sympy.sin(expression), lambda: self._elements[keys[1]], angle)
             self._rules.append((sparse((sine**2).LM), self.one - cosine**2))
         return self._elements[keys[0]], self._elements[keys[1]]
 

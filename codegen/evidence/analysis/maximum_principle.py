@@ -14,13 +14,13 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import mpmath
 import numpy as np
 import sympy
 from numpy.typing import NDArray
 from scipy.integrate import solve_bvp, solve_ivp
+from scipy.optimize import OptimizeResult
 from sympy.solvers.ode.systems import matrix_exp
 
 from codegen.discretise.conditions import CONDITIONS
@@ -84,7 +84,18 @@ def necessary_conditions(model: Model) -> NecessaryConditions:
         )
     states = (*model.coordinates, *model.rates)
     costates = new_symbols(model, "psi_", states)
-    dynamics = _dynamics(model)
+    # (v, v') of the forced Euler-Lagrange equations, or (q', p') of Hamilton's equations.
+    if model.form == "hamiltonian":
+        dynamics = vector_field(model)
+    else:
+        function, q, rates = model.function, model.coordinates, model.rates
+        gradient = [function.diff(symbol) for symbol in q]
+        momenta = [function.diff(v) for v in rates]
+        right = [
+            slope + f - p.diff(model.time) - sum(p.diff(x) * v for x, v in zip(q, rates, strict=True))
+            for slope, f, p in zip(gradient, model.force, momenta, strict=True)
+        ]
+        dynamics = (*rates, *solve_blocks(sympy.hessian(function, rates), right))
     hamiltonian = model.cost + sum((psi * f for psi, f in zip(costates, dynamics, strict=True)), sympy.S.Zero)
     optimal = _optimal_control(model, hamiltonian)
     substitution = dict(zip(model.controls, optimal, strict=True))
@@ -101,20 +112,6 @@ def necessary_conditions(model: Model) -> NecessaryConditions:
         start=_end_equations(states, costates, model.start),
         end=_end_equations(states, costates, model.end),
     )
-
-
-def _dynamics(model: Model) -> tuple[sympy.Expr, ...]:
-    """Return (v, v') of the forced Euler-Lagrange equations, or (q', p') of Hamilton's equations."""
-    if model.form == "hamiltonian":
-        return vector_field(model)
-    function, q, rates = model.function, model.coordinates, model.rates
-    gradient = [function.diff(symbol) for symbol in q]
-    momenta = [function.diff(v) for v in rates]
-    right = [
-        slope + f - p.diff(model.time) - sum(p.diff(x) * v for x, v in zip(q, rates, strict=True))
-        for slope, f, p in zip(gradient, model.force, momenta, strict=True)
-    ]
-    return (*rates, *solve_blocks(sympy.hessian(function, rates), right))
 
 
 def _optimal_control(model: Model, hamiltonian: sympy.Expr) -> tuple[sympy.Expr, ...]:
@@ -193,8 +190,18 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
     z = [*conditions.states, *conditions.costates]
     substitution = dict(zip(model.controls, conditions.optimal_control, strict=True))
     eliminated = conditions.hamiltonian.xreplace(substitution)
-    if _is_surely_curved(eliminated, z, model):
-        return None
+    # Third differences on some line, in 60 digits, may show that K is not quadratic in z. The expansion of a long
+    # expression takes a minute and has the same result.
+    numbers = model.default_values | {model.time: 0.37}
+    evaluate = sympy.lambdify([*z, *numbers], eliminated, modules="mpmath", cse=True)
+    with mpmath.workdps(60):
+        begin = [mpmath.mpf(3 + 2 * i) / 17 for i in range(len(z))]
+        slopes = [mpmath.mpf(5 + 7 * i % 11) / 23 for i in range(len(z))]
+        data = [mpmath.mpf(value) for value in numbers.values()]
+        values = [evaluate(*(a + k * b for a, b in zip(begin, slopes, strict=True)), *data) for k in range(4)]
+        difference = abs(values[3] - 3 * values[2] + 3 * values[1] - values[0])
+        if difference > mpmath.mpf(10) ** -40 * max(abs(value) for value in values):
+            return None
     reduced = sympy.expand(eliminated)
     at_zero = dict.fromkeys(z, sympy.S.Zero)
     gradient = sympy.Matrix([reduced.diff(symbol) for symbol in z])
@@ -209,41 +216,7 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
     flow[2 * half + 1, : 2 * half] = slope.T
     if slope.is_zero_matrix:
         flow = flow[: 2 * half, : 2 * half]
-    solution = _linear_solution(conditions, flow)
-    if solution is None:
-        return None
-    first, last = (solution.subs(model.time, instant) for instant in (sympy.S.Zero, model.duration))
-    boundary_term = [(w[:half, :].T * w[half : 2 * half, :])[0] for w in (first, last)]
-    integral = sympy.S.Zero if slope.is_zero_matrix else last[2 * half + 1]
-    cost = (boundary_term[0] - boundary_term[1] + integral) / 2 + reduced.xreplace(at_zero) * model.duration
-    trajectory = dict(zip(z, solution[: 2 * half], strict=True))
-    return ExactOptimum(
-        model=model,
-        cost=sympy.simplify(cost) if cost.count_ops() < _SIMPLIFY_LIMIT else cost,
-        states=tuple(solution[:half]),
-        controls=tuple(u.xreplace(trajectory) for u in conditions.optimal_control),
-    )
-
-
-def _is_surely_curved(function: sympy.Expr, z: Sequence[sympy.Symbol], model: Model) -> bool:
-    """Return True if third differences on some line, in 60 digits, show that a function of z is not quadratic.
-
-    The expansion of a long expression takes a minute and has the same result.
-    """
-    numbers = model.default_values | {model.time: 0.37}
-    evaluate = sympy.lambdify([*z, *numbers], function, modules="mpmath", cse=True)
-    with mpmath.workdps(60):
-        first = [mpmath.mpf(3 + 2 * i) / 17 for i in range(len(z))]
-        slopes = [mpmath.mpf(5 + 7 * i % 11) / 23 for i in range(len(z))]
-        constants = [mpmath.mpf(value) for value in numbers.values()]
-        values = [evaluate(*(a + k * b for a, b in zip(first, slopes, strict=True)), *constants) for k in range(4)]
-        difference = abs(values[3] - 3 * values[2] + 3 * values[1] - values[0])
-        return bool(difference > mpmath.mpf(10) ** -40 * max(abs(value) for value in values))
-
-
-def _linear_solution(conditions: NecessaryConditions, flow: sympy.Matrix) -> sympy.Matrix | None:
-    """Return w(t) with w' = flow w that satisfies the end equations; None if exp(flow t) has no practical formula."""
-    model, count = conditions.model, 2 * len(conditions.states)
+    # The solution w(t) of w' = flow w that satisfies the end equations, if exp(flow t) has a practical formula.
     eigenvalue = sympy.Dummy("s")
     factors = sympy.factor_list(flow.charpoly().as_expr(eigenvalue), eigenvalue)[1]
     quartic = [(factor, count) for factor, count in factors if sympy.degree(factor, eigenvalue) > 2]
@@ -257,17 +230,26 @@ def _linear_solution(conditions: NecessaryConditions, flow: sympy.Matrix) -> sym
     signed = {p: sympy.Dummy(p.name, positive=True) for p, v in model.default_values.items() if v > 0.0}
     plain = {dummy: p for p, dummy in signed.items()}
     exponential = matrix_exp(flow.xreplace(signed), model.time).xreplace(plain)
-    z = [*conditions.states, *conditions.costates]
     initial = sympy.Matrix([*z, 1, 0][: flow.rows])
     final = exponential.subs(model.time, model.duration) * initial
-    at_end = dict(zip(z, final[:count], strict=True))
+    at_end = dict(zip(z, final[: 2 * half], strict=True))
     equations = [*conditions.start, *(equation.xreplace(at_end) for equation in conditions.end)]
-    at_zero = dict.fromkeys(z, sympy.S.Zero)
     matrix = sympy.Matrix(equations).jacobian(z)
     if expressions.null_direction([expressions.values_at(matrix, model.default_values)]) is not None:
         raise BoundaryError("the boundary conditions do not determine the optimum", "fix or free other end values")
-    values = solve_blocks(matrix, [-equation.xreplace(at_zero) for equation in equations])
-    return exponential * sympy.Matrix([*values, 1, 0][: flow.rows])
+    constants = solve_blocks(matrix, [-equation.xreplace(at_zero) for equation in equations])
+    solution = exponential * sympy.Matrix([*constants, 1, 0][: flow.rows])
+    first, last = (solution.subs(model.time, instant) for instant in (sympy.S.Zero, model.duration))
+    boundary_term = [(w[:half, :].T * w[half : 2 * half, :])[0] for w in (first, last)]
+    integral = sympy.S.Zero if slope.is_zero_matrix else last[2 * half + 1]
+    cost = (boundary_term[0] - boundary_term[1] + integral) / 2 + reduced.xreplace(at_zero) * model.duration
+    trajectory = dict(zip(z, solution[: 2 * half], strict=True))
+    return ExactOptimum(
+        model=model,
+        cost=sympy.simplify(cost) if cost.count_ops() < _SIMPLIFY_LIMIT else cost,
+        states=tuple(solution[:half]),
+        controls=tuple(u.xreplace(trajectory) for u in conditions.optimal_control),
+    )
 
 
 Array = NDArray[np.float64]
@@ -336,8 +318,16 @@ def reference_optimum(
     conditions = necessary_conditions(model)
     system = _BoundaryValueProblem(conditions, parameter_values(model, values), seconds)
     guesses = [_interpolated_guess(model, system, slopes) for slopes in (True, False)] if guess is None else [guess]
-    for t, x, psi in guesses:
-        solution = system.solve(*_checked_guess(system, t, x, psi), system.end_values, _FIRST_TOLERANCE)
+    for parts in guesses:
+        t, x, psi = (np.asarray(part, dtype=float) for part in parts)
+        expected = (t.size, system.count)
+        if t.ndim != 1 or t.size < 2 or x.shape != expected or psi.shape != expected or not np.all(np.diff(t) > 0.0):
+            raise NumericsError(
+                f"the guess has shapes {t.shape}, {x.shape}, {psi.shape}",
+                f"give increasing t (M,), x and psi {expected}",
+            )
+        y = np.vstack([x.T, psi.T, np.zeros((1, t.size))])
+        solution = system.solve((t - t[0]) / (t[-1] - t[0]), y, system.end_values, _FIRST_TOLERANCE)
         if solution.success:
             break
     else:
@@ -356,7 +346,7 @@ def reference_optimum(
         t=solution.x * system.duration,
         states=solution.y[:count].T,
         costates=solution.y[count:-1].T,
-        controls=system.controls(solution.x, solution.y).T,
+        controls=system.controls(solution.x * system.duration, solution.y).T,
         residual=float(np.max(solution.rms_residuals)),
     )
 
@@ -374,7 +364,7 @@ class _BoundaryValueProblem:
         self.duration = self.number(model.duration)
         self._rates = _vectorised(model.time, z, numbers, rates)
         self._jacobian = _vectorised(model.time, z, numbers, list(jacobian))
-        self._controls = _vectorised(model.time, z, numbers, conditions.optimal_control)
+        self.controls = _vectorised(model.time, z, numbers, conditions.optimal_control)
         assert model.end is not None
         self.start_values, self.end_values = (
             np.array([np.nan if v is None else self.number(v) for v in (*side.positions, *side.rates)])
@@ -387,13 +377,10 @@ class _BoundaryValueProblem:
             raise NumericsError(f"{expression} is no finite number at these parameters", "correct them")
         return value
 
-    def controls(self, s: Array, y: Array) -> Array:
-        return self._controls(s * self.duration, y)
-
     def rates(self, s: Array, y: Array) -> Array:
         return self.duration * self._rates(s * self.duration, y)
 
-    def solve(self, s: Array, y: Array, end_values: Array, tolerance: float) -> Any:
+    def solve(self, s: Array, y: Array, end_values: Array, tolerance: float) -> OptimizeResult:
         """Run solve_bvp from the mesh s and the values y. The scale of each unknown is its largest value."""
         size = np.abs(y).max(axis=1)
         size[size == 0.0] = 1.0
@@ -468,17 +455,7 @@ def _interpolated_guess(model: Model, system: _BoundaryValueProblem, slopes: boo
     return t, x, np.zeros_like(x)
 
 
-def _checked_guess(system: _BoundaryValueProblem, t: Array, x: Array, psi: Array) -> tuple[Array, Array]:
-    t, x, psi = (np.asarray(part, dtype=float) for part in (t, x, psi))
-    expected = (t.size, system.count)
-    if t.ndim != 1 or t.size < 2 or x.shape != expected or psi.shape != expected or not np.all(np.diff(t) > 0.0):
-        raise NumericsError(
-            f"the guess has shapes {t.shape}, {x.shape}, {psi.shape}", f"give increasing t (M,), x and psi {expected}"
-        )
-    return (t - t[0]) / (t[-1] - t[0]), np.vstack([x.T, psi.T, np.zeros((1, t.size))])
-
-
-def _continued(system: _BoundaryValueProblem) -> Any:
+def _continued(system: _BoundaryValueProblem) -> OptimizeResult | None:
     """Move the end values from those of the uncontrolled motion to the prescribed values, in adaptive steps."""
     count = system.count
     y0 = np.concatenate([np.nan_to_num(system.start_values), np.zeros(count + 1)])

@@ -110,8 +110,8 @@ def analysis(
         chosen = schemes.find(name, method or transcribe.method_with(model, name))
     result = modified_equations(model, chosen, order)
     notation = Notation.of(legendre.hamiltonian_form(model.with_free_ends), latex=latex)
-    blocks = [*_field_blocks(result, model, notation), *_structure_blocks(result, notation)]
-    return written(f"{chosen.name} on {model.name}: {_conclusion(result, latex)}", blocks, notation)
+    head = f"{chosen.name} on {model.name}: {_conclusion(result, latex)}"
+    return written(head, list(_blocks(result, model, notation)), notation)
 
 
 @dataclass(frozen=True)
@@ -563,7 +563,8 @@ def _series_of(name: str, last: int) -> tuple[str, str]:
     return " + ".join(plain), " + ".join(tex)
 
 
-def _field_blocks(result: ModifiedEquations, model: Model, notation: Notation) -> Iterator[Block]:
+def _blocks(result: ModifiedEquations, model: Model, notation: Notation) -> Iterator[Block]:
+    """Yield the modified field, and the modified Hamiltonian or the defects of a field without Hamiltonian."""
     names = ", ".join(notation.name(x) for x in result.states)
     last = len(result.field)
     plain, tex = _series_of("f", last)
@@ -581,10 +582,6 @@ def _field_blocks(result: ModifiedEquations, model: Model, notation: Notation) -
     for k, field in enumerate(result.field):
         rates = [(Symbol(f"rate {x.name}", real=True), f) for x, f in zip(result.states, field, strict=True)]
         yield _block(f"Coefficient of {_power(k, notation.latex)}", rates, k, notation)
-
-
-def _structure_blocks(result: ModifiedEquations, notation: Notation) -> Iterator[Block]:
-    """Yield the modified Hamiltonian, or the defects of a field without Hamiltonian."""
     if result.hamiltonian:
         last = len(result.hamiltonian)
         plain, tex = _series_of("H", last)

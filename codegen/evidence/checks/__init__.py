@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import TypeAlias
 
 from codegen.discretise import schemes
@@ -91,6 +92,7 @@ def run(
     controls: str = "interval",
     sensitivities: bool = False,
     module: Path | None = None,
+    steps: int | None = None,
     time_limit: float = CHECK,
 ) -> Findings:
     """Run all checks that apply to a problem.
@@ -107,6 +109,8 @@ def run(
         True to check the module with sensitivities.
     module : Path, optional
         A generated file to be checked as it is. By default the module is built in the cache.
+    steps : int, optional
+        The number of intervals of the solutions that are checked. By default the problem's own.
     time_limit : float
         Seconds of processor time. A check may take a quarter of the remaining time. A check that is interrupted
         yields a finding with that reason.
@@ -133,6 +137,7 @@ def run(
         return Findings(particles.particle_findings(source, settings, choices, module))
     context, text = _prepared(source, settings, choices, module)
     inputs = naming.origin_of(source, settings, choices).inputs
+    context = replace(context, steps=steps)
     findings = list(layout.compare(module, context.module, inputs, text))
     for name in CHECKS:
         findings += apply(name, context, (end - time.process_time()) / 4)
@@ -204,5 +209,6 @@ def _prepared(source: Source, arguments: Mapping[str, str], choices: Choices, mo
     by_data = control_sensitivities(program) if choices.sensitivities else None
     fresh = lower.lower(program, differentiation.derivatives(program), by_data)
     text = rendering.render(fresh, naming.origin_of(source, arguments, choices, files))
-    scheme = schemes.find(program.scheme, program.method)
-    return Context(choices, model, program, scheme, load(module)), text
+    loaded = load(module)
+    assert isinstance(loaded, ModuleType)
+    return Context(choices, model, program, schemes.find(program.scheme, program.method), loaded), text

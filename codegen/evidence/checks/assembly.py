@@ -11,9 +11,10 @@ not appear in the Lagrangian, so that no kernel verifies them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeAlias
+from types import ModuleType
+from typing import TypeAlias
 
 import mpmath
 import numpy as np
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from sympy import Expr, Symbol
 
 from codegen.discretise.forms import in_velocities
-from codegen.discretise.model.definitions import Model, prescribed
+from codegen.discretise.model.definitions import prescribed
 from codegen.discretise.program import ControlProgram, EndElement, Unknown
 from codegen.emit.verify.shares import shared_symbols
 from codegen.evidence.checks.base import (
@@ -31,6 +32,7 @@ from codegen.evidence.checks.base import (
     Context,
     Finding,
     Function,
+    Numbers,
     directional,
     function_of,
     gradient,
@@ -40,6 +42,7 @@ from codegen.evidence.checks.layout import FlatVector, few_steps, other_symbols
 from codegen.runtime.record import Kind, Role
 from codegen.runtime.search import point
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
+from codegen.solving.loading import Grid, Vector
 from codegen.symbolic import checks as expressions
 
 _STEPS = 2
@@ -49,8 +52,6 @@ _AMOUNT = 0.05
 _SOLVED = 1e-8
 _SHIFTS = (1.0, 1e3, 1e6)
 _DUAL_SHIFT = 1e-3
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -98,10 +99,35 @@ def check_assembly(context: Context) -> Iterator[Finding]:
     second = Agreement("assembly")
     second.compare([f"row of {names[i]}" for i in free], (matrix @ direction)[free], [turned[i] for i in free])
     yield second.finding("KKT matrix", "120-digit second differences along a random direction")
-    yield _newton_step(module, grid, unknowns, matrix, emitted, free, names)
+    # Compare the structured elimination with the dense matrix. A shift of the Hessian makes both regular.
+    system, step = allocate_system(grid), np.empty_like(unknowns)
+    # The last shift is large enough for any units of the Hessian: it makes every row diagonally dominant.
+    dominant = np.ones(unknowns.size)
+    dominant[primal] += np.abs(matrix[np.ix_(primal, primal)]).sum(axis=1)
+    for shift in (*_SHIFTS, dominant[free]):
+        diagonal = np.zeros(unknowns.size)
+        diagonal[free] = np.where(grid.is_multiplier[free], -_DUAL_SHIFT, shift)
+        excess = factor_kkt(grid, unknowns, 1.0, diagonal, system)
+        if is_factored(excess):
+            break
+    else:
+        detail = "the KKT matrix cannot be factored, however its Hessian is shifted"
+        yield Finding("assembly", "Newton step", False, detail)
+        return
+    solve_kkt(grid, system, emitted, step)
+    shifted = matrix[np.ix_(free, free)] + np.diag(diagonal[free])
+    residual = np.abs(shifted @ step[free] + emitted[free])
+    sizes = np.abs(shifted) @ np.abs(step[free]) + np.abs(emitted[free]).max(initial=0.0)
+    errors = residual / np.where(sizes > 0.0, sizes, 1.0)
+    worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
+    passed = bool(np.isfinite(errors).all() and errors[worst] <= _SOLVED)
+    detail = f"it solves all {free.size} linear equations to {errors[worst]:.1g}"
+    if not passed:
+        detail = f"it leaves the row of {names[free[worst]]} by {errors[worst]:.1g} of its terms"
+    yield Finding("assembly", "Newton step", passed, detail)
 
 
-def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: Any) -> Iterator[_Share]:
+def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: Grid) -> Iterator[_Share]:
     """Yield all shares of the Lagrangian."""
     others, count = other_symbols(program), len(program.model.parameters) + len(program.boundary_values)
     duration: float | None = 1.0
@@ -129,7 +155,12 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: A
     for body in range(program.bodies):
         for k in range(flat.steps):
             yield _Share(elements[flat.share(k).element], flat.element(body, k), data(body, k))
-        for k, arguments in _samples(context.model, body, times) if sample else ():
+        for time, *row in context.model.measurements[body].rows if sample else ():
+            # The position of a sample in its interval, then its values and their weights.
+            k = min(int(np.sum(times[1:] <= time)), times.size - 2)
+            arguments, columns = [(time - times[k]) / (times[k + 1] - times[k])], len(row) // 2
+            arguments += [z if np.isfinite(z) else 0.0 for z in row[:columns]]
+            arguments += [1 / s if np.isfinite(z) else 0.0 for z, s in zip(row[:columns], row[columns:], strict=True)]
             yield _Share(partial(losses, *arguments), flat.element(body, k), data(body, k))
         yield _Share(start, flat.end(body, "start"), data(body, 0))
         yield _Share(end, flat.end(body, "end"), data(body, flat.steps))
@@ -140,20 +171,7 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: A
         yield _Share(function(multiplier * coupling.expression, (*symbols, multiplier)), indices, data(0, 0))
 
 
-def _samples(model: Model, body: int, times: Vector) -> Iterator[tuple[int, list[float]]]:
-    """Yield the interval of each sample of a body, its position in the interval, its values and their weights."""
-    measurements = model.measurements[body]
-    columns = len(measurements.layout.columns)
-    for time, *row in measurements.rows:
-        k = min(int(np.sum(times[1:] <= time)), times.size - 2)
-        fraction = (time - times[k]) / (times[k + 1] - times[k])
-        pairs = [
-            (z, 1 / s) if np.isfinite(z) else (0.0, 0.0) for z, s in zip(row[:columns], row[columns:], strict=True)
-        ]
-        yield k, [fraction, *(z for z, _ in pairs), *(weight for _, weight in pairs)]
-
-
-def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Share], list[Any]]) -> list[Any]:
+def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Share], Numbers]) -> Numbers:
     """Return the sum of the derivatives of all shares. Unknowns that equal a linking unknown add to its entry."""
     total, representatives = [mpmath.mpf(0)] * flat.size, flat.representatives()
     with mpmath.workdps(DIGITS):
@@ -163,7 +181,9 @@ def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Sh
     return total
 
 
-def _trial_point(module: Any, grid: Any, flat: FlatVector, shares: list[_Share]) -> tuple[Vector, list[Any] | None]:
+def _trial_point(
+    module: ModuleType, grid: Grid, flat: FlatVector, shares: list[_Share]
+) -> tuple[Vector, Numbers | None]:
     """Return unknowns near the guess, and the gradient there. The distance decreases until the gradient is finite."""
     generator, free = np.random.default_rng(17), flat.free()
     noise = generator.uniform(-1.0, 1.0, flat.size)
@@ -172,7 +192,7 @@ def _trial_point(module: Any, grid: Any, flat: FlatVector, shares: list[_Share])
         unknowns = guess + np.where(free, amount * noise * (1.0 + np.abs(guess)), 0.0)
         unknowns = module.with_pinned_values(grid, unknowns)
 
-        def slopes(share: _Share, unknowns: Vector = unknowns) -> list[Any]:
+        def slopes(share: _Share, unknowns: Vector = unknowns) -> Numbers:
             return gradient(share.function, share.numbers(unknowns), range(share.indices.size))
 
         try:
@@ -182,37 +202,6 @@ def _trial_point(module: Any, grid: Any, flat: FlatVector, shares: list[_Share])
         except (TypeError, ValueError, ArithmeticError):
             continue  # outside the domain of an expression
     return guess, None
-
-
-def _newton_step(
-    module: Any, grid: Any, unknowns: Vector, matrix: Vector, gradient_: Vector, free: Any, names: list[str]
-) -> Finding:
-    """Compare the structured elimination with the dense matrix. A shift of the Hessian makes both regular."""
-    system, step = allocate_system(grid), np.empty_like(unknowns)
-    subject = "Newton step"
-    # The last shift is large enough for any units of the Hessian: it makes every row diagonally dominant.
-    primal = module.primal_unknowns(grid)
-    dominant = np.ones(unknowns.size)
-    dominant[primal] += np.abs(matrix[np.ix_(primal, primal)]).sum(axis=1)
-    for shift in (*_SHIFTS, dominant[free]):
-        diagonal = np.zeros(unknowns.size)
-        diagonal[free] = np.where(grid.is_multiplier[free], -_DUAL_SHIFT, shift)
-        excess = factor_kkt(grid, unknowns, 1.0, diagonal, system)
-        if is_factored(excess):
-            break
-    else:
-        return Finding("assembly", subject, False, "the KKT matrix cannot be factored, however its Hessian is shifted")
-    solve_kkt(grid, system, gradient_, step)
-    shifted = matrix[np.ix_(free, free)] + np.diag(diagonal[free])
-    residual = np.abs(shifted @ step[free] + gradient_[free])
-    sizes = np.abs(shifted) @ np.abs(step[free]) + np.abs(gradient_[free]).max(initial=0.0)
-    errors = residual / np.where(sizes > 0.0, sizes, 1.0)
-    worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
-    passed = bool(np.isfinite(errors).all() and errors[worst] <= _SOLVED)
-    detail = f"it solves all {free.size} linear equations to {errors[worst]:.1g}"
-    if not passed:
-        detail = f"it leaves the row of {names[free[worst]]} by {errors[worst]:.1g} of its terms"
-    return Finding("assembly", subject, passed, detail)
 
 
 _FEW_STEPS = 3
@@ -225,61 +214,31 @@ def check_given_values(context: Context) -> Iterator[Finding]:
     """Compare the table of parameters, pinned values and bounds, entry by entry."""
     program = context.control
     flat = FlatVector.on_grid(program, few_steps(program, _FEW_STEPS))
-    yield _boundary_values(context, program)
-    yield _pinned_values(context.module, program, flat)
-    yield _bounds(context, program, flat)
-
-
-def _number(value: Expr, program: ControlProgram, body: int, more: Mapping[Symbol, float] | None = None) -> float:
-    """Evaluate an expression of parameters and of the body's number."""
-    values: dict[Symbol, float] = dict(program.model.default_values) | dict(more or {})
-    if program.body is not None:
-        values[program.body] = float(body)
-    number = expressions.number_at(sympy.sympify(value), values)
-    return float("nan") if number is None else number
-
-
-def _compared(subject: str, names: Sequence[str], pairs: Sequence[tuple[float, float]], right: str) -> Finding:
-    """Compare values with the values that the author wrote. Names include the verb."""
-    wrong = [
-        f"{name} {value:.12g}, expected {expected:.12g}"
-        for name, (value, expected) in zip(names, pairs, strict=True)
-        if not (value == expected or abs(value - expected) <= _EQUAL * max(1.0, abs(expected)))
-    ]
-    more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
-    return Finding("given values", subject, not wrong, f"{wrong[0]}{more}" if wrong else right)
-
-
-def _boundary_values(context: Context, program: ControlProgram) -> Finding:
-    """Compare every body's row of parameters and boundary values. Values of a free end cannot appear there."""
-    model = context.model
+    # Compare every body's row of parameters and boundary values. Values of a free end cannot appear there.
+    module, model = context.module, context.model
     written: dict[tuple[str, str], Expr] = {}
-    first, last = (model.phases or (model,))[0], (model.phases or (model,))[-1]
+    first, last, rates = (model.phases or (model,))[0], (model.phases or (model,))[-1], model.rates
     if program.method == "variational" and model.form == "hamiltonian":
         first, last = in_velocities(first), in_velocities(last)  # prescribed momenta are velocities there
-        model = replace(model, rates=first.rates)
+        rates = first.rates
     for where, boundary in (("start", first.start), ("end", last.end)):
         assert boundary is not None, "a control problem has an end"
-        quantities = zip((*model.coordinates, *model.rates), (*boundary.positions, *boundary.rates), strict=True)
+        quantities = zip((*model.coordinates, *rates), (*boundary.positions, *boundary.rates), strict=True)
         written |= {(where, q.name): value for q, value in quantities if value is not None}
-    grid = context.module.make_grid(few_steps(program, _FEW_STEPS))
+    grid = module.make_grid(flat.phase_steps)
     ends = [f"{v.where} {v.quantity}" for v in program.boundary_values]
     if {(v.where, v.quantity) for v in program.boundary_values} != written.keys():
         detail = f"values are given of {', '.join(ends)}, not of what was written"
-        return Finding("given values", "boundary values", False, detail)
-    entries = [*(f"parameter {p}" for p in model.parameters), *ends]
-    names, pairs = list[str](), list[tuple[float, float]]()
-    for body in range(program.bodies):
-        values = [written[v.where, v.quantity] for v in program.boundary_values]
-        expected = [*model.defaults, *(_number(value, program, body) for value in values)]
-        names += [f"{entry} of body {body} is" for entry in entries]
-        pairs += zip(grid.parameters[body][: len(expected)], expected, strict=True)
-    return _compared("boundary values", names, pairs, f"{', '.join(ends) or 'none'}: as written")
-
-
-def _pinned_values(module: Any, program: ControlProgram, flat: FlatVector) -> Finding:
-    """Compare the entries that `with_pinned_values` overwrites in an arbitrary vector, and their values."""
-    grid = module.make_grid(flat.phase_steps)
+        yield Finding("given values", "boundary values", False, detail)
+    else:
+        entries = [*(f"parameter {p}" for p in model.parameters), *ends]
+        names, pairs = list[str](), list[tuple[float, float]]()
+        for body in range(program.bodies):
+            ours = [_number(written[v.where, v.quantity], program, body) for v in program.boundary_values]
+            names += [f"{entry} of body {body} is" for entry in entries]
+            pairs += zip(grid.parameters[body][: len(entries)], [*model.defaults, *ours], strict=True)
+        yield _compared("boundary values", names, pairs, f"{', '.join(ends) or 'none'}: as written")
+    # Compare the entries that `with_pinned_values` overwrites in an arbitrary vector, and their values.
     before = np.random.default_rng(5).uniform(1.0, 2.0, flat.size)
     expected, free = before.copy(), flat.free()
     for body in range(program.bodies):
@@ -296,16 +255,13 @@ def _pinned_values(module: Any, program: ControlProgram, flat: FlatVector) -> Fi
     pinned, fixed = module.with_pinned_values(grid, before), np.count_nonzero(expected != before)
     detail = f"{fixed} unknowns at the ends have their values, all others are left alone"
     names = [f"{name} is given" for name in flat.names()]
-    return _compared("pinned unknowns", names, list(zip(pinned, expected, strict=True)), detail)
-
-
-def _bounds(context: Context, program: ControlProgram, flat: FlatVector) -> Finding:
-    """Compare tables of bounds with the author's bounds. Slacks are not negative, pinned unknowns have no bounds."""
-    module, model = context.module, context.model
+    yield _compared("pinned unknowns", names, list(zip(pinned, expected, strict=True)), detail)
+    # Compare tables of bounds with the author's bounds. Slacks are not negative, pinned unknowns have no bounds.
     if not program.has_inequalities:
         passed = not hasattr(module, "variable_bounds")
         detail = "there are none" if passed else "there are none, but the module has variable_bounds"
-        return Finding("given values", "bounds", passed, detail)
+        yield Finding("given values", "bounds", passed, detail)
+        return
     lower, upper = np.full(flat.size, -np.inf), np.full(flat.size, np.inf)
     common: _Limits = {free.symbol.name: (free.lower, free.upper) for free in model.free_parameters}
     common |= {u.name: (sympy.S.Zero, None) for u in program.shared if u.kind.role is Role.SLACK}
@@ -354,21 +310,41 @@ def _bounds(context: Context, program: ControlProgram, flat: FlatVector) -> Find
             index = flat.node(body, nodes[number])[inner.clock]
             lower[index] = lower[index] if earliest is None else _number(earliest, program, body)
             upper[index] = upper[index] if latest is None else _number(latest, program, body)
-        for number, name, before in inner.determined:
-            release([name], None, body, nodes[number], nodes[number] - before)
+        for number, name, back in inner.determined:
+            release([name], None, body, nodes[number], nodes[number] - back)
     for number in range(1, len(program.phases)):
         # Bounds of the later phase also hold at the switch, unless the quantity jumps.
-        node, jumping = flat.node(0, number * flat.phase_steps), {symbol.name for symbol, _ in model.jumps[number - 1]}
+        node, jumps = flat.node(0, number * flat.phase_steps), model.jumps[number - 1]
+        jumping = {symbol.name for symbol, _ in jumps}
         put(node, program.node, 0, {name: pair for name, pair in of_phases[number].items() if name not in jumping})
-        ends = {symbol.name for symbol in prescribed(model.phases[number - 1], "end")}
-        indices = node[[i for i, unknown in enumerate(program.node) if unknown.name in ends]]
+        at_end = {symbol.name for symbol in prescribed(model.phases[number - 1], "end")}
+        indices = node[[i for i, unknown in enumerate(program.node) if unknown.name in at_end]]
         lower[indices], upper[indices] = -np.inf, np.inf
-    free = flat.free()
     lower[~free], upper[~free] = -np.inf, np.inf
 
-    bounds = module.variable_bounds(module.make_grid(flat.phase_steps))
+    bounds = module.variable_bounds(grid)
     names = [f"the {side} bound of {name} is" for side in ("lower", "upper") for name in flat.names()]
     pairs = [*zip(bounds[0], lower, strict=True), *zip(bounds[1], upper, strict=True)]
     count = np.count_nonzero(np.isfinite(lower)) + np.count_nonzero(np.isfinite(upper))
     detail = f"all {count} bounds on {flat.phase_steps} intervals are as written"
-    return _compared("bounds", names, pairs, detail)
+    yield _compared("bounds", names, pairs, detail)
+
+
+def _number(value: Expr, program: ControlProgram, body: int, more: Mapping[Symbol, float] | None = None) -> float:
+    """Evaluate an expression of parameters and of the body's number."""
+    values: dict[Symbol, float] = dict(program.model.default_values) | dict(more or {})
+    if program.body is not None:
+        values[program.body] = float(body)
+    number = expressions.number_at(sympy.sympify(value), values)
+    return float("nan") if number is None else number
+
+
+def _compared(subject: str, names: Sequence[str], pairs: Sequence[tuple[float, float]], right: str) -> Finding:
+    """Compare values with the values that the author wrote. Names include the verb."""
+    wrong = [
+        f"{name} {value:.12g}, expected {expected:.12g}"
+        for name, (value, expected) in zip(names, pairs, strict=True)
+        if not (value == expected or abs(value - expected) <= _EQUAL * max(1.0, abs(expected)))
+    ]
+    more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+    return Finding("given values", subject, not wrong, f"{wrong[0]}{more}" if wrong else right)

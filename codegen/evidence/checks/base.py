@@ -1,7 +1,7 @@
 """The interface of a check, and the numerical tools that checks share.
 
 A check reads a `Context`: the author's model, the derived program, and the generated module on disk. It yields
-findings. `findings_table` and `findings_html` show them.
+findings. `findings_table` shows them.
 
 The numerical tools evaluate expressions in high precision at random points where all of them have values. Derivatives
 are differences of undifferentiated expressions in 120-digit arithmetic. They do not depend on sympy's differentiation
@@ -16,11 +16,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from types import ModuleType
+from typing import TYPE_CHECKING, TypeAlias
 
 import mpmath
 import numpy as np
 import sympy
+from numpy.typing import NDArray
 from sympy import Expr, Symbol
 
 from codegen.discretise.interval import LENGTHS, STEP
@@ -34,6 +36,7 @@ from codegen.emit.verify.execution import Text
 from codegen.emit.verify.kernels import guessed_points
 from codegen.errors import NumericsError
 from codegen.identifiers import plain
+from codegen.solving.loading import ControlSolution
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -99,7 +102,11 @@ class Findings(tuple[Finding, ...]):
         return tuple(finding for finding in self if not finding.passed)
 
     def _repr_html_(self) -> str:
-        return findings_html(self)
+        """Return all findings as a table in HTML. Outcomes are words, because colours alone are not accessible."""
+        from codegen.show.notebook import table as html_table
+
+        rows = [(finding.check, finding.subject, finding.outcome, finding.detail) for finding in self]
+        return html_table(rows, ("check", "subject", "outcome", "detail"), verdict(self))
 
 
 def verdict(findings: Sequence[Finding]) -> str:
@@ -129,23 +136,19 @@ def findings_table(findings: Sequence[Finding]) -> Table:
     return table
 
 
-def findings_html(findings: Sequence[Finding]) -> str:
-    """Return all findings as a table in HTML. Outcomes are words, because colours alone are not accessible."""
-    from codegen.show.notebook import table as html_table
-
-    rows = [(finding.check, finding.subject, finding.outcome, finding.detail) for finding in findings]
-    return html_table(rows, ("check", "subject", "outcome", "detail"), verdict(findings))
-
-
 @dataclass(frozen=True)
 class Context:
-    """The input of a check: the author's model, its discretisation, and the generated module on disk."""
+    """The input of a check: the author's model, its discretisation, and the generated module on disk.
+
+    `steps` is the number of intervals of the solution, by default the problem's own.
+    """
 
     choices: Choices
     model: Model
     program: ControlProgram | StepProgram
     scheme: Scheme
-    module: Any
+    module: ModuleType
+    steps: int | None = None
 
     @property
     def control(self) -> ControlProgram:
@@ -154,16 +157,19 @@ class Context:
         return self.program
 
     @cached_property
-    def solution(self) -> Any:
-        """The solution of the module on the default number of intervals, but on eight intervals at least."""
-        return self.module.solve(max(_LEAST_STEPS, len(self.model.inner_times) + 1, self.model.steps))
+    def solution(self) -> ControlSolution:
+        """The solution of the module, on eight intervals at least. A simulation lacks what belongs to optima."""
+        solution: ControlSolution = self.module.solve(
+            max(_LEAST_STEPS, len(self.model.inner_times) + 1, self.steps or self.model.steps)
+        )
+        return solution
 
     @cached_property
     def guessed(self) -> GuessedPoints | None:
         """Points near the initial guess of the module; None if a damaged module makes no guess."""
         program = self.control
         try:
-            return guessed_points(program, Text(Path(self.module.__file__).read_text(encoding="utf-8")))
+            return guessed_points(program, Text(Path(str(self.module.__file__)).read_text(encoding="utf-8")))
         except Exception:  # a damaged module may fail in any way
             return None
 
@@ -229,7 +235,9 @@ def range_of(symbol: Symbol, ranges: Mapping[str, Range]) -> Range | None:
 
 
 Point: TypeAlias = Mapping[Symbol, float]
-Function: TypeAlias = Callable[..., list[Any]]
+Emitted: TypeAlias = Sequence[float] | NDArray[np.float64]
+Numbers: TypeAlias = list[mpmath.mpf]
+Function: TypeAlias = Callable[..., Numbers]
 
 DIGITS = 120
 NOTHING = mpmath.mpf(10) ** -30
@@ -306,7 +314,7 @@ def random_points(
     raise NoPointError("the expressions have no real value at random points", "give bounds or a guess of their sizes")
 
 
-def gradient(function: Function, numbers: Sequence[float], indices: Sequence[int]) -> list[Any]:
+def gradient(function: Function, numbers: Sequence[float], indices: Sequence[int]) -> Numbers:
     """Return forward differences of the first value of a function by the arguments at some indices."""
     with mpmath.workdps(DIGITS):
         at = _shifted(function, numbers)
@@ -316,7 +324,7 @@ def gradient(function: Function, numbers: Sequence[float], indices: Sequence[int
 
 def second_differences(
     function: Function, numbers: Sequence[float], pairs: Sequence[tuple[int, int]]
-) -> dict[tuple[int, int], Any]:
+) -> dict[tuple[int, int], mpmath.mpf]:
     """Return second forward differences of the first value of a function by pairs of arguments.
 
     Values as large as 1e200 need more digits for a visible difference.
@@ -330,7 +338,7 @@ def second_differences(
         return {(i, j): (at(i, j) - single[i] - single[j] + middle) / _INCREMENT**2 for i, j in pairs}
 
 
-def directional(function: Function, numbers: Sequence[float], direction: Sequence[float]) -> list[Any]:
+def directional(function: Function, numbers: Sequence[float], direction: Sequence[float]) -> Numbers:
     """Return second forward differences of the first value by each of the first arguments and a direction.
 
     The direction has one entry for each of these arguments.
@@ -367,10 +375,10 @@ def curved_beyond(
     return outside
 
 
-def _shifted(function: Function, numbers: Sequence[float]) -> Callable[..., Any]:
+def _shifted(function: Function, numbers: Sequence[float]) -> Callable[..., mpmath.mpf]:
     """Return the first value as a function of the indices of incremented arguments, and of a direction."""
 
-    def at(*indices: int, along: Mapping[int, Any] | None = None) -> Any:
+    def at(*indices: int, along: Mapping[int, mpmath.mpf] | None = None) -> mpmath.mpf:
         arguments = [mpmath.mpf(number) for number in numbers]
         for i in indices:
             arguments[i] += _INCREMENT
@@ -394,7 +402,7 @@ class Agreement:
     name: str = ""
     entries: int = 0
 
-    def compare(self, names: Sequence[str], emitted: Any, exact: Sequence[Any]) -> None:
+    def compare(self, names: Sequence[str], emitted: Emitted, exact: Sequence[mpmath.mpf]) -> None:
         """Compare entries; an error is relative to its entry, after subtraction of the rounding of the largest entry.
 
         The error of an entry that vanishes is relative to the largest entry. Terms that cancel in such an entry leave

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
-from typing import Any
 
 import mpmath
 import numpy as np
@@ -24,7 +23,7 @@ from sympy import Expr, S, Symbol
 
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.program import ControlProgram, EndElement, IntervalElement, SampleElement, StepProgram
+from codegen.discretise.program import ControlProgram, EndElement, SampleElement, StepProgram
 from codegen.emit.verify.comparison import complex_numbers, step_of
 from codegen.emit.verify.execution import Tape
 from codegen.emit.verify.shares import shared_symbols
@@ -53,6 +52,7 @@ from codegen.evidence.checks.layout import (
     step_lengths,
 )
 from codegen.runtime.stepping.steps import part_of_step
+from codegen.solving.loading import Vector
 from codegen.solving.results.estimates import plain
 from codegen.symbolic.functions import numbers_of, tables_of
 from codegen.symbolic.tables import ORDERS, TableData
@@ -64,11 +64,41 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
     program = context.program
     if not isinstance(program, ControlProgram):
         yield from _step(context, program)
-        if program.unknowns:
-            yield from _implicit(context, program)
         return
     for stem, share in zip(kernel_stems(program), program.interval_elements, strict=True):
-        yield from _interval(context, program, stem, share)
+        # Compare the gradient, the cost and the Hessian of an interval with its share of the Lagrangian.
+        unknowns = program.element_symbols
+        symbols = [*unknowns, *other_symbols(program)]
+        scalar, cost = function_of(symbols, [share.element]), function_of(symbols, [share.cost])
+        tape, kind = Tape([share.element]), np.clongdouble
+        first, second, steps = Agreement(), Agreement(), Agreement()
+        module, pattern = context.module, pattern_of(context.module, "interval")
+        names = [f"dl/d{x}" for x in unknowns]
+        local, size = unknowns[: len(unknowns) - len(program.shared)], len(unknowns)
+        likely = near_interval(context, program, stem)
+        for point in random_points([share.element, share.cost], symbols, program.model, likely=likely):
+            numbers = [point[symbol] for symbol in symbols]
+            x, parameters = np.array([point[s] for s in local]), parameter_vector(point, program)
+            t, h = point[program.model.time], point[STEP]
+            slopes, entries = np.empty(size), np.empty(len(pattern))
+            emitted_cost = plain(getattr(module, f"{stem}_gradient"))(x, t, h, parameters, slopes)
+            plain(getattr(module, f"{stem}_hessian"))(x, t, h, parameters, entries)
+            with mpmath.workdps(DIGITS):
+                first.compare(names, slopes, gradient(scalar, numbers, range(size)))
+                first.compare(["Cd"], [emitted_cost], cost(*map(mpmath.mpf, numbers)))
+                exact = second_differences(scalar, numbers, pattern)
+                pairs = [f"d2l/d{unknowns[r]} d{unknowns[c]}" for r, c in pattern]
+                second.compare(pairs, entries, [exact[pair] for pair in pattern])
+            shifted = {symbol: np.full(size, number, kind) for symbol, number in point.items()}
+            for i, symbol in enumerate(unknowns):
+                shifted[symbol][i] += 1j * step_of(kind)
+            with np.errstate(all="ignore"):
+                (values,) = tape.evaluate(shifted, complex_numbers(kind))
+            along = np.broadcast_to(np.asarray(values, kind), size).imag / step_of(kind)
+            steps.compare(names, slopes, [mpmath.mpf(float(slope)) for slope in along])
+        yield first.finding(f"{stem}_gradient", "120-digit differences of l")
+        yield steps.finding(f"{stem}_gradient", "complex steps of l")
+        yield second.finding(f"{stem}_hessian", "120-digit second differences of l")
     yield from _end(context, program, "start", program.start, program.left_symbols)
     yield from _end(context, program, "end", program.end, program.right_symbols)
     yield from check_couplings(context, program)
@@ -79,7 +109,7 @@ _SHORTER = (1.0, 0.1, 0.01, 1e-3)
 
 
 def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
-    """Compare the scheme's equations and the energy, and evaluate the equations after a step of the module."""
+    """Compare the equations and the energy of a step, evaluate the equations after a step, and compare the Jacobian."""
     interval = [*program.stage_symbols, *program.right_symbols]
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     equations = function_of([*base, *interval], [value for _, value in program.equations])
@@ -116,10 +146,9 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     yield residuals.finding("step_equations", "the scheme's equations")
     yield heights.finding("energy", "the Hamiltonian")
     yield closed.finding("one step", "the scheme's equations")
-
-
-def _implicit(context: Context, program: StepProgram) -> Iterator[Finding]:
-    """Compare the reduced equations of a step and their Jacobian."""
+    if not program.unknowns:
+        return
+    # Compare the reduced equations of a step and their Jacobian.
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     symbols = [*program.unknowns, *base]
     functions = [function_of(symbols, [value], program.before) for value in program.residual]
@@ -141,47 +170,11 @@ def _implicit(context: Context, program: StepProgram) -> Iterator[Finding]:
     yield entries.finding("step_jacobian", "120-digit differences of the residual")
 
 
-def _step_arguments(point: Point, program: StepProgram) -> tuple[Any, float, Any, Any]:
+def _step_arguments(point: Point, program: StepProgram) -> tuple[Vector, float, Vector, Vector]:
     state = np.array([point[symbol] for symbol in program.left_symbols], dtype=float)
     numbers = numbers_of(program.model)
     parameters = np.array([*(point[symbol] for symbol in program.model.parameters), *numbers], dtype=float)
     return state, point[program.model.time], step_lengths(point, program), parameters
-
-
-def _interval(context: Context, program: ControlProgram, stem: str, share: IntervalElement) -> Iterator[Finding]:
-    """Compare the gradient, the cost and the Hessian of an interval with its share of the Lagrangian."""
-    unknowns = program.element_symbols
-    symbols = [*unknowns, *other_symbols(program)]
-    scalar, cost = function_of(symbols, [share.element]), function_of(symbols, [share.cost])
-    tape, kind = Tape([share.element]), np.clongdouble
-    first, second, steps = Agreement(), Agreement(), Agreement()
-    module, pattern = context.module, pattern_of(context.module, "interval")
-    names = [f"dl/d{x}" for x in unknowns]
-    local, size = unknowns[: len(unknowns) - len(program.shared)], len(unknowns)
-    likely = near_interval(context, program, stem)
-    for point in random_points([share.element, share.cost], symbols, program.model, likely=likely):
-        numbers = [point[symbol] for symbol in symbols]
-        x, parameters = np.array([point[s] for s in local]), parameter_vector(point, program)
-        t, h = point[program.model.time], point[STEP]
-        slopes, entries = np.empty(size), np.empty(len(pattern))
-        emitted_cost = plain(getattr(module, f"{stem}_gradient"))(x, t, h, parameters, slopes)
-        plain(getattr(module, f"{stem}_hessian"))(x, t, h, parameters, entries)
-        with mpmath.workdps(DIGITS):
-            first.compare(names, slopes, gradient(scalar, numbers, range(size)))
-            first.compare(["Cd"], [emitted_cost], cost(*map(mpmath.mpf, numbers)))
-            exact = second_differences(scalar, numbers, pattern)
-            pairs = [f"d2l/d{unknowns[r]} d{unknowns[c]}" for r, c in pattern]
-            second.compare(pairs, entries, [exact[pair] for pair in pattern])
-        shifted = {symbol: np.full(size, number, kind) for symbol, number in point.items()}
-        for i, symbol in enumerate(unknowns):
-            shifted[symbol][i] += 1j * step_of(kind)
-        with np.errstate(all="ignore"):
-            (values,) = tape.evaluate(shifted, complex_numbers(kind))
-        along = np.broadcast_to(np.asarray(values, kind), size).imag / step_of(kind)
-        steps.compare(names, slopes, [mpmath.mpf(float(slope)) for slope in along])
-    yield first.finding(f"{stem}_gradient", "120-digit differences of l")
-    yield steps.finding(f"{stem}_gradient", "complex steps of l")
-    yield second.finding(f"{stem}_hessian", "120-digit second differences of l")
 
 
 def _end(
@@ -364,7 +357,7 @@ def check_tables(context: Context) -> Iterator[Finding]:
         yield Finding("tables", f"{shape.name}: {shape.kind}", worst <= _LIMIT, detail)
 
 
-def _references(table: TableData) -> Callable[[Sequence[int], Sequence[Any]], Any]:
+def _references(table: TableData) -> Callable[[Sequence[int], Sequence[Vector]], Vector]:
     """Return the derivatives of scipy's spline through the values of a table, as a function of order and points."""
     kind, axes, values = table.shape.kind, table.axes, table.heights[..., 0]
     if kind == "cubic" and len(axes) == 2:
@@ -375,7 +368,7 @@ def _references(table: TableData) -> Callable[[Sequence[int], Sequence[Any]], An
         return lambda order, at: curve(at[0], nu=order[0])
     interpolant = RegularGridInterpolator(axes, values, method="linear")
 
-    def linear(order: Sequence[int], at: Sequence[Any]) -> Any:
+    def linear(order: Sequence[int], at: Sequence[Vector]) -> Vector:
         """Differentiate products of straight lines by differences across a cell, which are exact."""
         if max(order) > 1:
             return np.zeros_like(at[0])
@@ -405,14 +398,8 @@ def check_measurements(context: Context) -> Iterator[Finding]:
         same = np.array_equal(emitted, data.array, equal_nan=True)
         detail = data.summary if same else f"others than in {data.source}"
         yield Finding("measurements", f"{data.source}: numbers", same, detail)
-    yield _sample_times(context.module, model)
-    yield _motion_at_nodes(model, program, program.sample)
-    yield from _sample_kernels(context, program, program.sample)
-
-
-def _sample_times(module: Any, model: Model) -> Finding:
-    """Compare the interval and the position of every sample, on intervals of different lengths."""
-    grid, structure = module.make_grid(len(_GRID), grid=_GRID), module.problem.structure
+    # Compare the interval and the position of every sample, on intervals of different lengths.
+    grid, structure = context.module.make_grid(len(_GRID), grid=_GRID), context.module.problem.structure
     nodes = np.append(0.0, np.cumsum(_GRID)) * grid.steps * grid.h
     worst, count = 0.0, 0
     for row, data in zip(grid.parameters, model.measurements, strict=True):
@@ -425,7 +412,33 @@ def _sample_times(module: Any, model: Model) -> Finding:
     detail = f"{count} samples lie where they were taken, on {len(_GRID)} intervals of different lengths"
     if not worst <= _ROUNDING:
         detail = f"a sample is taken {worst:.2g} of the duration away from its time"
-    return Finding("measurements", "times of samples", bool(worst <= _ROUNDING), detail)
+    yield Finding("measurements", "times of samples", bool(worst <= _ROUNDING), detail)
+    yield _motion_at_nodes(model, program, program.sample)
+    # Compare the emitted losses of a sample, their gradient and their Hessian, at random points.
+    unknowns, pattern = program.element_symbols, pattern_of(context.module, "interval")
+    symbols, size = [*unknowns, *other_symbols(program), *program.sample.symbols], len(unknowns)
+    losses, module = function_of(symbols, [program.sample.element]), context.module
+    first, second = Agreement("measurements"), Agreement("measurements")
+    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
+    for point in random_points([program.sample.element], symbols, program.model):
+        x = np.array([point[s] for s in unknowns[: size - len(program.shared)]])
+        t, h = point[program.model.time], point[STEP]
+        row = np.array([*parameter_vector(point, program), t + h / 2, *(point[s] for s in program.sample.symbols)])
+        arguments = x, t, h, row, module.problem.structure.first_sample
+        slopes, entries, matrix = np.zeros(size), np.zeros(len(pattern)), np.zeros((size, size))
+        value = plain(module.sample_gradient)(*arguments, slopes)
+        plain(module.sample_hessian)(*arguments, entries)
+        for pair, entry in zip(pattern, entries, strict=True):
+            matrix[pair] += entry
+        numbers = [point[symbol] for symbol in symbols]
+        with mpmath.workdps(DIGITS):
+            first.compare(["the losses"], [value], losses(*map(mpmath.mpf, numbers)))
+            first.compare([f"by {symbol}" for symbol in unknowns], slopes, gradient(losses, numbers, range(size)))
+            exact = second_differences(losses, numbers, pairs)
+            names = [f"by {unknowns[i]}, {unknowns[j]}" for i, j in pairs]
+            second.compare(names, [matrix[pair] for pair in pairs], list(exact.values()))
+    yield first.finding("sample_gradient", "120-digit differences of the losses")
+    yield second.finding("sample_hessian", "120-digit second differences of the losses")
 
 
 def _motion_at_nodes(model: Model, program: ControlProgram, sample: SampleElement) -> Finding:
@@ -445,31 +458,3 @@ def _motion_at_nodes(model: Model, program: ControlProgram, sample: SampleElemen
                 detail = f"{observed.name} at the {which} node is not that of its state"
                 return Finding("measurements", subject, False, detail)
     return Finding("measurements", subject, True, "at its ends it is that of the nodes, proved symbolically")
-
-
-def _sample_kernels(context: Context, program: ControlProgram, sample: SampleElement) -> Iterator[Finding]:
-    """Compare the emitted losses of a sample, their gradient and their Hessian, at random points."""
-    unknowns, pattern = program.element_symbols, pattern_of(context.module, "interval")
-    symbols, size = [*unknowns, *other_symbols(program), *sample.symbols], len(unknowns)
-    losses, module = function_of(symbols, [sample.element]), context.module
-    first, second = Agreement("measurements"), Agreement("measurements")
-    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
-    for point in random_points([sample.element], symbols, program.model):
-        x = np.array([point[s] for s in unknowns[: size - len(program.shared)]])
-        t, h = point[program.model.time], point[STEP]
-        row = np.array([*parameter_vector(point, program), t + h / 2, *(point[s] for s in sample.symbols)])
-        arguments = x, t, h, row, module.problem.structure.first_sample
-        slopes, entries, matrix = np.zeros(size), np.zeros(len(pattern)), np.zeros((size, size))
-        value = plain(module.sample_gradient)(*arguments, slopes)
-        plain(module.sample_hessian)(*arguments, entries)
-        for pair, entry in zip(pattern, entries, strict=True):
-            matrix[pair] += entry
-        numbers = [point[symbol] for symbol in symbols]
-        with mpmath.workdps(DIGITS):
-            first.compare(["the losses"], [value], losses(*map(mpmath.mpf, numbers)))
-            first.compare([f"by {symbol}" for symbol in unknowns], slopes, gradient(losses, numbers, range(size)))
-            exact = second_differences(losses, numbers, pairs)
-            names = [f"by {unknowns[i]}, {unknowns[j]}" for i, j in pairs]
-            second.compare(names, [matrix[pair] for pair in pairs], list(exact.values()))
-    yield first.finding("sample_gradient", "120-digit differences of the losses")
-    yield second.finding("sample_hessian", "120-digit second differences of the losses")

@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import mpmath
 import numpy as np
@@ -284,63 +283,11 @@ def check_momentum_matching(context: Context) -> Iterator[Finding]:
         yield does_not_apply("momentum matching", f"the {program.method} method has no discrete Lagrangian")
         return
     for phase, part in phase_contexts(context):
-        model = legendre.lagrangian_form(part.model.with_free_ends)
-        for finding in (*_matching(part, model), *_limits(part, model)):
+        for finding in _matching(part):
             yield replace(finding, subject=f"{phase}{finding.subject}")
-    if isinstance(program, ControlProgram):
-        yield from _end_momenta(context)
-
-
-def _matching(context: Context, model: Model) -> Iterator[Finding]:
-    """Compare the emitted equation of a node with the gradient of the action of its two intervals."""
-    interval = variational_interval(model, repeated(context.scheme)[1], context.choices.controls)
-    after, before = _node_equations(context.program)
-    # Impulses of holonomic constraints in half an interval: h/2 G^T kappa at the left and at the right node.
-    impulses = []
-    for suffix, instant in (("_k", model.time), ("_k1", model.time + STEP)):
-        node = dict(zip(model.coordinates, at_nodes(model.coordinates, suffix), strict=True)) | {model.time: instant}
-        pairs = list(zip(_constraint_multipliers(context.program, suffix), model.holonomic, strict=True))
-        impulses.append(
-            [sum((STEP / 2 * y * sympy.diff(c, q).xreplace(node) for y, c in pairs), S.Zero) for q in model.coordinates]
-        )
-    for i, q in enumerate(model.coordinates):
-        minus = -sympy.diff(interval.lagrangian, interval.q.left[i]) - interval.force_minus[i] - impulses[0][i]
-        plus = sympy.diff(interval.lagrangian, interval.q.right[i]) + interval.force_plus[i] + impulses[1][i]
-        passed = identically_zero(before[i] - plus) and identically_zero(after[i] + minus)
-        detail = "its discrete Euler-Lagrange equation is p_k^+ - p_k^- = 0, proved symbolically"
-        if not passed:
-            detail = "its emitted equation is not p_k^+ - p_k^- = 0 with p_k^- = -D1 Ld - f-, p_k^+ = D2 Ld + f+"
-        yield Finding("momentum matching", f"node equation of {q}", passed, detail)
-
-
-def _limits(context: Context, model: Model) -> Iterator[Finding]:
-    """Check that both discrete momenta tend to dL/dv as h -> 0. A wrong sign is visible here."""
-    after, before = _node_equations(context.program)
-    q, v = model.coordinates, model.rates
-    nodes = repeated(context.scheme)[1].discrete_lagrangian().nodes
-    motion = _constant_controls(context.program) | _along(q, nodes, partial(_straight, q, v))
-    free = [parameter.symbol for parameter in model.free_parameters]
-    forces = [s for suffix in ("_k", "_k1") for s in _constraint_multipliers(context.program, suffix)]
-    symbols = [*q, *v, *model.controls, *model.parameters, *free, *forces, model.time]
-    for i, x in enumerate(q):
-        momentum = sympy.diff(model.function, v[i])
-        function = function_of([*symbols, STEP], [e.xreplace(motion) for e in (-after[i], before[i])])
-        limit, worst = function_of(symbols, [momentum]), mpmath.mpf(0)
-        with mpmath.workdps(DIGITS):
-            for point in random_points([momentum, *model.force], symbols, model, count=2):
-                numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
-                exact = limit(*numbers)[0]
-                both = function(*numbers, mpmath.mpf(10) ** -20)
-                worst = max(worst, *(abs(value - exact) / (1 + abs(exact)) for value in both))
-        passed = bool(worst < 1e-10)
-        detail = f"-D1 Ld - f- and D2 Ld + f+ tend to dL/d{v[i]} as h -> 0"
-        if not passed:
-            detail = f"-D1 Ld - f- and D2 Ld + f+ do not both tend to dL/d{v[i]}: off by {float(worst):.2g}"
-        yield Finding("momentum matching", f"discrete momenta of {x}", passed, detail)
-
-
-def _end_momenta(context: Context) -> Iterator[Finding]:
-    """Compare momenta of the solution at its ends with dL/dv at the prescribed positions and velocities."""
+    if not isinstance(program, ControlProgram):
+        return
+    # Compare momenta of the solution at its ends with dL/dv at the prescribed positions and velocities.
     model, solution, width = context.model, context.solution, len(context.model.coordinates)
     phases = model.phases or (model,)
     first = legendre.lagrangian_form(phases[0])
@@ -373,6 +320,53 @@ def _end_momenta(context: Context) -> Iterator[Finding]:
         yield Finding("momentum matching", f"momenta at the {where}", passed, detail)
 
 
+def _matching(context: Context) -> Iterator[Finding]:
+    """Compare the equation of a node with the gradient of the action, and discrete momenta with dL/dv as h -> 0."""
+    model = legendre.lagrangian_form(context.model.with_free_ends)
+    interval = variational_interval(model, repeated(context.scheme)[1], context.choices.controls)
+    after, before = _node_equations(context.program)
+    # Impulses of holonomic constraints in half an interval: h/2 G^T kappa at the left and at the right node.
+    impulses = []
+    for suffix, instant in (("_k", model.time), ("_k1", model.time + STEP)):
+        node = dict(zip(model.coordinates, at_nodes(model.coordinates, suffix), strict=True)) | {model.time: instant}
+        pairs = list(zip(_constraint_multipliers(context.program, suffix), model.holonomic, strict=True))
+        impulses.append(
+            [sum((STEP / 2 * y * sympy.diff(c, q).xreplace(node) for y, c in pairs), S.Zero) for q in model.coordinates]
+        )
+    for i, q in enumerate(model.coordinates):
+        minus = -sympy.diff(interval.lagrangian, interval.q.left[i]) - interval.force_minus[i] - impulses[0][i]
+        plus = sympy.diff(interval.lagrangian, interval.q.right[i]) + interval.force_plus[i] + impulses[1][i]
+        passed = identically_zero(before[i] - plus) and identically_zero(after[i] + minus)
+        detail = "its discrete Euler-Lagrange equation is p_k^+ - p_k^- = 0, proved symbolically"
+        if not passed:
+            detail = "its emitted equation is not p_k^+ - p_k^- = 0 with p_k^- = -D1 Ld - f-, p_k^+ = D2 Ld + f+"
+        yield Finding("momentum matching", f"node equation of {q}", passed, detail)
+
+    # Both discrete momenta tend to dL/dv as h -> 0. A wrong sign is visible here.
+    v = model.rates
+    nodes = repeated(context.scheme)[1].discrete_lagrangian().nodes
+    motion = _constant_controls(context.program)
+    motion |= _along(model.coordinates, nodes, partial(_straight, model.coordinates, v))
+    free = [parameter.symbol for parameter in model.free_parameters]
+    forces = [s for suffix in ("_k", "_k1") for s in _constraint_multipliers(context.program, suffix)]
+    symbols = [*model.coordinates, *v, *model.controls, *model.parameters, *free, *forces, model.time]
+    for i, x in enumerate(model.coordinates):
+        momentum = sympy.diff(model.function, v[i])
+        function = function_of([*symbols, STEP], [e.xreplace(motion) for e in (-after[i], before[i])])
+        limit, worst = function_of(symbols, [momentum]), mpmath.mpf(0)
+        with mpmath.workdps(DIGITS):
+            for point in random_points([momentum, *model.force], symbols, model, count=2):
+                numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
+                exact = limit(*numbers)[0]
+                both = function(*numbers, mpmath.mpf(10) ** -20)
+                worst = max(worst, *(abs(value - exact) / (1 + abs(exact)) for value in both))
+        passed = bool(worst < 1e-10)
+        detail = f"-D1 Ld - f- and D2 Ld + f+ tend to dL/d{v[i]} as h -> 0"
+        if not passed:
+            detail = f"-D1 Ld - f- and D2 Ld + f+ do not both tend to dL/d{v[i]}: off by {float(worst):.2g}"
+        yield Finding("momentum matching", f"discrete momenta of {x}", passed, detail)
+
+
 _HELD = 1e-8
 
 Numbers = dict[Symbol, float]
@@ -387,82 +381,71 @@ def check_switches(context: Context) -> Iterator[Finding]:
     if solution.status != "solved":
         yield not_measured("switches", "all switches", solution.message)
         return
-    steps = (solution.t.size - 1) // len(program.phases)
+    chain, steps = context.model, (solution.t.size - 1) // len(program.phases)
+    flat, parameters = FlatVector(program, solution.t.size - 1), context.module.make_grid(steps).parameters[0]
     for number in range(1, len(program.phases)):
-        before = _values_before(context, number, number * steps)
-        yield _end_of_phase(context.model.phases[number - 1], before, number)
-        yield _begin_of_phase(context, program, before, number, number * steps)
+        # Parameters, and the author's coordinates and rates before the switch.
+        node = number * steps
+        earlier = chain.phases[number - 1].with_free_ends
+        numbers: Numbers = data_at_solution(context) | {chain.time: float(solution.t[node])}
+        numbers |= dict(zip(earlier.coordinates, map(float, solution.q[node]), strict=True))
+        momenta = list(map(float, solution.p[node][: len(earlier.rates)]))
+        if earlier.form != "lagrangian":
+            before = numbers | dict(zip(earlier.rates, momenta, strict=True))
+        else:
+            phase_space = numbers | dict(zip(legendre.conjugate_symbols(earlier), momenta, strict=True))
+            velocities = (_number(v, phase_space) for v in legendre.velocity_of_momentum(earlier))
+            before = numbers | dict(zip(earlier.rates, velocities, strict=True))
+        # Evaluate the conditions at the end of the earlier phase.
+        ends = prescribed(chain.phases[number - 1], "end").items()
+        conditions = {f"{symbol} = {sympy.sstr(value)}": symbol - value for symbol, value in ends}
+        conditions |= {c.name: c.expression for c in chain.phases[number - 1].end_conditions if c.equality}
+        errors = [abs(_number(value, before)) for value in conditions.values()]
+        passed, detail = True, f"phase {number} says nothing of its end"
+        if errors:
+            passed = max(errors) <= _HELD * max(1.0, *map(abs, before.values()))
+            detail = f"{', '.join(conditions)}: up to {max(errors):.1g}"
+        yield Finding("switches", f"switch {number}, before it", passed, detail)
+        # Evaluate the equations of the first interval of the later phase with the values after the jump.
+        jumps = chain.jumps[number - 1]
+        after = before | {symbol: _number(value, before) for symbol, value in jumps}
+        model, alone = chain.phases[number], _phase_alone(program, chain, number)
+        values = {symbol.name: value for symbol, value in after.items()}
+        if model.form == "lagrangian":
+            slopes = [_number(sympy.diff(model.function, v), after) for v in model.rates]
+            values |= {f"p_{q}": slope for q, slope in zip(model.coordinates, slopes, strict=True)}
+        unknowns = solution.unknowns[flat.element(0, node)]
+        for index, unknown in enumerate(program.node):
+            if not unknown.multiplier:
+                unknowns[index] = values.get(unknown.name, unknowns[index])
+        step = float(solution.t[node + 1] - solution.t[node])
+        others = [*parameters[: len(other_symbols(program)) - 2], float(solution.t[node]), step]
+        # The factors of multipliers in the Lagrangian: -p_k of an interval, or the equations of a step.
+        momenta = []
+        if program.method == "variational":
+            size = len(model.coordinates)
+            multipliers = alone.left_symbols[size : 2 * size]
+            names = [p.name for p in model.rates]
+            if model.form != "hamiltonian":
+                names = [f"p_{q}" for q in model.coordinates]
+            momenta = [values[name] for name in names]
+        else:
+            kinds = zip(alone.interval, alone.interval_symbols, strict=True)
+            multipliers = tuple(symbol for u, symbol in kinds if u.kind is Kind.STEP)
+        equations = [sympy.diff(alone.element, multiplier) for multiplier in multipliers]
+        function = sympy.lambdify([*alone.element_symbols, *other_symbols(program)], equations, NUMPY)
+        residuals = np.array(function(*unknowns, *others), dtype=float)
+        residuals[: len(momenta)] += momenta
+        error = float(np.abs(residuals).max())
+        passed = error <= _HELD * max(1.0, float(np.abs(unknowns).max()))
+        jump = ", ".join(f"{symbol} -> {sympy.sstr(value)}" for symbol, value in jumps) or "no jump"
+        detail = f"{jump}: the next interval begins with these values, up to {error:.1g}"
+        if not passed:
+            detail = f"{jump}: the equations of the next interval do not hold with these values, by {error:.2g}"
+        yield Finding("switches", f"switch {number}, after it", passed, detail)
 
 
-def _values_before(context: Context, number: int, node: int) -> Numbers:
-    """Return parameters, and the author's coordinates and rates before a switch."""
-    chain, solution = context.model, context.solution
-    model = chain.phases[number - 1].with_free_ends
-    numbers: Numbers = data_at_solution(context) | {chain.time: float(solution.t[node])}
-    numbers |= dict(zip(model.coordinates, map(float, solution.q[node]), strict=True))
-    momenta = list(map(float, solution.p[node][: len(model.rates)]))
-    if model.form != "lagrangian":
-        return numbers | dict(zip(model.rates, momenta, strict=True))
-    phase_space = numbers | dict(zip(legendre.conjugate_symbols(model), momenta, strict=True))
-    velocities = (_number(v, phase_space) for v in legendre.velocity_of_momentum(model))
-    return numbers | dict(zip(model.rates, velocities, strict=True))
-
-
-def _end_of_phase(model: Model, before: Numbers, number: int) -> Finding:
-    """Evaluate the conditions at the end of the earlier phase."""
-    ends = prescribed(model, "end").items()
-    conditions = {f"{symbol} = {sympy.sstr(value)}": symbol - value for symbol, value in ends}
-    conditions |= {c.name: c.expression for c in model.end_conditions if c.equality}
-    errors = [abs(_number(value, before)) for value in conditions.values()]
-    subject = f"switch {number}, before it"
-    if not errors:
-        return Finding("switches", subject, True, f"phase {number} says nothing of its end")
-    passed = max(errors) <= _HELD * max(1.0, *map(abs, before.values()))
-    return Finding("switches", subject, passed, f"{', '.join(conditions)}: up to {max(errors):.1g}")
-
-
-def _begin_of_phase(context: Context, program: ControlProgram, before: Numbers, number: int, node: int) -> Finding:
-    """Evaluate the equations of the first interval of the later phase with the values after the jump."""
-    chain, module, solution = context.model, context.module, context.solution
-    jumps = chain.jumps[number - 1]
-    after = before | {symbol: _number(value, before) for symbol, value in jumps}
-    model, alone = chain.phases[number], _phase_alone(program, chain, number)
-    values = {symbol.name: value for symbol, value in after.items()}
-    if model.form == "lagrangian":
-        slopes = [_number(sympy.diff(model.function, v), after) for v in model.rates]
-        values |= {f"p_{q}": slope for q, slope in zip(model.coordinates, slopes, strict=True)}
-    flat = FlatVector(program, solution.t.size - 1)
-    unknowns = solution.unknowns[flat.element(0, node)]
-    for index, unknown in enumerate(program.node):
-        if not unknown.multiplier:
-            unknowns[index] = values.get(unknown.name, unknowns[index])
-    step = float(solution.t[node + 1] - solution.t[node])
-    parameters = module.make_grid((solution.t.size - 1) // len(program.phases)).parameters[0]
-    others = [*parameters[: len(other_symbols(program)) - 2], float(solution.t[node]), step]
-    # The factors of multipliers in the Lagrangian: -p_k of an interval, or the equations of a step.
-    momenta: list[float] = []
-    if program.method == "variational":
-        size = len(model.coordinates)
-        multipliers = alone.left_symbols[size : 2 * size]
-        names = [p.name for p in model.rates] if model.form == "hamiltonian" else [f"p_{q}" for q in model.coordinates]
-        momenta = [values[name] for name in names]
-    else:
-        kinds = zip(alone.interval, alone.interval_symbols, strict=True)
-        multipliers = tuple(symbol for u, symbol in kinds if u.kind is Kind.STEP)
-    equations = [sympy.diff(alone.element, multiplier) for multiplier in multipliers]
-    function = sympy.lambdify([*alone.element_symbols, *other_symbols(program)], equations, NUMPY)
-    residuals = np.array(function(*unknowns, *others), dtype=float)
-    residuals[: len(momenta)] += momenta
-    error = float(np.abs(residuals).max())
-    passed = error <= _HELD * max(1.0, float(np.abs(unknowns).max()))
-    jump = ", ".join(f"{symbol} -> {sympy.sstr(value)}" for symbol, value in jumps) or "no jump"
-    detail = f"{jump}: the next interval begins with these values, up to {error:.1g}"
-    if not passed:
-        detail = f"{jump}: the equations of the next interval do not hold with these values, by {error:.2g}"
-    return Finding("switches", f"switch {number}, after it", passed, detail)
-
-
-def _number(expression: Expr, at: Mapping[Symbol, Any]) -> float:
+def _number(expression: Expr, at: Mapping[Symbol, float]) -> float:
     """Return the value of an expression; infinity if there is none."""
     value = expressions.rounded_at(expression, at)
     return float("inf") if value is None else value

@@ -15,10 +15,9 @@ exponential atmosphere, a reaction rate or a Gaussian may be constant, and a che
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 import sympy
@@ -36,9 +35,11 @@ from codegen.emit.verify.shares import shared_symbols
 from codegen.evidence.checks.base import Context, Finding, NoPointError, Point, not_measured, random_points
 from codegen.runtime.record import Meaning, Record
 from codegen.runtime.search.grid import free_unknowns
+from codegen.solving.loading import Vector
 from codegen.symbolic.functions import numbers_of
 
 _STEPS = 2
+Inputs = tuple[float | Vector, ...]
 
 
 def check_layout(context: Context) -> Iterator[Finding]:
@@ -56,7 +57,7 @@ def check_layout(context: Context) -> Iterator[Finding]:
     yield Finding("layout", "sizes and patterns", not problem, problem or "every kernel fills its arrays, and no more")
 
 
-def compare(file: Path, module: Any, inputs: str, text: str) -> Iterator[Finding]:
+def compare(file: Path, module: ModuleType, inputs: str, text: str) -> Iterator[Finding]:
     """Compare the recorded hash of the inputs, and the text line by line, with a new derivation."""
     recorded = module.metadata.inputs
     same = recorded == inputs
@@ -79,22 +80,28 @@ def compare(file: Path, module: Any, inputs: str, text: str) -> Iterator[Finding
 Indices = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
 class FlatVector:
-    """The layout for `steps` intervals. `body`, `k` and `j` count from zero."""
+    """The layout for `steps` intervals, `phase_steps` in each phase. `body`, `k` and `j` count from zero.
 
-    program: ControlProgram
-    steps: int
+    `inside` are the unknowns of a node and of the interval after it. `chain` is the number of unknowns of the nodes and
+    intervals of a body. `inner_nodes` has the numbers of inner times by node, if there is one interval between any two.
+    """
+
+    def __init__(self, program: ControlProgram, steps: int) -> None:
+        self.program, self.steps = program, steps
+        self.phase_steps = steps // max(1, len(program.phases))
+        self.inside: tuple[Unknown, ...] = (*program.node, *program.interval, *program.controls, *program.slacks)
+        self.chain = steps * len(self.inside) + len(program.node)
+        self.first_shared = program.bodies * self.chain
+        self.first_coupling = self.first_shared + program.bodies * program.own + len(program.shared) - program.own
+        self.size = self.first_coupling + len(program.couplings)
+        count = len(program.inner.times)
+        self.inner_nodes = {number + 1: number for number in range(count)} if steps == count + 1 else {}
 
     @classmethod
     def on_grid(cls, program: ControlProgram, steps: int) -> FlatVector:
         """Return the layout on the module's grid of that many steps, in each phase if there are phases."""
         return cls(program, steps * max(1, len(program.phases)))
-
-    @property
-    def phase_steps(self) -> int:
-        """The number of intervals of each phase."""
-        return self.steps // max(1, len(self.program.phases))
 
     def share(self, k: int) -> IntervalElement:
         """Return the share of interval k in the Lagrangian of the optimisation problem."""
@@ -103,39 +110,6 @@ class FlatVector:
         index, within = divmod(k, self.phase_steps)
         phase = self.program.phases[index]
         return phase.elements[0] if within == 0 else phase.regular
-
-    @property
-    def inner_nodes(self) -> dict[int, int]:
-        """The numbers of inner times by node, if there is one interval between any two inner times."""
-        count = len(self.program.inner.times)
-        return {number + 1: number for number in range(count)} if self.steps == count + 1 else {}
-
-    @property
-    def inside(self) -> tuple[Unknown, ...]:
-        """Unknowns of a node and of the interval after it."""
-        program = self.program
-        return (*program.node, *program.interval, *program.controls, *program.slacks)
-
-    @property
-    def chain(self) -> int:
-        """The number of unknowns of the nodes and intervals of a body."""
-        return self.steps * len(self.inside) + len(self.program.node)
-
-    @property
-    def first_shared(self) -> int:
-        """The index of the first linking unknown."""
-        return self.program.bodies * self.chain
-
-    @property
-    def first_coupling(self) -> int:
-        """The index of the first multiplier of the conditions between bodies."""
-        program = self.program
-        return self.first_shared + program.bodies * program.own + len(program.shared) - program.own
-
-    @property
-    def size(self) -> int:
-        """The number of all unknowns."""
-        return self.first_coupling + len(self.program.couplings)
 
     def node(self, body: int, k: int) -> Indices:
         """Return the indices of the unknowns of a node."""
@@ -234,14 +208,14 @@ def kernel_stems(program: ControlProgram) -> list[str]:
     return [stem for stem, _ in named_elements(program)]
 
 
-def pattern_of(module: Any, share: str) -> list[tuple[int, int]]:
+def pattern_of(module: ModuleType, share: str) -> list[tuple[int, int]]:
     """Return rows and columns of the emitted Hessian of the interval, the start or the end; empty without kernel."""
     prefix = f"{share.upper()}_" if share in ("start", "end") else ""
     rows, columns = (getattr(module, f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
     return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True)]
 
 
-def parameter_vector(point: Point, program: ControlProgram) -> Any:
+def parameter_vector(point: Point, program: ControlProgram) -> Vector:
     """Return a row of `grid.parameters` for an interval that begins at the first inner time.
 
     The row holds parameters, boundary values, inner times, linking unknowns, and numbers of tables.
@@ -256,7 +230,7 @@ def parameter_vector(point: Point, program: ControlProgram) -> Any:
     return np.array([*(point[s] for s in data), *inner, *shared, *numbers_of(program.model)])
 
 
-def step_lengths(point: Point, program: StepProgram) -> Any:
+def step_lengths(point: Point, program: StepProgram) -> Vector:
     """Return the lengths that a kernel of a step takes: one, or several for a composition."""
     return np.array([point[h] for h in program.lengths], dtype=float)
 
@@ -294,7 +268,7 @@ def _points(values: Values, program: ControlProgram) -> list[dict[Symbol, float]
     return [{s: float(array[index]) for s, array in named.items()} for index in _PREFERRED if index < count]
 
 
-def _control_problems(module: Any, program: ControlProgram) -> Iterator[str]:
+def _control_problems(module: ModuleType, program: ControlProgram) -> Iterator[str]:
     """Yield contradictions between a module and its program. Later comparisons rely on the earlier ones."""
     flat = FlatVector.on_grid(program, few_steps(program, _STEPS))
     names = {
@@ -337,16 +311,37 @@ def _control_problems(module: Any, program: ControlProgram) -> Iterator[str]:
             ("KINDS", available),
             ("ROWS", len(program.couplings)),
             ("COUNTS", indices.shape[-1] + 1),
-            ("INDICES", constants["ROOT"] - len(program.couplings)),
+            ("INDICES", program.bodies * program.own + len(program.shared) - program.own),
         ):
             table = _indices(module, f"COUPLING_{name}")
             if table.shape[0] != kinds.size or np.any(table < 0) or np.any(table >= limit):
                 yield f"COUPLING_{name} is {table.tolist()}, expected {kinds.size} entries below {limit}"
-    yield from _differing_grid(module, program, flat)
+    # The vector of unknowns and the table of parameters that the module makes.
+    grid = module.make_grid(flat.phase_steps)
+    count = len(program.model.parameters) + len(program.boundary_values) + len(program.inner.values)
+    count += len(program.shared) + len(numbers_of(program.model))
+    if program.sample is not None:
+        samples = count, 1 + len(program.sample.symbols)
+        first, size = module.problem.structure.first_sample, module.problem.structure.sample
+        if samples != (first, size):
+            yield f"samples of {size} numbers begin at {first}, expected {samples[1]} at {samples[0]}"
+        count += samples[1] * max(len(data.rows) for data in program.model.measurements)
+    if grid.parameters.shape != (program.bodies, count):
+        yield f"grid.parameters has shape {grid.parameters.shape}, expected {(program.bodies, count)}"
+    for name, mask, expected in (
+        ("grid.is_multiplier", grid.is_multiplier, flat.multipliers()),
+        ("free_unknowns", free_unknowns(grid), flat.free()),
+    ):
+        if mask.shape != expected.shape:
+            yield f"{name} has {mask.size} entries, expected {expected.size}"
+        if not np.array_equal(mask, expected):
+            yield f"{name} is wrong for {flat.names()[int(np.argmax(mask != expected))]}"
     yield from _failing_kernels(module, program)
 
 
-def _differing_values(module: Any, names: Mapping[str, tuple[str, ...]], constants: Mapping[str, Any]) -> Iterator[str]:
+def _differing_values(
+    module: ModuleType, names: Mapping[str, Sequence[str]], constants: Mapping[str, object]
+) -> Iterator[str]:
     """Yield recorded names and constants of the module that differ from the program."""
     recorded: Record = module.metadata
     for key, marked in names.items():
@@ -359,20 +354,20 @@ def _differing_values(module: Any, names: Mapping[str, tuple[str, ...]], constan
             yield f"{name} is {constant}, expected {value}"
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def _indices(module: Any, name: str) -> Any:
+def _indices(module: ModuleType, name: str) -> NDArray[np.int64]:
     return np.asarray(getattr(module, name, ()), dtype=np.int64)
 
 
-def _constants(program: ControlProgram) -> dict[str, Any]:
+def _constants(program: ControlProgram) -> dict[str, object]:
     """Return sizes and index arrays of the module that follow from the program."""
     own, shared = program.own, len(program.shared)
     node, couplings = len(program.node), len(program.couplings)
     stride = node + len(program.interval) + len(program.controls) + len(program.slacks)
-    constants: dict[str, Any] = {
+    constants: dict[str, object] = {
         "NODE": node,
         "STRIDE": stride,
         "ELEMENT": stride + node,
@@ -406,30 +401,7 @@ def _constants(program: ControlProgram) -> dict[str, Any]:
     return constants
 
 
-def _differing_grid(module: Any, program: ControlProgram, flat: FlatVector) -> Iterator[str]:
-    """Compare the vector of unknowns and the table of parameters that the module makes."""
-    grid = module.make_grid(flat.phase_steps)
-    count = len(program.model.parameters) + len(program.boundary_values) + len(program.inner.values)
-    count += len(program.shared) + len(numbers_of(program.model))
-    if program.sample is not None:
-        samples = count, 1 + len(program.sample.symbols)
-        first, size = module.problem.structure.first_sample, module.problem.structure.sample
-        if samples != (first, size):
-            yield f"samples of {size} numbers begin at {first}, expected {samples[1]} at {samples[0]}"
-        count += samples[1] * max(len(data.rows) for data in program.model.measurements)
-    if grid.parameters.shape != (program.bodies, count):
-        yield f"grid.parameters has shape {grid.parameters.shape}, expected {(program.bodies, count)}"
-    for name, mask, expected in (
-        ("grid.is_multiplier", grid.is_multiplier, flat.multipliers()),
-        ("free_unknowns", free_unknowns(grid), flat.free()),
-    ):
-        if mask.shape != expected.shape:
-            yield f"{name} has {mask.size} entries, expected {expected.size}"
-        if not np.array_equal(mask, expected):
-            yield f"{name} is wrong for {flat.names()[int(np.argmax(mask != expected))]}"
-
-
-def _failing_kernels(module: Any, program: ControlProgram) -> Iterator[str]:
+def _failing_kernels(module: ModuleType, program: ControlProgram) -> Iterator[str]:
     unknowns = program.element_symbols
     symbols = [*unknowns, *other_symbols(program)]
     values = [e for share in program.interval_elements for e in (share.element, share.cost)]
@@ -459,11 +431,11 @@ def _failing_kernels(module: Any, program: ControlProgram) -> Iterator[str]:
         linking = np.array([point[symbol] for symbol in symbols])
         tables = module.COUPLING_KINDS, module.COUPLING_COUNTS, module.COUPLING_INDICES
         for kind, count, indices in zip(*tables, strict=True):
-            shapes: dict[str, Any] = {"slopes": (count,), "curvatures": (count * count,)}
-            yield from _run(module, f"coupling_{kind}", (linking[indices[:count]], data), **shapes)
+            inputs = linking[indices[:count]], data
+            yield from _run(module, f"coupling_{kind}", inputs, slopes=(count,), curvatures=(count * count,))
 
 
-def _step_problems(module: Any, program: StepProgram) -> Iterator[str]:
+def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
     """Yield contradictions between a module of a simulation and its program."""
     names = {
         "node": tuple(u.name for u in program.state),
@@ -484,7 +456,7 @@ def _step_problems(module: Any, program: StepProgram) -> Iterator[str]:
     symbols = list(dict.fromkeys([*symbols, *program.lengths, *program.unknowns]))
     (point,) = random_points([value for _, value in program.equations], symbols, program.model, count=1)
 
-    def at(group: Any) -> Any:
+    def at(group: Sequence[Symbol]) -> Vector:
         return np.array([point[symbol] for symbol in group])
 
     data = np.array([*at(program.model.parameters), *numbers_of(program.model)])
@@ -502,7 +474,9 @@ def _step_problems(module: Any, program: StepProgram) -> Iterator[str]:
     yield from _run(module, "complete_step", (y, *base), interval=(whole,))
 
 
-def _run(module: Any, name: str, inputs: Any, adds: bool = False, **outputs: tuple[int, ...]) -> Iterator[str]:
+def _run(
+    module: ModuleType, name: str, inputs: Inputs, adds: bool = False, **outputs: tuple[int, ...]
+) -> Iterator[str]:
     """Interpret a kernel with outputs of these shapes, and yield its problem in words."""
     kernel = getattr(module, name, None)
     if kernel is None:

@@ -24,18 +24,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import sympy
-from numpy.typing import NDArray
 from sympy import Expr, S, Symbol
 
 from codegen.discretise.assembly import scaled_in_time
 from codegen.discretise.conditions.linking import independent_couplings
 from codegen.discretise.conditions.path import is_convex, nodal_conditions
 from codegen.discretise.interval import STEP, at_nodes, one_step_interval, variational_interval
-from codegen.discretise.model.definitions import Condition, Model
+from codegen.discretise.model.definitions import Condition
 from codegen.discretise.program import ControlProgram
 from codegen.discretise.schemes.base import Scheme
 from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured
@@ -44,6 +42,7 @@ from codegen.evidence.checks.solution import data_at_solution, integral_of_cost
 from codegen.runtime.record import phrase
 from codegen.runtime.search import point
 from codegen.runtime.search.point import submatrix
+from codegen.solving.loading import ControlSolution, Entries, Indices, Vector
 from codegen.solving.results.between_nodes import Excursion, excursions, sampled_conditions
 from codegen.solving.results.output import shortened
 from codegen.symbolic import checks as expressions
@@ -68,12 +67,33 @@ def check_boundary_rank(context: Context) -> Iterator[Finding]:
     guess, generator = module.initial_guess(grid), np.random.default_rng(11)
     columns, rows = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     free = np.concatenate([columns, rows])
+
+    def dense(entries: Entries, width: int) -> Vector:
+        matrix = np.zeros((rows.size, width))
+        np.add.at(matrix, (entries[0], entries[1]), entries[2])
+        return matrix
+
     decompositions = []
     for amount in (0.0, 0.05):
         unknowns = guess.copy()
         unknowns[free] += amount * generator.uniform(-1, 1, free.size) * (1 + np.abs(unknowns[free]))
-        decomposition = _null_vectors(module, grid, module.with_pinned_values(grid, unknowns))
-        decompositions += [decomposition] if decomposition is not None else []
+        unknowns = module.with_pinned_values(grid, unknowns)
+        matrix = dense(point.jacobian(grid, unknowns), columns.size)
+        if not np.isfinite(matrix).all():
+            continue
+        # The left null vectors of the scaled Jacobian (columns), and their products with all columns (rows).
+        row_scale = np.abs(matrix).max(axis=1, initial=0.0)
+        row_scale[row_scale == 0.0] = 1.0
+        scaled = matrix / row_scale[:, None]
+        column_scale = np.abs(scaled).max(axis=0, initial=0.0)
+        column_scale[column_scale == 0.0] = 1.0
+        left, singular, _ = np.linalg.svd(scaled / column_scale, full_matrices=True)
+        nulls = left[:, int(np.sum(singular > _SINGULAR * singular.max(initial=0.0))) :]
+        every = np.flatnonzero(~grid.is_multiplier)
+        full = dense(submatrix(grid, unknowns, rows, every, False), every.size)
+        touched = np.zeros((nulls.shape[1], unknowns.size))
+        touched[:, every] = np.abs(nulls.T @ (full / row_scale[:, None]))
+        decompositions.append((nulls, touched))
     if not decompositions:
         reason = "their Jacobian is not finite at the guess nor beside it"
         yield not_measured("boundary rank", "all equations", reason)
@@ -90,40 +110,38 @@ def check_boundary_rank(context: Context) -> Iterator[Finding]:
         for null, row in zip(nulls.T, touched, strict=True):
             detail = _dependent_equations(program, intervals, null, rows, row)
             yield Finding("boundary rank", "all equations", False, detail)
-    if context.model.couplings:
-        yield from _couplings(context)
+    if not context.model.couplings:
+        return
+    # Name redundant conditions between bodies, and evaluate them at the solution.
+    model, solution = context.model, context.solution
+    result = independent_couplings(model)
+    names = [condition.name for condition in model.couplings]
+    subject = "conditions between bodies"
+    if not result.consistent:
+        violated = shortened(result.violated)
+        detail = f"they contradict each other: no configuration was found where {violated} holds as well"
+        yield Finding("boundary rank", subject, False, detail)
+        return
+    kept = f"{len(result.kept)} of {len(names)} are independent" + ("" if result.dropped else ", none is redundant")
+    yield Finding("boundary rank", subject, True, kept)
+    for index, others in result.dropped:
+        sources = "; ".join(map(shortened, others))
+        detail = f"redundant, and left out: it follows from {sources}" if others else "redundant: it says nothing"
+        values, width = data_at_solution(context), len(model.coordinates)
+        values |= {v.symbol: float(solution.q[-1, v.body * width + v.coordinate]) for v in model.end_values}
+        residual = expressions.rounded_at(model.couplings[index].expression, values)
+        violation = abs(residual) if residual is not None else float("inf")
+        passed = solution.status != "solved" or violation <= _HOLDS
+        if not passed:
+            detail = f"left out as redundant, but the solution violates it by {violation:.2g}"
+            detail += "; start from a better guess"
+        name = shortened(names[index])
+        # Shortened names may begin alike.
+        subject = name if name == names[index] else f"number {index + 1}, {name}"
+        yield Finding("boundary rank", subject, passed, detail)
 
 
-def _null_vectors(module: Any, grid: Any, unknowns: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the left null vectors of the scaled Jacobian (columns), and their products with all columns (rows).
-
-    None if the Jacobian is not finite.
-    """
-
-    def dense(entries: Any, columns: int) -> NDArray[np.float64]:
-        matrix = np.zeros((rows.size, columns))
-        np.add.at(matrix, (entries[0], entries[1]), entries[2])
-        return matrix
-
-    rows = module.multiplier_unknowns(grid)
-    matrix = dense(point.jacobian(grid, unknowns), module.primal_unknowns(grid).size)
-    if not np.isfinite(matrix).all():
-        return None
-    row_scale = np.abs(matrix).max(axis=1, initial=0.0)
-    row_scale[row_scale == 0.0] = 1.0
-    scaled = matrix / row_scale[:, None]
-    column_scale = np.abs(scaled).max(axis=0, initial=0.0)
-    column_scale[column_scale == 0.0] = 1.0
-    left, singular, _ = np.linalg.svd(scaled / column_scale, full_matrices=True)
-    nulls = left[:, int(np.sum(singular > _SINGULAR * singular.max(initial=0.0))) :]
-    every = np.flatnonzero(~grid.is_multiplier)
-    full = dense(submatrix(grid, unknowns, rows, every, False), every.size)
-    touched = np.zeros((nulls.shape[1], unknowns.size))
-    touched[:, every] = np.abs(nulls.T @ (full / row_scale[:, None]))
-    return nulls, touched
-
-
-def _dependent_equations(program: ControlProgram, intervals: int, null: Any, rows: Any, touched: Any) -> str:
+def _dependent_equations(program: ControlProgram, intervals: int, null: Vector, rows: Indices, touched: Vector) -> str:
     """Name the equations that depend on each other, and the boundary conditions that take part.
 
     A prescribed position or momentum takes part if the null vector meets its column. A prescribed velocity takes part
@@ -151,36 +169,6 @@ def _dependent_equations(program: ControlProgram, intervals: int, null: Any, row
                     conditions |= {f"{where} {values[s].quantity}": None for s in values if s in read}
     listed, involved = ", ".join(conditions) or "no boundary condition", "; ".join(equations)
     return f"redundant or unreachable: one of {listed} ({involved} depend on each other); leave one of them free"
-
-
-def _couplings(context: Context) -> Iterator[Finding]:
-    """Name redundant conditions between bodies, and evaluate them at the solution."""
-    model, solution = context.model, context.solution
-    result = independent_couplings(model)
-    names = [condition.name for condition in model.couplings]
-    subject = "conditions between bodies"
-    if not result.consistent:
-        violated = shortened(result.violated)
-        detail = f"they contradict each other: no configuration was found where {violated} holds as well"
-        yield Finding("boundary rank", subject, False, detail)
-        return
-    kept = f"{len(result.kept)} of {len(names)} are independent" + ("" if result.dropped else ", none is redundant")
-    yield Finding("boundary rank", subject, True, kept)
-    for index, others in result.dropped:
-        sources = "; ".join(map(shortened, others))
-        detail = f"redundant, and left out: it follows from {sources}" if others else "redundant: it says nothing"
-        values, width = data_at_solution(context), len(model.coordinates)
-        values |= {v.symbol: float(solution.q[-1, v.body * width + v.coordinate]) for v in model.end_values}
-        residual = expressions.rounded_at(model.couplings[index].expression, values)
-        violation = abs(residual) if residual is not None else float("inf")
-        passed = solution.status != "solved" or violation <= _HOLDS
-        if not passed:
-            detail = f"left out as redundant, but the solution violates it by {violation:.2g}"
-            detail += "; start from a better guess"
-        name = shortened(names[index])
-        # Shortened names may begin alike.
-        subject = name if name == names[index] else f"number {index + 1}, {name}"
-        yield Finding("boundary rank", subject, passed, detail)
 
 
 _ALLOWED = 0.1
@@ -251,14 +239,30 @@ _FALLS = 0.75
 def check_path_modes(context: Context) -> Iterator[Finding]:
     """Name the points at which every condition on states holds; measure other conditions at two solutions."""
     program = context.control
-    conditions = () if program.phases else _path_conditions(program.model)
+    model, conditions = program.model, list[Condition]()
+    if not program.phases:  # path conditions, and bounds on quantities at nodes
+        conditions += [*nodal_conditions(model, equality=True), *nodal_conditions(model, equality=False)]
+        for bound in model.bounds:
+            x, lower, upper = bound.symbol, bound.lower, bound.upper
+            if x in (*model.coordinates, *model.rates):
+                if lower is not None:
+                    conditions.append(Condition(f"{x} >= {lower}", lower - x, equality=False))
+                if upper is not None:
+                    conditions.append(Condition(f"{x} <= {upper}", x - upper, equality=False))
     sampled = sampled_conditions(context.module)
     if not (conditions or sampled):
         yield does_not_apply(_NAME, "there are no conditions on states alone")
         return
-    worst = _worst_excursions(context) if sampled else {}
+    # The violations of the solution inside intervals, by the name of the condition; None without solution.
+    worst: dict[str, Excursion] | None = {}
+    if sampled and context.solution.status != "solved":
+        worst = None
+    elif sampled:
+        steps = (context.solution.t.size - 1) // context.module.metadata.phases
+        violations = excursions(context.module, context.solution.unknowns, steps, None)
+        worst = {excursion.condition: excursion for excursion in violations}
     open_values = {c: _open_values(program, context.scheme, c) for c in conditions}
-    solutions: tuple[Any, ...] = ()
+    solutions: tuple[ControlSolution, ...] = ()
     if any(open_values.values()):
         solutions = context.solution, context.module.solve(2 * (context.solution.t.size - 1))
     for condition, values in open_values.items():
@@ -277,15 +281,6 @@ def check_path_modes(context: Context) -> Iterator[Finding]:
             yield _with_excursion(Finding(_NAME, name, True, "it holds at nodes"), name, worst)
 
 
-def _worst_excursions(context: Context) -> dict[str, Excursion] | None:
-    """Return the violations of the solution inside intervals, by the name of the condition; None without solution."""
-    solution, phases = context.solution, context.module.metadata.phases
-    if solution.status != "solved":
-        return None
-    violations = excursions(context.module, solution.unknowns, (solution.t.size - 1) // phases, None)
-    return {excursion.condition: excursion for excursion in violations}
-
-
 def _with_excursion(finding: Finding, condition: str, worst: Mapping[str, Excursion] | None) -> Finding:
     """Add the violation of the solution inside intervals to a finding. A gross violation is a failure."""
     if worst is None:
@@ -297,20 +292,6 @@ def _with_excursion(finding: Finding, condition: str, worst: Mapping[str, Excurs
         return replace(finding, passed=False, detail=excursion.note)
     within = f"sampled inside intervals, the motion violates it by {excursion.figures} at most"
     return replace(finding, detail=f"{finding.detail}; {within}")
-
-
-def _path_conditions(model: Model) -> list[Condition]:
-    """Return path conditions and bounds on quantities at nodes."""
-    conditions = [*nodal_conditions(model, equality=True), *nodal_conditions(model, equality=False)]
-    for bound in model.bounds:
-        x, lower, upper = bound.symbol, bound.lower, bound.upper
-        if x not in (*model.coordinates, *model.rates):
-            continue
-        if lower is not None:
-            conditions.append(Condition(f"{x} >= {lower}", lower - x, equality=False))
-        if upper is not None:
-            conditions.append(Condition(f"{x} <= {upper}", x - upper, equality=False))
-    return conditions
 
 
 def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) -> list[Expr]:
@@ -363,7 +344,11 @@ def _is_mean(value: Expr, imposed: set[Expr], symbols: Sequence[Symbol]) -> bool
 
 
 def _measured(
-    context: Context, program: ControlProgram, condition: Condition, values: Sequence[Expr], solutions: Sequence[Any]
+    context: Context,
+    program: ControlProgram,
+    condition: Condition,
+    values: Sequence[Expr],
+    solutions: Sequence[ControlSolution],
 ) -> Finding:
     """Compare the largest violation between nodes on N and on 2 N intervals."""
     unsolved = [solution for solution in solutions if solution.status != "solved"]

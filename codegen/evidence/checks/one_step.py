@@ -22,10 +22,9 @@ The midpoint rule is the discrete Hamiltonian map of Ld = h L(midpoint), forces 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import mpmath
 import sympy
@@ -41,7 +40,7 @@ from codegen.discretise.schemes.base import Scheme, Tableau
 from codegen.discretise.simulation import phase_functions
 from codegen.errors import DegenerateError, NumericsError
 from codegen.evidence.analysis.modified_equations import vector_field
-from codegen.evidence.checks.base import Context, Finding, Function, does_not_apply, function_of, random_points
+from codegen.evidence.checks.base import Context, Finding, Function, Numbers, does_not_apply, function_of, random_points
 from codegen.problem.problem import Simulate
 from codegen.problem.symbols import coordinate, time
 from codegen.symbolic.zeros import identically_zero
@@ -110,7 +109,9 @@ def jacobians(left: Sequence[Symbol], right: Sequence[Symbol], equations: Sequen
     return column.jacobian(list(left)), column.jacobian(list(right))
 
 
-def solved_step(residual: Function, jacobian: Function, data: Sequence[Any], start: Sequence[Any]) -> list[Any]:
+def solved_step(
+    residual: Function, jacobian: Function, data: Sequence[mpmath.mpf], start: Sequence[mpmath.mpf]
+) -> Numbers:
     """Return the unknowns of a step by Newton's method in mpmath's current precision, from `start`.
 
     `residual` and `jacobian` (row by row) are functions of `data` and the unknowns. Raises NumericsError if the
@@ -129,7 +130,7 @@ def solved_step(residual: Function, jacobian: Function, data: Sequence[Any], sta
     raise NumericsError("the equations of a step could not be solved", "check the scheme")
 
 
-def _matrix(entries: list[Any], columns: int) -> mpmath.matrix:
+def _matrix(entries: Numbers, columns: int) -> mpmath.matrix:
     return mpmath.matrix([entries[i : i + columns] for i in range(0, len(entries), columns)])
 
 
@@ -260,34 +261,27 @@ def check_area_preservation(context: Context) -> Iterator[Finding]:
     if len(context.model.coordinates) != 1:
         yield does_not_apply("area preservation", "there is more than one coordinate")
         return
-    for method, table in METHODS.items():
-        try:
-            yield from _areas(context.model, method, table.values())
-        except DegenerateError:
-            yield does_not_apply("area preservation", f"a degenerate Legendre transform rules out {method} schemes")
-
-
-def _areas(forced: Model, method: str, table: Iterable[Scheme]) -> Iterator[Finding]:
-    """Check the schemes of a method. Raises DegenerateError if the problem has no form for the method."""
-    model = without_forces(forced)
+    model = without_forces(context.model)
     curvature = sympy.hessian(model.function, [*model.coordinates, *model.rates])
     curved, linear = not identically_zero(curvature.det()), not curvature.has(*model.coordinates, *model.rates)
-    for scheme in table:
-        if scheme.parts:
-            continue
-        if scheme.is_chain:
-            determinant = area_factor(model, scheme)
-            preserved, result = determinant == 1, f"det = {sympy.sstr(determinant)}"
-        else:
-            # The determinant of a step with inner stages is a long expression. For two variables it is S^T J S.
-            defect = defect_at_random_points(forced, step_equations(model, scheme))
-            preserved, result = defect < PRESERVED, f"|det - 1| = {defect:.2g} at random points"
-        # If the potential or the kinetic energy is linear, any scheme may preserve areas by accident. So do symmetric
-        # schemes if both are quadratic: the map is R(hA) with R(z) R(-z) = 1.
-        accident = preserved and (not curved or (linear and scheme.symmetric))
-        claim = "symplectic" if scheme.symplectic else "not symplectic"
-        passed = preserved == scheme.symplectic or accident
-        yield Finding("area preservation", f"{scheme.name} ({method})", passed, f"{result}, and the scheme is {claim}")
+    for method, table in METHODS.items():
+        try:
+            for scheme in (scheme for scheme in table.values() if not scheme.parts):
+                if scheme.is_chain:
+                    determinant = area_factor(model, scheme)
+                    preserved, result = determinant == 1, f"det = {sympy.sstr(determinant)}"
+                else:
+                    # The determinant of a step with inner stages is a long expression. For two variables it is S^T J S.
+                    defect = defect_at_random_points(context.model, step_equations(model, scheme))
+                    preserved, result = defect < PRESERVED, f"|det - 1| = {defect:.2g} at random points"
+                # If the potential or the kinetic energy is linear, any scheme may preserve areas by accident. So do
+                # symmetric schemes if both are quadratic: the map is R(hA) with R(z) R(-z) = 1.
+                accident = preserved and (not curved or (linear and scheme.symmetric))
+                detail = f"{result}, and the scheme is {'symplectic' if scheme.symplectic else 'not symplectic'}"
+                passed = preserved == scheme.symplectic or accident
+                yield Finding("area preservation", f"{scheme.name} ({method})", passed, detail)
+        except DegenerateError:
+            yield does_not_apply("area preservation", f"a degenerate Legendre transform rules out {method} schemes")
 
 
 def area_factor(model: Model, scheme: Scheme) -> Expr:
@@ -392,7 +386,7 @@ def measured_order(scheme: Scheme) -> tuple[float, float]:
 
 
 @cache
-def _flow_after(divisions: int) -> list[mpmath.mpf]:
+def _flow_after(divisions: int) -> Numbers:
     """Return the exact flow of the generic system over a fraction of the unit of time, by mpmath's Taylor series."""
     phase = legendre.hamiltonian_form(generic_model().with_free_ends)
     rates = function_of([phase.time, *phase.coordinates, *phase.rates], vector_field(phase))

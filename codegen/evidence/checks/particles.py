@@ -11,13 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import mpmath
 import numpy as np
 import sympy
 from numpy.typing import NDArray
-from sympy import Expr
 
 from codegen.discretise import transcribe
 from codegen.discretise.model.from_problem import load_problem
@@ -50,7 +49,8 @@ def particle_findings(
     fresh = lower.lower(program, differentiation.derivatives(program))
     origin = naming.origin_of(source, arguments, choices)
     text = rendering.render(fresh, origin)
-    module: Any = load(module_path)
+    module = load(module_path)
+    assert isinstance(module, ModuleType)
     yield from layout.compare(module_path, module, origin.inputs, text)
     generator, size = np.random.default_rng(1), len(model.coordinates)
     states = [scale * generator.uniform(-1.0, 1.0, (2, _PARTICLES, size)) / np.sqrt(size) for scale in (0.6, 0.6, 1e-2)]
@@ -70,14 +70,14 @@ def _small_error(check: str, subject: str, error: float, limit: float) -> Findin
     return Finding(check, subject, error <= limit, f"largest relative error {error:.1e}, allowed {limit:.0e}")
 
 
-def _error(emitted: Array, exact: list[Any]) -> float:
+def _error(emitted: Array, exact: list[mpmath.mpf]) -> float:
     """Return the largest error relative to the largest entry."""
     size = max(abs(value) for value in exact)
     return max(abs(float((v - w) / size)) for v, w in zip(emitted.tolist(), exact, strict=True))
 
 
 def _derivatives(
-    model: PairwiseModel, module: Any, states: list[Array], generator: np.random.Generator
+    model: PairwiseModel, module: ModuleType, states: list[Array], generator: np.random.Generator
 ) -> Iterator[Finding]:
     """Compare H and its first and second derivatives."""
     own, parameters = _data(model, _PARTICLES)
@@ -115,45 +115,40 @@ def _derivatives(
     yield _small_error("derivatives", "products with the second derivatives", error, 1e-12)
 
 
-def _exact(model: PairwiseModel) -> Callable[[Array, Array], tuple[Any, list[Any]]]:
+def _exact(model: PairwiseModel) -> Callable[[Array, Array], tuple[mpmath.mpf, list[mpmath.mpf]]]:
     """Return H and its gradient (as a flat list) as functions of states, from the author's terms in 50 digits."""
     parameters = {p: sympy.Rational(v) for p, v in zip(model.parameters, model.defaults, strict=True)}
     first, second = model.first, model.second
 
-    def function(arguments: list[sympy.Symbol], term: Expr, moving: tuple[sympy.Symbol, ...]) -> Any:
-        """Return a term and its derivatives."""
-        values = [term, *(sympy.diff(term, z) for z in moving)]
-        return sympy.lambdify(arguments, [e.subs(parameters) for e in values], "mpmath")
+    single, both = [*first.moving, *first.own], [*first.moving, *first.own, *second.moving, *second.own]
+    of_one, of_two = (  # a term and its derivatives
+        sympy.lambdify(symbols, [e.subs(parameters) for e in (term, *(sympy.diff(term, z) for z in moving))], "mpmath")
+        for symbols, term, moving in (
+            (single, model.self_term, first.moving),
+            (both, model.pair_term, (*first.moving, *second.moving)),
+        )
+    )
 
-    single = [*first.moving, *first.own]
-    both = [*single, *second.moving, *second.own]
-    of_one = function(single, model.self_term, first.moving)
-    of_two = function(both, model.pair_term, (*first.moving, *second.moving))
-
-    def exact(state: Array, own: Array) -> tuple[Any, list[Any]]:
+    def exact(state: Array, own: Array) -> tuple[mpmath.mpf, list[mpmath.mpf]]:
         count, size = state.shape[1], state.shape[2]
         with mpmath.workdps(DIGITS):
             values = [[mpmath.mpf(float(v)) for v in (*state[0, i], *state[1, i], *own[i])] for i in range(count)]
             total, gradient = mpmath.mpf(0), np.full(state.shape, mpmath.mpf(0), dtype=object)
 
-            def add(particle: int, slopes: list[Any]) -> None:
-                gradient[:, particle] += np.array(slopes, dtype=object).reshape(2, size)
-
             for i in range(count):
                 energy, *slopes = of_one(*values[i])
                 total += energy
-                add(i, slopes)
+                gradient[:, i] += np.array(slopes, dtype=object).reshape(2, size)
                 for j in range(i):
                     energy, *slopes = of_two(*values[i], *values[j])
                     total += energy
-                    add(i, slopes[: 2 * size])
-                    add(j, slopes[2 * size :])
+                    gradient[:, [i, j]] += np.array(slopes, dtype=object).reshape(2, 2, size).swapaxes(0, 1)
             return total, list(gradient.ravel())
 
     return exact
 
 
-def _symplectic(model: PairwiseModel, module: Any, state: Array, scheme: str) -> Iterator[Finding]:
+def _symplectic(model: PairwiseModel, module: ModuleType, state: Array, scheme: str) -> Iterator[Finding]:
     """Check D' J D = J for the derivative D of one step. A scheme that claims no symplecticity must violate it."""
     if module.problem.gradient is None:
         return
@@ -187,7 +182,7 @@ _RIM = tuple(10.0**-k for k in (1, 2, 4, 6, 8))
 """Distances from the boundary of the unit ball, relative to its radius."""
 
 
-def _kernel_findings(model: PairwiseModel, module: Any) -> Iterator[Finding]:
+def _kernel_findings(model: PairwiseModel, module: ModuleType) -> Iterator[Finding]:
     """Yield all evidence about a module whose momenta meet in a kernel; nothing about other modules."""
     # The pair term is p_i . p_j G without momenta in G, and G has a limit where points meet.
     entries = [[sympy.diff(model.pair_term, p, r) for r in model.second.p] for p in model.first.p]
@@ -257,13 +252,20 @@ def _kernel_findings(model: PairwiseModel, module: Any) -> Iterator[Finding]:
     yield _small_error("kernel", "the limit where points meet", worst, 1e-14)
 
 
-def tracer_findings(model: PairwiseModel, module: Any, states: list[Array]) -> Iterator[Finding]:
+def tracer_findings(model: PairwiseModel, module: ModuleType, states: list[Array]) -> Iterator[Finding]:
     """Yield all evidence about a module that carries tracer points, at some states of particles."""
     if not model.passive:
         return
     own, parameters = _data(model, states[0].shape[1])
     generator = np.random.default_rng(2)
     errors, slope_errors, size, block = [], [], len(model.coordinates), int(module.BLOCK)
+    # The velocity of a tracer point and its gradient, row by row, from the author's pair term in 50 digits.
+    rest = dict.fromkeys(model.first.p, sympy.S.Zero)
+    rest |= {p: sympy.Rational(v) for p, v in zip(model.parameters, model.defaults, strict=True)}
+    terms = [sympy.diff(model.pair_term, p) for p in model.first.p]
+    expected = [*terms, *(sympy.diff(term, q) for term in terms for q in model.first.q)]
+    arguments = [*model.first.q, *model.second.moving, *model.second.own]
+    function = sympy.lambdify(arguments, [e.subs(rest) for e in expected], "mpmath")
     for state in states:
         positions = np.abs(state[0]).max() * generator.uniform(-0.7, 0.7, (size, block))
         positions[:, 0] = state[0, 0] + 1e-9  # where digits are lost most easily
@@ -271,7 +273,12 @@ def tracer_findings(model: PairwiseModel, module: Any, states: list[Array]) -> I
         module.tracer_gradient(positions.ravel(), state, own, parameters, rates, gradients)
         module.tracer_velocity(positions.ravel(), state, own, parameters, alone)
         for m in range(min(3, block)):
-            velocity, gradient = _exact_velocity(model, positions[:, m], state, own)
+            with mpmath.workdps(DIGITS):
+                totals = [mpmath.mpf(0)] * len(expected)
+                for j in range(state.shape[1]):
+                    numbers = [mpmath.mpf(float(v)) for v in (*positions[:, m], *state[0, j], *state[1, j], *own[j])]
+                    totals = [total + value for total, value in zip(totals, function(*numbers), strict=True)]
+            velocity, gradient = totals[:size], totals[size:]
             for emitted in (rates, alone):
                 errors.append(_error(emitted.reshape(size, block)[:, m], velocity))
             slope_errors.append(_error(gradients.reshape(size * size, block)[:, m], gradient))
@@ -301,20 +308,3 @@ def tracer_findings(model: PairwiseModel, module: Any, states: list[Array]) -> I
     yield _small_error("consistency", "tracer points carried there and back", float(np.abs(back - points).max()), 1e-13)
     error = float(np.abs(inverse @ tangents - np.eye(size)).max())
     yield _small_error("consistency", "the derivatives of both", error, 1e-12)
-
-
-def _exact_velocity(model: PairwiseModel, point: Array, state: Array, own: Array) -> tuple[list[Any], list[Any]]:
-    """Return the velocity of a tracer point and its gradient, row by row, from the author's pair term in 50 digits."""
-    size = len(model.coordinates)
-    rest = dict.fromkeys(model.first.p, sympy.S.Zero)
-    rest |= {p: sympy.Rational(v) for p, v in zip(model.parameters, model.defaults, strict=True)}
-    rates = [sympy.diff(model.pair_term, p) for p in model.first.p]
-    expected = [*rates, *(sympy.diff(rate, q) for rate in rates for q in model.first.q)]
-    arguments = [*model.first.q, *model.second.moving, *model.second.own]
-    function = sympy.lambdify(arguments, [e.subs(rest) for e in expected], "mpmath")
-    with mpmath.workdps(DIGITS):
-        totals = [mpmath.mpf(0)] * len(expected)
-        for j in range(state.shape[1]):
-            values = [mpmath.mpf(float(v)) for v in (*point, *state[0, j], *state[1, j], *own[j])]
-            totals = [total + value for total, value in zip(totals, function(*values), strict=True)]
-    return totals[:size], totals[size:]

@@ -24,14 +24,13 @@ extrapolated twice (Richardson). The distance of both results estimates the erro
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 import sympy
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import LinearOperator, onenormest, splu
@@ -39,7 +38,7 @@ from sympy import Expr, Symbol
 
 from codegen.batch.request import Quantity, given_to, quantities
 from codegen.discretise.model import legendre
-from codegen.discretise.model.definitions import InnerCondition, Model
+from codegen.discretise.model.definitions import Delay, Model
 from codegen.errors import CodegenError
 from codegen.evidence.analysis.maximum_principle import beyond_maximum_principle, exact_optimum, reference_optimum
 from codegen.evidence.analysis.modified_equations import vector_field
@@ -47,14 +46,14 @@ from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_m
 from codegen.runtime.search import point
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.solving.drivers import find
-from codegen.solving.loading import Vector
+from codegen.solving.loading import ControlSolution, Grid, Vector
 from codegen.solving.results.control import control_result
 from codegen.solving.results.result import Result, Run
 from codegen.solving.results.segments import put_together, segments_of
 from codegen.symbolic.functions import NUMPY
 
 
-def free_values(module: Any, solution: Any) -> NDArray[np.float64]:
+def free_values(module: ModuleType, solution: ControlSolution) -> Vector:
     """Return the free parameters at a solution, in the order of their declaration."""
     count = len(module.metadata.free_parameters)
     end = solution.unknowns.size - module.problem.structure.couplings
@@ -68,7 +67,7 @@ def data_at_solution(context: Context) -> dict[Symbol, float]:
     return model.default_values | dict(zip((p.symbol for p in model.free_parameters), free, strict=True))
 
 
-def integral_of_cost(model: Model, module: Any, solution: Any) -> float:
+def integral_of_cost(model: Model, module: ModuleType, solution: ControlSolution) -> float:
     """Return the integral of the running cost of all bodies for controls on nodes, by Simpson's rule.
 
     Between nodes coordinates, momenta and controls are linear functions of time, and velocities are constant.
@@ -79,7 +78,7 @@ def integral_of_cost(model: Model, module: Any, solution: Any) -> float:
     constants = [*model.defaults, *free_values(module, solution)]
     h, total = np.diff(solution.t), 0.0
 
-    def of_body(values: NDArray[np.float64], width: int, body: int) -> NDArray[np.float64]:
+    def of_body(values: Vector, width: int, body: int) -> Vector:
         return values[:, body * width : (body + 1) * width]
 
     for body in range(model.bodies):
@@ -146,8 +145,28 @@ def check_inner_times(context: Context) -> Iterator[Finding]:
     prescribed = [None if inner.time is None else number(inner.time) for inner in model.inner_times]
     pairs = zip(prescribed, on_grid, strict=True)
     nodes = [node if time is None else int(np.argmin(np.abs(solution.t - time))) for time, node in pairs]
+    width, momenta, rates = len(model.coordinates), model.rates, dict[Symbol, Expr]()
+    if model.inner_conditions and model.form == "lagrangian" and model.rates:
+        momenta = legendre.conjugate_symbols(model)
+        used = {s for c in model.inner_conditions for s in c.expression.free_symbols}
+        if used & set(model.rates):
+            rates = dict(zip(model.rates, legendre.velocity_of_momentum(model), strict=True))
+    symbols = [*model.coordinates, *momenta, model.time, *numbers]
     for condition in model.inner_conditions:
-        yield _condition_at(context, condition, nodes[condition.number], numbers)
+        # Evaluate the condition relative to its own terms, for the body with the largest violation.
+        node = nodes[condition.number]
+        expression = condition.expression.subs(rates, simultaneous=True)
+        size = sympy.Add(*map(sympy.Abs, sympy.Add.make_args(expression)))
+        function, worst = sympy.lambdify(symbols, [expression, size], modules=NUMPY, cse=True), 0.0
+        for body in range(model.bodies):
+            columns = slice(body * width, (body + 1) * width)
+            state = [*solution.q[node, columns], *(solution.p[node, columns] if model.rates else ())]
+            value, scale = function(*state, solution.t[node], *numbers.values())
+            excess = abs(value) if condition.equality else max(0.0, value)
+            worst = max(worst, float(excess) / max(1.0, float(scale)))
+        verb = "holds to" if worst <= _MET else "fails by"
+        detail = f"at node {node}, t = {solution.t[node]:.6g}, it {verb} {worst:.1g}"
+        yield Finding("inner times", str(condition), bool(worst <= _MET), detail)
     times = solution.t[np.array(nodes)]
     slack = _MET * max(1.0, float(np.abs(times).max()))
     wrong = []
@@ -161,29 +180,6 @@ def check_inner_times(context: Context) -> Iterator[Finding]:
         wrong.append("the times are not in order")
     listed = ", ".join(f"{time:.6g}" for time in times)
     yield Finding("inner times", "times", not wrong, wrong[0] if wrong else f"in order, as given: t = {listed}")
-
-
-def _condition_at(context: Context, condition: InnerCondition, node: int, numbers: dict[Symbol, float]) -> Finding:
-    """Evaluate a condition relative to its own terms, for the body with the largest violation."""
-    model, solution, width = context.model, context.solution, len(context.model.coordinates)
-    momenta, rates = model.rates, dict[Symbol, Expr]()
-    if model.form == "lagrangian" and model.rates:
-        momenta = legendre.conjugate_symbols(model)
-        used = {s for c in model.inner_conditions for s in c.expression.free_symbols}
-        if used & set(model.rates):
-            rates = dict(zip(model.rates, legendre.velocity_of_momentum(model), strict=True))
-    symbols = [*model.coordinates, *momenta, model.time, *numbers]
-    expression = condition.expression.subs(rates, simultaneous=True)
-    size = sympy.Add(*map(sympy.Abs, sympy.Add.make_args(expression)))
-    function, worst = sympy.lambdify(symbols, [expression, size], modules=NUMPY, cse=True), 0.0
-    for body in range(model.bodies):
-        columns = slice(body * width, (body + 1) * width)
-        state = [*solution.q[node, columns], *(solution.p[node, columns] if model.rates else ())]
-        value, scale = function(*state, solution.t[node], *numbers.values())
-        excess = abs(value) if condition.equality else max(0.0, value)
-        worst = max(worst, float(excess) / max(1.0, float(scale)))
-    detail = f"at node {node}, t = {solution.t[node]:.6g}, it {'holds to' if worst <= _MET else 'fails by'} {worst:.1g}"
-    return Finding("inner times", str(condition), bool(worst <= _MET), detail)
 
 
 _LEAST_STEPS = 48
@@ -232,7 +228,7 @@ def _distance(whole: Model, result: Result) -> float:
     states, numbers = (*side.coordinates, *side.rates), side.default_values
     t, pieces = result.t, list[Callable[[float], Vector]]()
 
-    def function(expressions: Sequence[Expr], *arguments: Any) -> Callable[..., Any]:
+    def function(expressions: Sequence[Expr], *arguments: Symbol | list[Symbol]) -> Callable[..., list[float]]:
         plugged = [sympy.sympify(e).xreplace(numbers) for e in expressions]
         return sympy.lambdify(arguments, plugged, NUMPY)  # type: ignore[no-any-return]
 
@@ -245,7 +241,7 @@ def _distance(whole: Model, result: Result) -> float:
         margin = 1e-9 * (t[k + 1] - t[k])
         return np.asarray(result.controls_at(np.array([min(max(time, t[k] + margin), t[k + 1] - margin)]))[0])
 
-    def delayed(delay: Any) -> Callable[[int, float], float]:
+    def delayed(delay: Delay) -> Callable[[int, float], float]:
         """Return a delayed value as a function of interval and time."""
         lag = float(delay.lag.xreplace(numbers))
         back = round(lag / float(whole.duration.xreplace(numbers)) * (t.size - 1))
@@ -268,7 +264,7 @@ def _distance(whole: Model, result: Result) -> float:
     for k in range(t.size - 1):
 
         def rate(time: float, state: Vector, k: int = k) -> Sequence[float]:
-            return rates(state, controls(k, time), time, [value(k, time) for value in past])  # type: ignore[no-any-return]
+            return rates(state, controls(k, time), time, [value(k, time) for value in past])
 
         piece = solve_ivp(rate, (t[k], t[k + 1]), motion[-1], "DOP853", rtol=1e-11, atol=1e-12, dense_output=True)
         pieces.append(piece.sol)
@@ -302,7 +298,7 @@ def check_optimum(context: Context) -> Iterator[Finding]:
     except CodegenError as error:
         yield not_measured("optimum", subject, " ".join(str(error).split()))
         return
-    order, steps = min(context.scheme.order, _OF_CONTROLS), context.model.steps
+    order, steps = min(context.scheme.order, _OF_CONTROLS), context.steps or context.model.steps
     errors: list[tuple[int, float]] = []
     rate, passed = 0.0, False
     while len(errors) < 3 or (steps <= _LARGEST and not passed):
@@ -357,7 +353,14 @@ def check_second_order(context: Context) -> Iterator[Finding]:
         return
     program, unknowns = context.control, solution.unknowns
     grid = module.make_grid((solution.t.size - 1) // max(1, len(program.phases)))
-    diagonal = _bound_curvature(module, grid, unknowns)
+    # The diagonal z / distance of the unknowns at bounds; z is the gradient of the Lagrangian.
+    diagonal = np.zeros(unknowns.size)
+    if module.metadata.inequalities:
+        gradient = np.where(grid.is_multiplier, 0.0, module.evaluate(grid, unknowns).gradient)
+        lower, upper = module.variable_bounds(grid)
+        for z, distance in ((gradient, unknowns - lower), (-gradient, upper - unknowns)):
+            pushes = np.isfinite(distance) & (z > 0.0)
+            diagonal[pushes] += np.minimum(z[pushes] / np.maximum(distance[pushes], 1e-100), _FAST)
 
     # The size of the second derivatives of every unknown, or a typical size. Slacks follow from other unknowns.
     rows, _, values = point.hessian(grid, unknowns)
@@ -394,7 +397,7 @@ def check_second_order(context: Context) -> Iterator[Finding]:
         yield Finding("second-order condition", subject, passed, detail)
 
 
-def is_determined(module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDArray[np.float64]) -> bool:
+def is_determined(module: ModuleType, grid: Grid, unknowns: Vector, diagonal: Vector) -> bool:
     """Return True if there are as many equations as unknowns without active bounds, and their Jacobian is regular.
 
     The Jacobian is regular to rounding, after scaling of rows and columns to one.
@@ -418,19 +421,6 @@ def is_determined(module: Any, grid: Any, unknowns: NDArray[np.float64], diagona
     return bool(onenormest(matrix) * onenormest(inverse) < _REGULAR)
 
 
-def _bound_curvature(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the diagonal z / distance of the unknowns at bounds; z is the gradient of the Lagrangian."""
-    diagonal = np.zeros(unknowns.size)
-    if not module.metadata.inequalities:
-        return diagonal
-    gradient = np.where(grid.is_multiplier, 0.0, module.evaluate(grid, unknowns).gradient)
-    lower, upper = module.variable_bounds(grid)
-    for z, distance in ((gradient, unknowns - lower), (-gradient, upper - unknowns)):
-        pushes = np.isfinite(distance) & (z > 0.0)
-        diagonal[pushes] += np.minimum(z[pushes] / np.maximum(distance[pushes], 1e-100), _FAST)
-    return diagonal
-
-
 _LENGTHS = (1e-2, 1e-3, 1e-4)
 """Lengths of changes to both sides, relative to the quantities."""
 _SENSITIVITY_ALLOWED, _ROUGH = 1e-6, 1e-5
@@ -452,7 +442,7 @@ class _Direction:
 
     subject: str
     varied: tuple[Quantity, ...]
-    values: tuple[Any, ...]
+    values: tuple[float | Vector, ...]
     changes: Vector
     prescribed: tuple[str, ...]
 
@@ -493,7 +483,9 @@ def check_sensitivities(context: Context) -> Iterator[Finding]:
         yield _compared_sensitivities(module, steps, solution, parameters)
 
 
-def _compared_sensitivities(module: Any, steps: int, solution: Any, direction: _Direction) -> Finding:
+def _compared_sensitivities(
+    module: ModuleType, steps: int, solution: ControlSolution, direction: _Direction
+) -> Finding:
     grid, subject = module.make_grid(steps), f"{direction.subject}, {steps} intervals"
     rates = module.sensitivities(grid, solution.unknowns, direction.prescribed)
     if rates.failure:
@@ -536,7 +528,7 @@ def _compared_sensitivities(module: Any, steps: int, solution: Any, direction: _
         reason = "derivatives to both sides differ, as where bounds begin to hold"
         return not_measured("sensitivities", subject, reason)
 
-    along: dict[str, Any] = dict.fromkeys(_KINDS, 0.0)
+    along: dict[str, Vector] = {kind: np.zeros(()) for kind in _KINDS}
     for quantity, change in zip(direction.varied, changes, strict=True):
         i = module.QUANTITIES.index(quantity.name)
         _, q, _, u, multipliers = module.unpacked_rates(grid, solution.unknowns, rates, i)
@@ -590,14 +582,14 @@ def _is_kinked(references: Sequence[_Reference], kind: str, values: Vector) -> b
     return bool(last.bend[kind] > max(0.3 * longer, _KINK * largest))
 
 
-def _values(solution: Any) -> Values:
+def _values(solution: ControlSolution) -> Values:
     return {kind: np.asarray(getattr(solution, kind), dtype=float) for kind in _KINDS}
 
 
-def _solved_nearby(module: Any, steps: int, data: dict[str, Any], start: Any) -> Any:
+def _solved_nearby(module: ModuleType, steps: int, data: Mapping[str, object], start: Vector) -> ControlSolution | None:
     """Return the solution near another solution, to the smallest tolerance that is reached; None without solution."""
     for tolerance in _TOLERANCES:
-        result = module.solve(steps, **data, guess=start, warm=True, tolerance=tolerance)
+        result: ControlSolution = module.solve(steps, **data, guess=start, warm=True, tolerance=tolerance)
         if result.status == "solved":
             return result
     return None

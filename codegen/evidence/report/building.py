@@ -11,15 +11,23 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from codegen.errors import CodegenError
 from codegen.evidence.report.store import Case, Store, Values
 from codegen.evidence.stress.pool import end_with_parent
-from codegen.solving.loading import GeneratedModule, few_steps, is_control, is_simulation, load, machine_code_counts
+from codegen.solving.loading import (
+    ControlModule,
+    GeneratedModule,
+    SimulateModule,
+    few_steps,
+    is_control,
+    is_simulation,
+    load,
+    machine_code_counts,
+)
 
 WORKERS = 2
 MODULES, SURVEYS = "modules", "surveys"
@@ -77,6 +85,18 @@ class Workshop:
             self._paths[variant] = path if path is not None and path.is_file() else _derived(variant, self.folder)
         return load(self._paths[variant])
 
+    def control(self, variant: Variant) -> ControlModule:
+        """The module of an optimal control problem."""
+        module = self.module(variant)
+        assert is_control(module)
+        return module
+
+    def simulation(self, variant: Variant) -> SimulateModule:
+        """The module of a simulation."""
+        module = self.module(variant)
+        assert is_simulation(module)
+        return module
+
     def built(self, variants: Iterable[Variant]) -> list[Variant]:
         """The variants that have a module."""
         return [v for v in variants if (self.store.get(MODULES, v.case) or {}).get("status") == "built"]
@@ -114,67 +134,53 @@ def _prepare_worker() -> None:
     import codegen.solving.compiler
 
     assert codegen.solving.compiler
-    njit(_identity)(0.0)
+    njit(lambda x: x)(0.0)
 
 
-def _identity(x: Any) -> Any:
-    return x
-
-
-def survey_of(problem: Path) -> dict[str, Any]:
-    """The survey of a problem with its optimal cost, or the reason of a refusal; runs in a worker.
-
-    A file that cannot be read is recorded as refused.
-    """
-    from codegen.discretise.model.from_problem import load_problem
-
-    try:
-        model = load_problem(problem, {})
-        return {"status": "read", **_survey(model), "exact cost": _exact_cost(model)}
-    except CodegenError as error:
-        return {"status": "refused", "message": str(error)}
-
-
-def _survey(model: Any) -> dict[str, Any]:
-    """Task, form, number of phases, and the methods and schemes that may apply, as plain values for JSON.
+def survey_of(problem: Path) -> Values:
+    """Task, form, number of phases, usable methods and schemes, and the optimal cost, as plain values for JSON.
 
     A scheme is a row (method, name, order, True if it is symplectic). The default of the problem comes first. Only the
-    build tells whether a scheme applies.
+    build tells whether a scheme applies. The optimal cost is None unless the maximum principle has a closed-form
+    solution. A file that cannot be read is recorded as refused. Runs in a worker.
     """
     from codegen.discretise import schemes
     from codegen.discretise.model.definitions import Model
+    from codegen.discretise.model.from_problem import load_problem
     from codegen.discretise.particles import PARTICLE_SCHEMES
     from codegen.discretise.transcribe import methods_for
-
-    rows: list[tuple[str, schemes.Scheme]]
-    if isinstance(model, Model):
-        form, phases, methods = model.form, len(model.phases), methods_for(model)
-        rows = [(method, scheme) for method in methods for scheme in schemes.of_method(method)]
-    else:
-        form, phases, methods = "particles", 0, ("stepping",) if model.connects else ("hamiltonian",)
-        rows = [(method, scheme) for method in methods for scheme in PARTICLE_SCHEMES.values() if not scheme.adaptive]
-    rows.sort(key=lambda row: (row[0] != methods[0], row[1].name != "midpoint"))
-    listed = [[method, scheme.name, scheme.order, scheme.symplectic] for method, scheme in rows]
-    return {"task": model.task, "schemes": listed, "form": form, "phases": phases}
-
-
-def _exact_cost(model: Any) -> float | None:
-    """The optimal cost of a control problem whose maximum principle has a closed-form solution, else None."""
-    from codegen.discretise.model.definitions import Model
     from codegen.evidence.analysis.maximum_principle import exact_optimum
 
-    if not isinstance(model, Model) or model.task != "control":
-        return None
     try:
-        optimum = exact_optimum(model)
-    except CodegenError:  # such as bounds, or controls that the maximum principle does not determine
-        return None
-    return None if optimum is None else optimum.cost_at()
+        model = load_problem(problem, {})
+        rows: list[tuple[str, schemes.Scheme]]
+        if isinstance(model, Model):
+            form, phases, methods = model.form, len(model.phases), methods_for(model)
+            rows = [(method, scheme) for method in methods for scheme in schemes.of_method(method)]
+        else:
+            form, phases, methods = "particles", 0, ("stepping",) if model.connects else ("hamiltonian",)
+            usable = [scheme for scheme in PARTICLE_SCHEMES.values() if not scheme.adaptive]
+            rows = [(method, scheme) for method in methods for scheme in usable]
+        rows.sort(key=lambda row: (row[0] != methods[0], row[1].name != "midpoint"))
+        listed = [[method, scheme.name, scheme.order, scheme.symplectic] for method, scheme in rows]
+        cost = None
+        if isinstance(model, Model) and model.task == "control":
+            # Bounds, for example, and controls that the maximum principle does not determine, have no closed form.
+            with suppress(CodegenError):
+                optimum = exact_optimum(model)
+                cost = None if optimum is None else optimum.cost_at()
+    except CodegenError as error:
+        return {"status": "refused", "message": str(error)}
+    return {
+        "status": "read", "task": model.task, "schemes": listed, "form": form, "phases": phases, "exact cost": cost,
+    }  # fmt: skip
 
 
-def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
+def build_one(variant: Variant, folder: Path) -> Values:
     """Derive, write and compile a module; return times, sizes and omissions. Runs in a worker."""
+    from codegen.emit.naming import Choices
     from codegen.solving import api
+    from codegen.solving.compiler import generate
     from codegen.solving.machine_code.compilation import compile_all
 
     begin = time.perf_counter()
@@ -194,6 +200,12 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
         steps = few_steps(module, min(10, module.metadata.steps))
         api.solve(module, steps=steps)  # compiles what scipy's optimisers call
     is_new = bool(machine_code_counts(module)[0])  # else the machine code was read from disk
+    # Processor seconds that the derivation of either form takes once sympy's caches know the problem.
+    times = {}
+    for name, general in (("plain", False), ("general", True)) if variant.general else ():
+        begin = time.process_time()
+        generate(variant.problem, dict(variant.arguments), Choices(variant.scheme, variant.method, general=general))
+        times[f"{name} derivation processor seconds"] = time.process_time() - begin
     # Kernel lines are the first part of the module, which is special to the problem.
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines()
@@ -209,7 +221,7 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
         "operations": {name: list(counts) for name, counts in module.metadata.operations.items()},
         "left out": list(module.metadata.left_out),
         "solver": getattr(module.metadata, "solver", None),
-        **(_derivations(variant) if variant.general else {}),
+        **times,
         "order": module.metadata.order,
         "steps": module.metadata.steps,
     }
@@ -222,16 +234,3 @@ def _derived(variant: Variant, folder: Path) -> Path:
     return build(
         variant.problem, arguments, scheme=variant.scheme, method=variant.method, general=variant.general, out=folder
     ).path
-
-
-def _derivations(variant: Variant) -> dict[str, float]:
-    """Processor seconds that the derivation of either form takes once sympy's caches know the problem."""
-    from codegen.emit.naming import Choices
-    from codegen.solving.compiler import generate
-
-    times = {}
-    for name, general in (("plain", False), ("general", True)):
-        begin = time.process_time()
-        generate(variant.problem, dict(variant.arguments), Choices(variant.scheme, variant.method, general=general))
-        times[f"{name} derivation processor seconds"] = time.process_time() - begin
-    return times

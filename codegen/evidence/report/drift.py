@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.page import Section, Table, number
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.solving import api
-from codegen.solving.loading import SimulateModule, Vector, is_simulation
+from codegen.solving.loading import SimulateModule, Vector
 
 STORED, BLOCKS = 2000, 50
 """Stored states of a long motion, and blocks over which they are averaged."""
@@ -41,8 +40,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     """One case for each scheme, if the extent asks for a long motion."""
 
     def measure(variant: Variant) -> Values:
-        module = workshop.module(variant)
-        assert is_simulation(module)
+        module = workshop.simulation(variant)
         api.solve(module, steps=1)  # compiles
         return drift_values(module, extent.drift_steps)
 
@@ -57,8 +55,8 @@ def drift_values(module: SimulateModule, steps: int) -> Values:
         defect = (
             symplecticity_defect(module, grid.h, np.ravel(grid.start)) if grid.start.size <= _MOST_FREEDOM else None
         )
-        first: Any = module.solve(grid.steps, duration=grid.h * grid.steps)
-        solution: Any = module.solve(steps, duration=grid.h * steps, every=max(1, steps // STORED))
+        first = module.solve(grid.steps, duration=grid.h * grid.steps)
+        solution = module.solve(steps, duration=grid.h * steps, every=max(1, steps // STORED))
     except (CodegenError, ValueError) as error:
         return {"status": f"refused: {error}"}
     if solution.status != "solved":
@@ -67,11 +65,21 @@ def drift_values(module: SimulateModule, steps: int) -> Values:
     states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
     errors = solution.energy - solution.energy[0]
     trend = trend_of(solution.t, errors)
+    # The energy's error by rounding alone: half a unit in the last place of every state, in each of `steps` steps.
+    parameters, change = module.make_grid(1).parameters, []
+    for z in states[:: max(1, len(states) // 20)]:
+        slopes = []
+        for i in range(z.size):
+            shifted = z.copy()
+            shifted[i] += 1e-6 * max(1.0, abs(z[i]))
+            rise = module.energy(shifted, 0.0, parameters) - module.energy(z, 0.0, parameters)
+            slopes.append(rise / (shifted[i] - z[i]) * z[i])
+        change.append(float(np.sum(np.square(slopes))))
     return {
         "status": "solved", "steps": steps, "h": grid.h, "defect": defect, "energy": float(solution.energy[0]),
         "oscillation": float(np.ptp(errors)), "first": float(np.ptp(first.energy)),
         "rise": trend.rise, "standard error": trend.error, "t": trend.t,
-        "rounding": _random_walk(module, states[:: max(1, len(states) // 20)], steps),
+        "rounding": float(2.0**-53 * np.sqrt(np.mean(change)) * np.sqrt(steps)),
     }  # fmt: skip
 
 
@@ -116,20 +124,6 @@ def trend_of(times: Vector, values: Vector) -> Trend:
     correlation = max(0.0, float(residuals[1:] @ residuals[:-1]) / square) if square else 0.0
     error = np.sqrt(square / (BLOCKS - 2) / float(x @ x) * (1.0 + correlation) / (1.0 - correlation))
     return Trend(slope, float(error))
-
-
-def _random_walk(module: SimulateModule, states: Any, steps: int) -> float:
-    """The energy's error by rounding alone: half a unit in the last place of every state, in each of `steps` steps."""
-    parameters, change = module.make_grid(1).parameters, []
-    for z in states:
-        slopes = []
-        for i in range(z.size):
-            shifted = z.copy()
-            shifted[i] += 1e-6 * max(1.0, abs(z[i]))
-            rise = module.energy(shifted, 0.0, parameters) - module.energy(z, 0.0, parameters)
-            slopes.append(rise / (shifted[i] - z[i]) * z[i])
-        change.append(float(np.sum(np.square(slopes))))
-    return float(2.0**-53 * np.sqrt(np.mean(change)) * np.sqrt(steps))
 
 
 def section(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:

@@ -9,30 +9,27 @@ from __future__ import annotations
 
 import ast
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypeAlias
 
 from codegen.errors import ArgumentError
 from codegen.evidence.report import drift, modules, optima, simulations, thesis
-from codegen.evidence.report.building import (
-    MODULES,
-    SURVEYS,
-    Variant,
-    Workshop,
-    build_one,
-    gather,
-    survey_of,
-    workers,
-)
+from codegen.evidence.report.building import MODULES, SURVEYS, Variant, Workshop, build_one, gather, survey_of, workers
 from codegen.evidence.report.orders import Measured
 from codegen.evidence.report.page import Section, Table, number, page, seconds
-from codegen.evidence.report.store import Case, Extent, Store
+from codegen.evidence.report.store import Case, Extent, Store, Values
 from codegen.files import write_text
 from codegen.machine import machine
 from codegen.terminal import progress
+
+if TYPE_CHECKING:
+    from rich.table import Table as TerminalTable
+
+Row: TypeAlias = tuple[str, str, int] | tuple[str, str, int, tuple[tuple[str, str], ...]]
+"""Method, scheme and order of a module, and arguments of problem()."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,7 @@ KINDS = {
 class Extra:
     """An experiment of the thesis: rows (method, scheme, order, arguments) of modules, cases and sections."""
 
-    rows: Sequence[tuple[Any, ...]]
+    rows: Sequence[Row]
     cases: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterator[Case]]
     sections: Callable[[Store, Path], list[Section]]
 
@@ -147,7 +144,22 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
     if len(selection) > 1:
         sections.append(summary(selection, store))
     for chosen in selection:
-        sections += _sections(chosen, store)
+        problem, name = chosen.problem, chosen.problem.stem
+        survey = store.get(SURVEYS, name) or {}
+        if chosen.task not in KINDS:
+            if survey.get("status") == "refused" or chosen.extra is None:
+                reason = survey.get("message") or f"problems with the task {chosen.task} are not measured"
+                sections += [Section(f"{name}: not measured here", (reason,))]
+            else:
+                sections += chosen.extra.sections(store, problem)
+        else:
+            sections += [
+                *KINDS[chosen.task].sections(store, problem, chosen.variants, f"{name}: {_title_of(problem)}"),
+                *drift.section(store, problem, chosen.variants, f"{name}: energy in the long run"),
+                *(chosen.extra.sections(store, problem) if chosen.extra else []),
+                modules.modules(store, chosen.variants, f"{name}: modules", chosen.omitted),
+                *modules.omissions(store, problem, chosen.variants, f"{name}: what is left out"),
+            ]
     title = "Problems, measured" if len(selection) > 1 else _title_of(selection[0].problem)
     introduction = (
         "Every number was measured by the run that module this page; all of them are in measurements.csv beside it. "
@@ -170,23 +182,6 @@ def _cases(chosen: Chosen, workshop: Workshop, extent: Extent) -> Iterator[Case]
         yield from modules.cases(chosen.problem, chosen.variants, workshop, extent)
     if chosen.extra:
         yield from chosen.extra.cases(chosen.problem, chosen.extra.variants(chosen.problem), workshop, extent)
-
-
-def _sections(chosen: Chosen, store: Store) -> list[Section]:
-    problem, name = chosen.problem, chosen.problem.stem
-    survey = store.get(SURVEYS, name) or {}
-    if chosen.task not in KINDS:
-        if survey.get("status") == "refused" or chosen.extra is None:
-            reason = survey.get("message") or f"problems with the task {chosen.task} are not measured"
-            return [Section(f"{name}: not measured here", (reason,))]
-        return chosen.extra.sections(store, problem)
-    return [
-        *KINDS[chosen.task].sections(store, problem, chosen.variants, f"{name}: {_title_of(problem)}"),
-        *drift.section(store, problem, chosen.variants, f"{name}: energy in the long run"),
-        *(chosen.extra.sections(store, problem) if chosen.extra else []),
-        modules.modules(store, chosen.variants, f"{name}: modules", chosen.omitted),
-        *modules.omissions(store, problem, chosen.variants, f"{name}: what is left out"),
-    ]
 
 
 def _title_of(problem: Path) -> str:
@@ -232,7 +227,7 @@ def _row(chosen: Chosen, store: Store) -> tuple[str, ...]:
     orders = [(m.order.value, v.scheme) for v, m in measured.items() if m.order is not None]
     best = max(orders, key=lambda pair: pair[0], default=None)
     default = chosen.variants[0]
-    module: Any = store.get(MODULES, default.case) or {}
+    module = store.get(MODULES, default.case) or {}
     count, lines = str(sum(bool(m.rows) for m in measured.values())), str(module.get("lines", "–"))
     best_order, omissions = f"{number(best[0])} ({best[1]})" if best else "–", str(len(module.get("left out", ())))
     rows = measured[default].rows
@@ -265,17 +260,17 @@ _LOAD = "load of the machine when the page was module"
 class Record:
     """The environment of a report and a flat record for every case."""
 
-    environment: Mapping[str, Any]
-    cases: tuple[Mapping[str, Any], ...]
+    environment: Values
+    cases: tuple[Values, ...]
 
-    def plain(self) -> dict[str, Any]:
+    def plain(self) -> Values:
         """The record as plain values for JSON."""
         return {"environment": dict(self.environment), "cases": [dict(case) for case in self.cases]}
 
 
-def record_of(selection: Sequence[Chosen], store: Store, environment: Mapping[str, Any]) -> Record:
+def record_of(selection: Sequence[Chosen], store: Store, environment: Values) -> Record:
     """Every run with its status, error and seconds, every scheme with its order and the size of its module."""
-    cases: list[Mapping[str, Any]] = []
+    cases: list[Values] = []
     for chosen in (c for c in selection if c.task in KINDS):
         name = chosen.problem.stem
         for variant, measured in chosen.measured(store).items():
@@ -313,8 +308,8 @@ class Regression:
     problem: str
     case: str
     what: str
-    before: Any
-    after: Any
+    before: object
+    after: object
 
     @property
     def decides(self) -> bool:
@@ -335,32 +330,30 @@ def _shared(before: Record, after: Record) -> int:
     return len(keys[0] & keys[1])
 
 
-def regressions(before: Sequence[Mapping[str, Any]], after: Sequence[Mapping[str, Any]]) -> list[Regression]:
+def regressions(before: Sequence[Values], after: Sequence[Values]) -> list[Regression]:
     """The quantities that are worse in `after`, for the cases that both sequences of flat records have."""
     earlier = {(row["problem"], row["case"]): row for row in before}
     worse: list[Regression] = []
-    for row in after:
-        old = earlier.get((row["problem"], row["case"]))
-        if old is not None:
-            worse += [Regression(row["problem"], row["case"], *change) for change in _worse(old, row)]
+    for new in after:
+        problem, case = new["problem"], new["case"]
+        old = earlier.get((problem, case))
+        if old is None:
+            continue
+        if old.get("status") in ("solved", "built") and new.get("status") != old["status"]:
+            worse.append(Regression(problem, case, "status", old["status"], new.get("status")))
+            continue
+        for key, factor, least in (
+            ("error", ERROR_FACTOR, LEAST_ERROR), ("seconds", TIME_FACTOR, LEAST_SECONDS),
+            ("iterations", MORE_ITERATIONS, (old.get("iterations") or 0) + 1),
+            ("lines", MORE_LINES, old.get("lines") or 0),
+        ):  # fmt: skip
+            one, other = old.get(key), new.get(key)
+            if one is not None and other is not None and other > max(factor * one, least):
+                worse.append(Regression(problem, case, key, one, other))
+        one, other = old.get("order"), new.get("order")
+        if one is not None and (other is None or other < one - ORDER_LOSS):
+            worse.append(Regression(problem, case, "order", one, other))
     return worse
-
-
-def _worse(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    if old.get("status") in ("solved", "built") and new.get("status") != old["status"]:
-        yield "status", old["status"], new.get("status")
-        return
-    iterations, lines = old.get("iterations"), old.get("lines")
-    for key, factor, least in (
-        ("error", ERROR_FACTOR, LEAST_ERROR), ("seconds", TIME_FACTOR, LEAST_SECONDS),
-        ("iterations", MORE_ITERATIONS, (iterations or 0) + 1), ("lines", MORE_LINES, lines or 0),
-    ):  # fmt: skip
-        one, other = old.get(key), new.get(key)
-        if one is not None and other is not None and other > max(factor * one, least):
-            yield key, one, other
-    one, other = old.get("order"), new.get("order")
-    if one is not None and (other is None or other < one - ORDER_LOSS):
-        yield "order", one, other
 
 
 def comparison(worse: Sequence[Regression], before: Record, after: Record) -> Section:
@@ -375,7 +368,7 @@ def comparison(worse: Sequence[Regression], before: Record, after: Record) -> Se
     machines = [f"{r.environment.get('processor')}, load {r.environment.get(_LOAD)}" for r in (before, after)]
     times = f"Times were measured on {machines[0]} then, on {machines[1]} now; times of a busy machine prove little."
 
-    def cell(value: Any) -> str:
+    def cell(value: object) -> str:
         return number(float(value)) if isinstance(value, (int, float)) else str(value or "none")
 
     rows = tuple((r.problem, r.case, r.what, cell(r.before), cell(r.after)) for r in worse)
@@ -385,7 +378,7 @@ def comparison(worse: Sequence[Regression], before: Record, after: Record) -> Se
     return Section(title, (text, times), tables)
 
 
-def table_of(worse: Sequence[Regression]) -> Any:
+def table_of(worse: Sequence[Regression]) -> TerminalTable:
     """The regressions as a table of rich for a terminal; rich takes long to import."""
     from rich.table import Table as TerminalTable
 

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from codegen.evidence.report.store import Case, Settings, Store, Values, few_landmarks, smooth_pair
-from codegen.problem.points import PointSet
 from codegen.solving import api
 from codegen.solving.drivers import DRIVERS
 from codegen.solving.drivers.shared import quiet_single_thread
@@ -117,7 +116,16 @@ def _weak_defect(module: ConnectModule, q: Vector, p: Vector, coefficients: Vect
     slopes = np.stack(
         [(_field(module, q, p, q + h) - _field(module, q, p, q - h)) / (2 * step) for h in step * np.eye(2)], axis=-1
     )
-    psi, psi_slope = _test_function(q, coefficients)
+    # The function psi = (1 - |x|^2)^2 sum_ab c_ab x^a y^b and its gradient at positions of shape (n, 2).
+    x, y = q.T
+    powers = np.arange(4)
+    in_x, in_y = x[:, None] ** powers, y[:, None] ** powers
+    by_x = powers * x[:, None] ** np.maximum(powers - 1, 0)
+    by_y = powers * y[:, None] ** np.maximum(powers - 1, 0)
+    sums = [np.einsum("ia,ab,ib->i", a, coefficients, b) for a, b in ((in_x, in_y), (by_x, in_y), (in_x, by_y))]
+    well = 1.0 - x**2 - y**2
+    slopes_of_psi = [well**2 * s - 4.0 * well * axis * sums[0] for s, axis in zip(sums[1:], (x, y), strict=True)]
+    psi, psi_slope = well**2 * sums[0], np.stack(slopes_of_psi, axis=1)
     divergence = np.trace(slopes, axis1=1, axis2=2)
     along = (psi_slope * velocity).sum(axis=1)
     rate = force.T @ psi + p.T @ along
@@ -133,19 +141,6 @@ def _field(module: ConnectModule, q: Vector, p: Vector, x: Vector) -> Vector:
     none, matrix = np.zeros((len(positions), 0)), np.empty((len(positions),) * 2)
     module.momentum_matrix(np.stack([positions, np.zeros_like(positions)]), none, np.zeros(0), matrix)
     return matrix[count:, :count] @ p
-
-
-def _test_function(q: Vector, coefficients: Vector) -> tuple[Vector, Vector]:
-    """The function psi = (1 - |x|^2)^2 sum_ab c_ab x^a y^b and its gradient at positions of shape (n, 2)."""
-    x, y = q.T
-    powers = np.arange(4)
-    in_x, in_y = x[:, None] ** powers, y[:, None] ** powers
-    by_x = powers * x[:, None] ** np.maximum(powers - 1, 0)
-    by_y = powers * y[:, None] ** np.maximum(powers - 1, 0)
-    sums = [np.einsum("ia,ab,ib->i", a, coefficients, b) for a, b in ((in_x, in_y), (by_x, in_y), (in_x, by_y))]
-    well = 1.0 - x**2 - y**2
-    gradient = [well**2 * s - 4.0 * well * axis * sums[0] for s, axis in zip(sums[1:], (x, y), strict=True)]
-    return well**2 * sums[0], np.stack(gradient, axis=1)
 
 
 # ---- Growth with the number of landmarks and the dimension of space ----
@@ -169,7 +164,7 @@ def dimension_cases(settings: Settings, store: Store) -> Iterator[Case]:
 def _grown(settings: Settings, kernel: str, dimension: int, count: int) -> Values:
     arguments = {"kernel": kernel} if kernel != "plate" else {}
     arguments |= {"dimension": str(dimension)} if dimension != 2 else {}
-    module: Any = settings.module("explicit-euler", **arguments)
+    module = settings.module("explicit-euler", **arguments)
     points = smooth_pair(count, dimension)
     case = module.make_case(points.start, points.target, 10, **({"width_": WIDTH} if kernel == "gauss" else {}))
     solution = module.solve_case(case)
@@ -183,7 +178,7 @@ def _grown(settings: Settings, kernel: str, dimension: int, count: int) -> Value
     }
 
 
-def _least_time(run: Callable[[], Any], repeats: int) -> float:
+def _least_time(run: Callable[[], object], repeats: int) -> float:
     """The least processor time of several warm runs, in seconds; other work on the machine lengthens it little."""
     run()
     times = []
@@ -210,7 +205,7 @@ def midpoint_cases(settings: Settings, store: Store) -> Iterator[Case]:
 
 
 def _generated(settings: Settings, count: int) -> Values:
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     points = settings.points(count)
     for scheme in ("midpoint", "explicit-euler"):
         module = settings.module(scheme)
@@ -226,27 +221,28 @@ def _nested(settings: Settings, count: int) -> Values:
     """The thesis's method: fsolve for the initial momenta, and inside it fsolve for every implicit step."""
     module, points = settings.module("midpoint"), settings.points(count)
     case = module.make_case(points.start, points.target, 10)
+    h, gradient = case.duration / case.steps, np.empty((2, *points.start.shape))
+
+    def equations(after: Vector, before: Vector) -> Vector:
+        """The midpoint rule, which fsolve solves with Jacobians by differences."""
+        middle = 0.5 * (before + after.reshape(before.shape))
+        module.hamiltonian_gradient(middle, case.own, case.parameters, gradient)
+        change = h * np.stack([gradient[1], -gradient[0]])
+        return np.ravel(after.reshape(before.shape) - before - change)
+
+    def miss(momenta: Vector) -> Vector:
+        """The distance from the targets after all steps."""
+        state = np.stack([points.start, momenta.reshape(points.start.shape)])
+        for _ in range(case.steps):
+            state = fsolve(equations, state.ravel(), args=(state,), xtol=1e-8).reshape(state.shape)
+        return np.ravel(state[0] - points.target)
+
     first = module.first_momenta(case).ravel()
     begin = time.process_time()
     with quiet_single_thread():
-        momenta = fsolve(partial(_miss, module, case, points), first, xtol=1e-8)
+        momenta = fsolve(miss, first, xtol=1e-8)
     seconds = time.process_time() - begin
     return {"seconds": seconds, "residual": float(np.abs(module.residual(case, momenta)).max())}
-
-
-def _miss(module: ConnectModule, case: Any, points: PointSet, momenta: Any) -> Any:
-    """The distance from the targets after midpoint steps that fsolve solves with Jacobians by differences."""
-    state, gradient = np.stack([points.start, momenta.reshape(points.start.shape)]), np.empty((2, *points.start.shape))
-    h = case.duration / case.steps
-
-    def equations(after: Any, before: Any) -> Any:
-        middle = 0.5 * (before + after.reshape(before.shape))
-        module.hamiltonian_gradient(middle, case.own, case.parameters, gradient)
-        return (after.reshape(before.shape) - before - h * np.stack([gradient[1], -gradient[0]])).ravel()
-
-    for _ in range(case.steps):
-        state = fsolve(equations, state.ravel(), args=(state,), xtol=1e-8).reshape(state.shape)
-    return (state[0] - points.target).ravel()
 
 
 # ---- The fastest scheme ----

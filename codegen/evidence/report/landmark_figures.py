@@ -6,17 +6,23 @@ second part belongs to the open questions of chapter 6.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from numpy.typing import NDArray
 
 from codegen.evidence.report import landmark_effort, landmark_motion
 from codegen.evidence.report.page import colour_of
 from codegen.evidence.report.store import Settings, Store, Values, few_landmarks
 from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 from codegen.solving.drivers import DRIVERS
+from codegen.solving.loading import Vector
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLOURS = {
     "stepping, newton": BLUE,
@@ -35,7 +41,7 @@ Rows = list[tuple[int, Values]]
 """Numbers of steps, or of landmarks, and the values that were measured with them."""
 
 
-def reference_cost(store: Store, count: int) -> Any:
+def reference_cost(store: Store, count: int) -> float | None:
     """The cost of the reference of a set of landmarks, None if it was not measured."""
     return (store.get(landmark_effort.REFERENCES, f"nc {count}") or {}).get("cost")
 
@@ -45,6 +51,19 @@ def by_route(settings: Settings, store: Store, scheme: str, route: str, count: i
     names = ((n, landmark_effort.case_name(scheme, route, count, n)) for n in settings.steps)
     rows = ((n, store.get(landmark_effort.ROUTES_SECTION, name)) for n, name in names)
     return [(n, values) for n, values in rows if values is not None and values["seconds"] is not None]
+
+
+def _panels(counts: Sequence[int], size: tuple[float, float], *labels: str) -> tuple[Figure, NDArray[np.object_]]:
+    """A figure with a row of axes for each label and a column for each number of landmarks, against N."""
+    figure = Figure(figsize=size, layout="constrained")
+    rows = figure.subplots(len(labels), len(counts), squeeze=False)
+    for row, label in zip(rows, labels, strict=True):
+        row[0].set_ylabel(label)
+    for axes, count in zip(rows[0], counts, strict=True):
+        axes.set_title(f"$n_c = {count}$")
+    for axes in rows[-1]:
+        axes.set_xlabel("steps $N$")
+    return figure, rows
 
 
 # ---- Chapter 5 ----
@@ -61,7 +80,7 @@ def landmarks(settings: Settings) -> Figure:
     return figure
 
 
-def _draw_paths(axes: Any, path: Any, title: str) -> None:
+def _draw_paths(axes: Axes, path: Vector | Sequence[object], title: str) -> None:
     """Paths of points in the unit disc, array of shape (N + 1, n, 2)."""
     path = np.asarray(path, dtype=float)
     axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, color=GREY, linewidth=0.8))
@@ -77,8 +96,7 @@ def _draw_paths(axes: Any, path: Any, title: str) -> None:
 def routes(settings: Settings, store: Store, scheme: str) -> Figure:
     """Figures 5.2 to 5.4 and 5.8 to 5.10: distance of the cost from the exact cost, and seconds, against N."""
     counts = settings.counts
-    figure = Figure(figsize=(3.3 * len(counts) + 0.2, 5.6), layout="constrained")
-    above, below = figure.subplots(2, len(counts), squeeze=False)
+    figure, (above, below) = _panels(counts, (3.3 * len(counts) + 0.2, 5.6), "|cost − exact|", "seconds")
     for cost_axes, time_axes, count in zip(above, below, counts, strict=True):
         exact = reference_cost(store, count)
         for route in landmark_effort.ROUTES:
@@ -86,11 +104,7 @@ def routes(settings: Settings, store: Store, scheme: str) -> Figure:
             solved = [(n, v) for n, v in rows if v["status"] == "solved"]
             failed = [(n, v) for n, v in rows if v["status"] != "solved"]
             colour, width = COLOURS[route.label], 2.6 if route.label == STEPPING else 1.2
-            look = {
-                "linestyle": "-" if DRIVERS[route.driver].generated else "--",
-                "color": colour,
-                "linewidth": width,
-            }
+            look = {"linestyle": "-" if DRIVERS[route.driver].generated else "--", "color": colour, "linewidth": width}
             steps = [n for n, _ in solved]
             if exact is not None:
                 cost_axes.semilogy(steps, [abs(v["cost"] - exact) for _, v in solved], alpha=0.9, **look)
@@ -99,10 +113,6 @@ def routes(settings: Settings, store: Store, scheme: str) -> Figure:
                 time_axes.plot([], [], "x", color=colour, label=route.label)
             steps, times = [n for n, _ in failed], [v["seconds"] for _, v in failed]
             time_axes.semilogy(steps, times, "x", color=colour, markersize=4)
-        cost_axes.set(title=f"$n_c = {count}$")
-        time_axes.set(xlabel="steps $N$")
-    above[0].set_ylabel("|cost − exact|")
-    below[0].set_ylabel("seconds")
     handles, labels = below[0].get_legend_handles_labels()
     last = dict(zip(labels, handles, strict=True))  # a route that always failed has a second, empty line
     figure.legend(last.values(), last.keys(), loc="outside lower center", ncols=4)
@@ -123,8 +133,8 @@ def route_paths(settings: Settings, store: Store, scheme: str) -> Figure:
     rows = figure.subplots(len(counts), len(names), squeeze=False)
     for row, count in zip(rows, counts, strict=True):
         for axes, name in zip(row, names, strict=True):
-            if paths[count, name]:
-                _draw_paths(axes, paths[count, name], name if count == counts[0] else "")
+            if path := paths[count, name]:
+                _draw_paths(axes, path, name if count == counts[0] else "")
             else:
                 axes.axis("off")
                 axes.text(0.5, 0.5, "not measured", ha="center", va="center", fontsize=8, color=GREY,
@@ -136,8 +146,7 @@ def route_paths(settings: Settings, store: Store, scheme: str) -> Figure:
 def best_of_each(settings: Settings, store: Store) -> Figure:
     """Figures 5.14 to 5.16: stepping by explicit Euler, by the midpoint rule, and by an adaptive code."""
     counts = settings.counts
-    figure = Figure(figsize=(3.3 * len(counts) + 0.2, 5.2), layout="constrained")
-    above, below = figure.subplots(2, len(counts), squeeze=False)
+    figure, (above, below) = _panels(counts, (3.3 * len(counts) + 0.2, 5.2), "cost", "seconds")
     for cost_axes, time_axes, count in zip(above, below, counts, strict=True):
         for scheme, colour in (("explicit-euler", BLUE), ("midpoint", GREEN)):
             rows = by_route(settings, store, scheme, STEPPING, count)
@@ -148,10 +157,6 @@ def best_of_each(settings: Settings, store: Store) -> Figure:
             look = {"color": RED, "linestyle": "--", "linewidth": 1.1}
             cost_axes.axhline(row["cost"], label="lsoda, tolerance $10^{-6}$", **look)
             time_axes.axhline(row["seconds"], **look)
-        cost_axes.set_title(f"$n_c = {count}$")
-        time_axes.set_xlabel("steps $N$")
-    above[0].set_ylabel("cost")
-    below[0].set_ylabel("seconds")
     figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
@@ -159,8 +164,7 @@ def best_of_each(settings: Settings, store: Store) -> Figure:
 def eulers(settings: Settings, store: Store) -> Figure:
     """The symplectic and implicit Euler methods, whose figures the thesis omits, and the explicit one."""
     counts = settings.counts
-    figure = Figure(figsize=(3.3 * len(counts) + 0.2, 3.1), layout="constrained")
-    panels = figure.subplots(1, len(counts), squeeze=False)[0]
+    figure, (panels,) = _panels(counts, (3.3 * len(counts) + 0.2, 3.1), "|cost − exact|")
     colours = {"explicit-euler": BLUE, "implicit-euler": RED, "symplectic-euler": GREEN, "midpoint": DARK}
     for axes, count in zip(panels, counts, strict=True):
         exact = reference_cost(store, count)
@@ -170,9 +174,8 @@ def eulers(settings: Settings, store: Store) -> Figure:
                 errors = [abs(v["cost"] - exact) for _, v in rows]
                 axes.loglog([n for n, _ in rows], errors, color=colour, label=scheme)
         ticks = [10, 20, 50, 100]
-        axes.set(title=f"$n_c = {count}$", xlabel="steps $N$", xticks=ticks, xticklabels=[str(n) for n in ticks])
+        axes.set(xticks=ticks, xticklabels=[str(n) for n in ticks])
         axes.xaxis.minorticks_off()
-    panels[0].set_ylabel("|cost − exact|")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
@@ -216,8 +219,7 @@ def forty(store: Store) -> Figure:
 def jump_figure(settings: Settings, store: Store) -> Figure:
     """Error of the optimiser's cost against Newton's on the same discrete problem, and its seconds, against N."""
     counts = settings.counts[:2]
-    figure = Figure(figsize=(4.6 * len(counts), 5.8), layout="constrained")
-    above, below = figure.subplots(2, len(counts), squeeze=False)
+    figure, (above, below) = _panels(counts, (4.6 * len(counts), 5.8), "|cost − minimum|", "seconds")
     styles = {
         ("curved", landmark_motion.LOOSE): "-", ("straight", landmark_motion.LOOSE): ":",
         ("curved", landmark_motion.TIGHT): "--", ("straight", landmark_motion.TIGHT): "-.",
@@ -233,10 +235,6 @@ def jump_figure(settings: Settings, store: Store) -> Figure:
             steps = [n for n, _ in rows]
             error_axes.semilogy(steps, [max(v["error"], 1e-16) for _, v in rows], label=label, **look)
             time_axes.semilogy(steps, [v["seconds"] for _, v in rows], **look)
-        error_axes.set_title(f"$n_c = {count}$")
-        time_axes.set_xlabel("steps $N$")
-    above[0].set_ylabel("|cost − minimum|")
-    below[0].set_ylabel("seconds")
     figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
@@ -311,15 +309,14 @@ def smoothness_figure(store: Store) -> Figure:
     return figure
 
 
-def warps(store: Store, amplitude: float) -> list[dict[str, Any]]:
+def warps(store: Store, amplitude: float) -> list[Values]:
     """The warps of an amplitude by growing N, with errors against the finest warp; empty without that warp."""
     prefix = f"amplitude {amplitude:g};"
-    rows = [dict(v) for name, v in store.rows(landmark_motion.SMOOTHNESS_SECTION) if name.startswith(prefix)]
+    rows = [v for name, v in store.rows(landmark_motion.SMOOTHNESS_SECTION) if name.startswith(prefix)]
     rows = sorted((v for v in rows if v["status"] == "solved"), key=lambda v: int(v["steps"]))
     if len(rows) < 2:
         return []
     *rows, finest = rows
-    for values in rows:
-        values["error"] = float(np.abs(np.array(values["places"]) - np.array(finest["places"])).max())
-        values["exact least area"] = finest["least area"]
-    return rows
+    errors = [float(np.abs(np.array(v["places"]) - np.array(finest["places"])).max()) for v in rows]
+    least = finest["least area"]
+    return [{**v, "error": error, "exact least area": least} for v, error in zip(rows, errors, strict=True)]

@@ -95,7 +95,7 @@ def unknowns(momenta: str, size: int, steps: int) -> Matrix:
     return matrix
 
 
-def _straight_path(module: ConnectModule, case: Any) -> Any:
+def _straight_path(module: ConnectModule, case: Any) -> Vector:
     """Positions on straight lines at constant speed and their momenta, shape (N + 1, 2, n, d)."""
     states = np.zeros((case.steps + 1, 2, *case.start.shape))
     velocity = (case.target - case.start) / case.duration
@@ -174,14 +174,14 @@ def path_cases(settings: Settings, store: Store) -> Iterator[Case]:
             yield Case(PATHS_SECTION, f"{kind}; {name}", partial(_iterations, settings, points, kind))
 
 
-def _guess(module: ConnectModule, case: Any, kind: str) -> Any:
+def _guess(module: ConnectModule, case: Any, kind: str) -> Vector:
     """States of a kind of guess, shape (N + 1, 2, n, d)."""
     if kind == "straight":
         return _straight_path(module, case)
     if kind == "curved":
-        return module.guessed_path(case)
+        return np.asarray(module.guessed_path(case))
     if kind == "spline":
-        return module.trajectory(case, module.first_momenta(case))[1]
+        return np.asarray(module.trajectory(case, module.first_momenta(case))[1])
     if kind == "shot":
         solution = module.solve_case(case._replace(tolerance=1e-6, max_iterations=2), module.first_momenta(case))
         return np.stack([solution.q, solution.p], axis=1)
@@ -191,7 +191,7 @@ def _guess(module: ConnectModule, case: Any, kind: str) -> Any:
     below = np.minimum(nodes.astype(int), coarse.steps - 1)
     part = (nodes - below)[:, None, None, None]
     states = np.stack([solution.q, solution.p], axis=1)
-    return (1.0 - part) * states[below] + part * states[below + 1]
+    return np.asarray((1.0 - part) * states[below] + part * states[below + 1])
 
 
 def _iterations(settings: Settings, points: PointSet, kind: str) -> Values:
@@ -243,28 +243,24 @@ def _warp(settings: Settings, amplitude: float, steps: int) -> Values:
     solution = module.solve(points.start, target, steps)
     if solution.status != "solved":
         return {"status": solution.status, "steps": steps}
-    warped, steepest = _flow(module, solution, grid().reshape(-1, 2))
-    warped = warped.reshape(_ROWS, _ROWS, 2)
-    area = cell_areas(warped) / cell_areas(grid())
-    return {
-        "status": solution.status, "steps": steps, "least area": float(area.min()), "greatest area": float(area.max()),
-        "steepest": steepest, "cost": solution.cost, "places": warped.round(9),
-    }  # fmt: skip
-
-
-def _flow(module: ConnectModule, solution: Any, x: Vector) -> tuple[Vector, float]:
-    """The images of points under the steps of a solution, and the greatest difference quotient of h v on the grid."""
-    count, steps = solution.q.shape[1], len(solution.q) - 1
+    # The images of points under the steps, and the greatest difference quotient of h v on the grid.
+    x = grid().reshape(-1, 2)
+    count = solution.q.shape[1]
     matrix, none = np.empty((count + len(x),) * 2), np.zeros((count + len(x), 0))
     steepest, spacing = 0.0, np.linalg.norm(grid()[0, 1] - grid()[0, 0])
     for q, p in zip(solution.q[:-1], solution.p[:-1], strict=True):
         positions = np.concatenate([q, x])
         module.momentum_matrix(np.stack([positions, np.zeros_like(positions)]), none, np.zeros(0), matrix)
-        step = (matrix[count:, :count] @ p) / steps
+        step = (matrix[count:, :count] @ p) / (len(solution.q) - 1)
         field = step.reshape(_ROWS, _ROWS, 2)
         slopes = [np.linalg.norm(np.diff(field, axis=a), axis=-1).max() / spacing for a in (0, 1)]
         steepest, x = max(steepest, *slopes), x + step
-    return x, float(steepest)
+    warped = x.reshape(_ROWS, _ROWS, 2)
+    area = cell_areas(warped) / cell_areas(grid())
+    return {
+        "status": solution.status, "steps": steps, "least area": float(area.min()), "greatest area": float(area.max()),
+        "steepest": float(steepest), "cost": solution.cost, "places": warped.round(9),
+    }  # fmt: skip
 
 
 def cell_areas(positions: Vector) -> Vector:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
-from typing import Any
 
 from codegen.evidence.report import landmark_effort, landmark_figures, landmark_motion
 from codegen.evidence.report.landmark_motion import LOOSE, TIGHT, Minimisation
@@ -94,7 +92,7 @@ def _dimension(store: Store) -> Section:
     )
     picture = Picture(
         "Processor time of a trajectory and of a solve, explicit Euler, N = 10.",
-        svg(partial(landmark_figures.dimension_figure, store)),
+        svg(landmark_figures.dimension_figure, store),
     )
     title = "Question 2: how do the methods scale with the dimension of space?"
     return Section(title, tuple(texts), (table,), (picture,))
@@ -136,7 +134,7 @@ def _smoothness(store: Store) -> Section:
     picture = Picture(
         "Error of the warp, and the least ratio by which areas change (dotted: with 640 steps); below zero there is "
         "a fold.",
-        svg(partial(landmark_figures.smoothness_figure, store)),
+        svg(landmark_figures.smoothness_figure, store),
     )
     title = "Question 3: how many steps does a warp of given smoothness need?"
     return Section(title, tuple(texts), (table,), (picture,))
@@ -175,7 +173,7 @@ def _jumps(settings: Settings, store: Store) -> Section:
     picture = Picture(
         "Error and time of SLSQP: red with momenta on nodes as in the thesis, blue on intervals; full lines from "
         "curved and dotted ones from straight paths at tolerance 1e-6, dashes at 1e-14.",
-        svg(partial(landmark_figures.jump_figure, settings, store)),
+        svg(landmark_figures.jump_figure, settings, store),
     )
     title = "Question 4: what happens inside the optimiser in Figures 5.8 and 5.9?"
     return Section(title, tuple(texts), (table,), (picture,))
@@ -199,7 +197,7 @@ def _conclusions(count: int, by_variant: dict[Minimisation, landmark_figures.Row
             f"nc = {count}: the tolerance does not decide: errors are up to {number(loose, 2)} at 1e-6 and up to "
             f"{number(tight, 2)} at 1e-14."
         )
-    with_jumps, without, early = [], [], list[Any]()
+    with_jumps, without, early = [], [], list[int]()
     for variant, line in by_variant.items():
         name = f"momenta on {variant.momenta}, {variant.path} paths, {variant.tolerance:g}"
         jumps = [
@@ -227,7 +225,7 @@ def _conclusions(count: int, by_variant: dict[Minimisation, landmark_figures.Row
     return texts
 
 
-def _range(numbers: Sequence[Any], separator: str) -> str:
+def _range(numbers: Sequence[int], separator: str) -> str:
     least, largest = min(numbers), max(numbers)
     return f"{least}" if least == largest else f"{least}{separator}{largest}"
 
@@ -283,19 +281,14 @@ def _orders(store: Store) -> Section:
     table = Table("Error in cost and seconds on forty landmarks, compiled.", head, padded)
     picture = Picture(
         "Error against time on forty landmarks; crosses: adaptive codes of scipy at the tolerances of the sweep.",
-        svg(partial(landmark_figures.work_and_precision, store)),
+        svg(landmark_figures.work_and_precision, store),
     )
-    texts, fastest_table = _fastest(store)
-    return Section("Question 6: do higher orders pay, compiled?", texts, (fastest_table, table), (picture,))
-
-
-def _fastest(store: Store) -> tuple[tuple[str, ...], Table]:
-    """The scheme that reaches each error first, and the times of explicit Euler, midpoint and DOP853 beside it."""
+    # The scheme that reaches each error first, and the times of explicit Euler, midpoint and DOP853.
     texts, columns = [], []
     schemes = (*landmark_effort.STEPPED, *landmark_effort.ADAPTIVE)
     for target in landmark_effort.TARGETS:
-        runs = {s: store.get(landmark_effort.FASTEST_SECTION, f"{s}; {target:g}") for s in schemes}
-        reached = {scheme: v for scheme, v in runs.items() if v is not None and v["reached"]}
+        results = {s: store.get(landmark_effort.FASTEST_SECTION, f"{s}; {target:g}") for s in schemes}
+        reached = {scheme: v for scheme, v in results.items() if v is not None and v["reached"]}
         columns.append({s: f"{v['steps']} in {seconds(v['seconds'])}" for s, v in reached.items()})
         if not reached:
             continue
@@ -310,13 +303,13 @@ def _fastest(store: Store) -> tuple[tuple[str, ...], Table]:
             f"Error below {target:g}: {best} with {reached[best]['steps']} steps, in {seconds(time)}; "
             f"{listed(comparisons)}."
         )
-    table = Table(
+    fastest = Table(
         "Fewest steps, or loosest tolerance of four a decade, that meet an error in cost on forty landmarks, and wall-"
         "clock time; a dash where 3000 steps do not suffice.",
         ("scheme", *(f"{target:g}" for target in landmark_effort.TARGETS)),
         tuple((s, *(column.get(s, "–") for column in columns)) for s in schemes),
     )
-    return tuple(texts), table
+    return Section("Question 6: do higher orders pay, compiled?", tuple(texts), (fastest, table), (picture,))
 
 
 def _ansatz(store: Store) -> Section:

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 from codegen.evidence.report import landmark_effort, landmark_motion
 from codegen.evidence.report import landmark_figures as figures
@@ -34,11 +32,7 @@ PARTS: tuple[tuple[str, Callable[[Settings, Store], Iterator[Case]]], ...] = (
 )
 """Parts of the study in the order in which they are measured."""
 
-THESIS_TIMES = {
-    3: (157.5, 381.0, 1.705, 41.80),
-    4: (831.6, 786.6, 2.974, 79.81),
-    5: (7345.0, 1543.0, 4.663, 205.4),
-}
+THESIS_TIMES = {3: (157.5, 381.0, 1.705, 41.80), 4: (831.6, 786.6, 2.974, 79.81), 5: (7345.0, 1543.0, 4.663, 205.4)}
 """Seconds of Table 5.1 at N = 100: optimal control, full solve, stepping by fsolve and by fmin."""
 _THESIS_ROUTES = ("action, slsqp", "full, fsolve", "stepping, fsolve", "stepping, fmin")
 _NEWTON_ROUTES = ("action, newton", "full, newton", "stepping, newton")
@@ -83,19 +77,14 @@ def run(settings: Settings, folder: Path) -> Path:
 
 
 def sections(settings: Settings, store: Store) -> list[Section]:
-    """The sections of the study of landmark registration."""
-    return _chapter(settings, store) + ([] if settings.quick else question_sections(settings, store))
-
-
-def _chapter(settings: Settings, store: Store) -> list[Section]:
-    """The sections on chapter 5 of the thesis."""
+    """The sections on chapter 5 of the thesis, and on the open questions."""
     text = (
         "Random landmarks as in the thesis's initialisation (E.3.6), drawn anew because Matlab's random numbers are "
         "not available: costs therefore differ from the thesis's, orders and routes may be compared."
     )
     points = Picture(
         "Figure 5.1: landmarks (× start, • end) and the curved paths from which iterations start.",
-        svg(partial(figures.landmarks, settings)),
+        svg(figures.landmarks, settings),
     )
     return [
         Section("Control points and initial paths", (text,), (), (points,)),
@@ -105,6 +94,7 @@ def _chapter(settings: Settings, store: Store) -> list[Section]:
         _best(settings, store),
         _forty(store),
         _tolerances(store),
+        *([] if settings.quick else question_sections(settings, store)),
     ]
 
 
@@ -125,7 +115,7 @@ def _eulers(settings: Settings, store: Store) -> Section:
             texts.append(f"nc = {count}, N = {steps}: errors {names}; they are {word}, the best being {best}.")
     picture = Picture(
         "Errors in cost of the Euler methods, whose figures the thesis omits, and of the midpoint rule.",
-        svg(partial(figures.eulers, settings, store)),
+        svg(figures.eulers, settings, store),
     )
     return Section("Symplectic and implicit Euler methods", tuple(texts), (), (picture,))
 
@@ -143,27 +133,40 @@ def _routes(settings: Settings, store: Store, scheme: str, title: str, costs: st
         for route in landmark_effort.routes_of(scheme)
         for count in settings.counts
     }
-    table = _thesis_table if scheme == "explicit-euler" else _times_table
+    if scheme == "explicit-euler":
+        rows = []
+        for count in settings.counts:
+            cells = [str(count)]
+            for name, time in zip(_THESIS_ROUTES, THESIS_TIMES[count], strict=True):
+                solve = by_route[name, count].get(100)
+                measured = _time_or_reach(by_route[name, count], 100) if solve is None else seconds(solve["seconds"])
+                cells += [f"{number(time, 4)} s", measured]
+            rows.append((*cells, *(_time_or_reach(by_route[name, count], 100) for name in _NEWTON_ROUTES)))
+        head = ["nc"]
+        for name in ("optimal control", "full", "stepping fsolve", "stepping fmin"):
+            head += [f"{name}, thesis", "here"]
+        table = Table(
+            "Table 5.1 redone: seconds of explicit Euler, N = 100, the thesis's beside ours (SLSQP for fmincon, "
+            "MINPACK for fsolve, Nelder and Mead for fminsearch, all on generated derivatives). “N ≤” tells how far a "
+            "route was taken within the time allowed.",
+            (*head, *(f"{name} (generated)" for name in _NEWTON_ROUTES)),
+            tuple(rows),
+        )
+    else:
+        names, steps = list(dict.fromkeys(name for name, _ in by_route)), max(settings.steps)
+        rows = [(str(n), *(_time_or_reach(by_route[name, n], steps) for name in names)) for n in settings.counts]
+        table = Table(f"Seconds with N = {steps}", ("nc", *names), tuple(rows))
     pictures = (
         Picture(
             f"Figures {costs}: distance of the cost from that of the reference (above) and seconds of a warm solve "
             "(below) against the number of steps; × marks solves that failed.",
-            svg(partial(figures.routes, settings, store, scheme)),
+            svg(figures.routes, settings, store, scheme),
         ),
         Picture(
             f"Figures {paths}: paths with {landmark_effort.DRAWN} steps.",
-            svg(partial(figures.route_paths, settings, store, scheme)),
+            svg(figures.route_paths, settings, store, scheme),
         ),
     )
-    texts = tuple(_route_texts(settings, store, scheme, by_route))
-    return Section(title, texts, (table(settings, by_route),), pictures)
-
-
-ByRoute = dict[tuple[str, int], dict[int, Values]]
-"""The solves of a scheme: route and number of landmarks, then the number of steps."""
-
-
-def _route_texts(settings: Settings, store: Store, scheme: str, by_route: ByRoute) -> list[str]:
     texts = []
     count, most = settings.counts[-1], max(settings.steps)
     times = [
@@ -207,36 +210,7 @@ def _route_texts(settings: Settings, store: Store, scheme: str, by_route: ByRout
         residuals = [residual for _, residual in failed if residual is not None]
         if residuals:
             text += f"; they stopped with residuals from {number(min(residuals), 2)} to {number(max(residuals), 2)}"
-    return [*texts, f"{text}."]
-
-
-def _thesis_table(settings: Settings, by_route: ByRoute) -> Table:
-    rows = []
-    for count in settings.counts:
-        cells = [str(count)]
-        for name, time in zip(_THESIS_ROUTES, THESIS_TIMES[count], strict=True):
-            solve = by_route[name, count].get(100)
-            measured = _time_or_reach(by_route[name, count], 100) if solve is None else seconds(solve["seconds"])
-            cells += [f"{number(time, 4)} s", measured]
-        rows.append((*cells, *(_time_or_reach(by_route[name, count], 100) for name in _NEWTON_ROUTES)))
-    head = ["nc"]
-    for name in ("optimal control", "full", "stepping fsolve", "stepping fmin"):
-        head += [f"{name}, thesis", "here"]
-    return Table(
-        "Table 5.1 redone: seconds of explicit Euler, N = 100, the thesis's beside ours (SLSQP for fmincon, MINPACK "
-        "for fsolve, Nelder and Mead for fminsearch, all on generated derivatives). “N ≤” tells how far a "
-        "route was taken within the time allowed.",
-        (*head, *(f"{name} (generated)" for name in _NEWTON_ROUTES)),
-        tuple(rows),
-    )
-
-
-def _times_table(settings: Settings, by_route: ByRoute) -> Table:
-    names, steps = list(dict.fromkeys(name for name, _ in by_route)), max(settings.steps)
-    rows = tuple(
-        (str(count), *(_time_or_reach(by_route[name, count], steps) for name in names)) for count in settings.counts
-    )
-    return Table(f"Seconds with N = {steps}", ("nc", *names), rows)
+    return Section(title, (*texts, f"{text}."), (table,), pictures)
 
 
 def _time_or_reach(values: dict[int, Values], steps: int) -> str:
@@ -260,7 +234,7 @@ def _best(settings: Settings, store: Store) -> Section:
     picture = Picture(
         "Figures 5.14–5.16: stepping by explicit Euler, by the midpoint rule, and by scipy's LSODA, whose "
         "own steps do not depend on N.",
-        svg(partial(figures.best_of_each, settings, store)),
+        svg(figures.best_of_each, settings, store),
     )
     return Section("5.3 The best of each", tuple(texts), (), (picture,))
 
@@ -288,12 +262,12 @@ def _forty(store: Store) -> Section:
         "The thesis's forty landmarks are not published; these are homologous points of two trilobites, so that errors "
         "may be compared in order of magnitude only, and times were taken on machines twenty years apart."
     )
-    picture = Picture("Figure 5.18: the reference's paths, magnified.", svg(partial(figures.forty, store)))
+    picture = Picture("Figure 5.18: the reference's paths, magnified.", svg(figures.forty, store))
     return Section("Forty landmarks", (text,), (table,), (picture,))
 
 
 def _tolerances(store: Store) -> Section:
-    exact: Any = figures.reference_cost(store, 40)
+    exact = figures.reference_cost(store, 40)
     texts = []
     for code in ("lsoda", "dop853"):
         rows = [
@@ -316,6 +290,6 @@ def _tolerances(store: Store) -> Section:
         )
     picture = Picture(
         "Figure 5.17: error in cost and seconds against the tolerance; crosses did not arrive.",
-        svg(partial(figures.tolerance_sweep, store)),
+        svg(figures.tolerance_sweep, store),
     )
     return Section("Tolerance of the adaptive codes", tuple(texts), (), (picture,))

@@ -6,11 +6,10 @@ A module omits what its problem does not need. The general form is the same modu
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -79,7 +78,7 @@ def _compared(workshop: Workshop, general: Variant, repeat: int) -> Values:
         if plain.cost is not None and other.cost is not None:
             difference = float(abs(plain.cost - other.cost) / (abs(plain.cost) or 1.0))
         else:
-            ends: Any = [np.concatenate([np.ravel(r.q[-1]), np.ravel(r.p[-1])]) for r in (plain, other)]
+            ends = [np.concatenate([np.ravel(r.q[-1]), np.ravel(r.p[-1])]) for r in (plain, other)]
             difference = float(np.abs(ends[1] - ends[0]).max() / (np.abs(ends[0]).max() or 1.0))
     return {
         "status": plain.status, "general status": other.status, "steps": steps, "seconds": plain.seconds_solve,
@@ -134,7 +133,27 @@ def omissions(store: Store, problem: Path, variants: Sequence[Variant], title: s
         other, run = store.get(MODULES, general.case), store.get(section_of(problem, "general form"), general.label)
         if other is None or other["status"] != "built" or run is None:
             continue
-        tables.append(_forms_table(variant, plain, other, run))
+        quantities: list[tuple[str, float | None, float | None, Callable[[float], str]]] = [
+            ("lines", plain["lines"], other["lines"], str),
+            ("of these kernels", plain["kernel lines"], other["kernel lines"], str),
+            ("operations of all kernels", _operations(plain, 1), _operations(other, 1), str),
+        ]
+        derivation, compilation = "derivation processor seconds", "compile processor seconds"
+        times = other.get(f"plain {derivation}"), other.get(f"general {derivation}")
+        quantities.append(("derive", *times, seconds))
+        quantities.append(("compile", plain.get(compilation), other.get(compilation), seconds))
+        quantities.append(
+            (f"solve on {run.get('steps')} steps", run.get("seconds"), run.get("general seconds"), seconds)
+        )
+        cells = []
+        for name, a, b, written in quantities:
+            ratio = number(b / a) if a and b is not None and math.isfinite(b) else "–"
+            cells.append((name, *("–" if value is None else written(value) for value in (a, b)), ratio))
+        caption = (
+            f"{variant.label}: the module as it is, and the form that leaves nothing out. Deriving and compiling "
+            "are processor time."
+        )
+        tables.append(Table(caption, ("", "as emitted", "general form", "ratio"), tuple(cells)))
         if run.get("difference") is None:
             reason = run.get("general status") or run.get("message")
             answers.append(f"That of {variant.label} does not give the answer: {reason}.")
@@ -145,8 +164,8 @@ def omissions(store: Store, problem: Path, variants: Sequence[Variant], title: s
             )
     if not tables:
         return []
-    compilation = (store.get(MODULES, variants[0].case) or {}).get("compile processor seconds")
-    duration = "compiled before" if compilation is None else f"{seconds(compilation)} of processor time"
+    busy = (store.get(MODULES, variants[0].case) or {}).get("compile processor seconds")
+    duration = "compiled before" if busy is None else f"{seconds(busy)} of processor time"
     text = (
         "The general form is not measured here: it has to be compiled as well, which takes at least as long as the "
         f"module itself ({duration}), too long for a page of all problems. A report on this "
@@ -157,23 +176,3 @@ def omissions(store: Store, problem: Path, variants: Sequence[Variant], title: s
     if answers:
         text = f"In the general form {_FORMS[survey['task']]} {' '.join(answers)}"
     return [Section(title, (text,), tuple(tables))]
-
-
-def _forms_table(variant: Variant, plain: Values, other: Values, run: Values) -> Table:
-    quantities: list[tuple[Any, ...]] = [
-        ("lines", plain["lines"], other["lines"], str),
-        ("of these kernels", plain["kernel lines"], other["kernel lines"], str),
-        ("operations of all kernels", _operations(plain, 1), _operations(other, 1), str),
-        ("derive", *(other.get(f"{form} derivation processor seconds") for form in ("plain", "general")), seconds),
-        ("compile", *(m.get("compile processor seconds") for m in (plain, other)), seconds),
-        (f"solve on {run.get('steps')} steps", run.get("seconds"), run.get("general seconds"), seconds),
-    ]
-    rows = []
-    for name, a, b, text in quantities:
-        ratio = number(b / a) if a and b is not None and math.isfinite(b) else "–"
-        rows.append((name, *("–" if value is None else text(value) for value in (a, b)), ratio))
-    caption = (
-        f"{variant.label}: the module as it is, and the form that leaves nothing out. Deriving and compiling "
-        "are processor time."
-    )
-    return Table(caption, ("", "as emitted", "general form", "ratio"), tuple(rows))

@@ -62,7 +62,7 @@ from codegen.runtime.search import point
 from codegen.solving import api
 from codegen.solving.arcs import order_of_optima
 from codegen.solving.drivers import DRIVERS as REGISTERED
-from codegen.solving.loading import ControlModule, GeneratedModule, Vector, is_control
+from codegen.solving.loading import ControlModule, GeneratedModule, Vector
 from codegen.solving.results.control import bound_distances
 from codegen.solving.results.result import Result
 
@@ -79,7 +79,7 @@ OTHER_OPTIMUM = 0.1
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """Every scheme on ever finer grids, mesh sequences, the reference, then the drivers on the coarsest grid."""
-    store, modules = workshop.store, {v: _control(workshop, v) for v in workshop.built(variants)}
+    store, modules = workshop.store, {v: workshop.control(v) for v in workshop.built(variants)}
     for variant, module in modules.items():
         first = _first_steps(module)
         for steps in (first * 2**k for k in range(extent.control_doublings + 1)):
@@ -106,12 +106,6 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     for driver in DRIVERS:
         repeat = extent.repeat if REGISTERED[driver].generated else 1
         yield Case(section_of(problem, "drivers"), driver, partial(solved, module, steps, repeat, driver))
-
-
-def _control(workshop: Workshop, variant: Variant) -> ControlModule:
-    module = workshop.module(variant)
-    assert is_control(module)
-    return module
 
 
 def _first_steps(module: ControlModule) -> int:
@@ -349,7 +343,7 @@ def switching(module: ControlModule, result: Result) -> list[str]:
 
 def all_grids(values: Values) -> tuple[list[int], list[float]]:
     """Numbers of intervals of all grids, growing, and their costs."""
-    pairs: Sequence[Any] = sorted(
+    pairs = sorted(
         [*zip(values["steps"], values["costs"], strict=True),
          *zip(values["more steps"], values["more costs"], strict=True)]
     )  # fmt: skip
@@ -477,66 +471,51 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         ]  # fmt: skip
         floor = relative if relative > NEAR * min(errors) else None
         caption = "Relative error of the cost against number of intervals and against solve time; dashed: variational."
-        pictures.append(Picture(caption, svg(lambda: work_precision([("relative error of cost", lines)], floor))))
-    tables = [_orders_table(schemes, convergences), _runs_table(schemes)]
-    by_driver = dict(store.rows(section_of(problem, "drivers")))
-    if by_driver:
-        tables.append(_drivers_table(by_driver, exact))
-        bars = [(name, v["seconds"], v["status"] == "solved") for name, v in by_driver.items() if v["seconds"]]
-        steps = next(iter(by_driver.values()))["steps"]
-        pictures.append(Picture(f"Drivers on {steps} intervals.", svg(lambda: times_of_drivers(bars))))
-    return [Section(title, tuple(texts), tuple(tables), tuple(pictures))]
-
-
-def _orders_table(schemes: dict[Variant, Measured], convergences: dict[Variant, Convergence]) -> Table:
-    rows = []
+        pictures.append(Picture(caption, svg(work_precision, [("relative error of cost", lines)], floor)))
+    orders, runs = [], []
     for variant, scheme in schemes.items():
         convergence = convergences[variant]
         kind = f"bounds of {', '.join(convergence.switching)}" if convergence.switching else "smooth"
-        rows.append((
+        orders.append((
             variant.label, str(variant.order), str(scheme.expected), order_text(scheme.order, scheme.verdict),
             scheme.order.range if scheme.order else "–", str(convergence.finest or "–"),
             number(convergence.error, 2), kind, convergence.remark,
         ))  # fmt: skip
-    head = ("scheme", "scheme's order", "expected of the cost", "measured", "at N", "finest N", "relative error there",
-            "optimum", "remarks")  # fmt: skip
-    return Table("The order of the cost's error, by mesh sequences.", head, tuple(rows)).without_empty_columns()
-
-
-def _runs_table(schemes: dict[Variant, Measured]) -> Table:
-    """The finest solve of each scheme from the problem's own guess."""
-    rows = []
-    for variant, scheme in schemes.items():
         last, error = scheme.rows[-1], scheme.errors[-1]
         remarks = [f"{v['steps']}: {v['status']}" for v in scheme.rows if v["status"] != "solved"]
         if error is not None and error > OTHER_OPTIMUM:
             remarks.append("far from the reference: too few intervals, or another local optimum")
-        rows.append((
+        runs.append((
             variant.label, f"{last['steps']}", "–" if last["cost"] is None else f"{last['cost']:.9g}",
             number(error, 2), seconds(last["seconds"]), str(last["iterations"]), number(last["residual"], 2),
             number(last["stationarity"], 2), "; ".join(remarks),
         ))  # fmt: skip
+    head = ("scheme", "scheme's order", "expected of the cost", "measured", "at N", "finest N", "relative error there",
+            "optimum", "remarks")  # fmt: skip
+    tables = [Table("The order of the cost's error, by mesh sequences.", head, tuple(orders)).without_empty_columns()]
     head = ("scheme", "N", "cost", "relative error", "solve time", "iterations", "residual", "stationarity",
             "remarks")  # fmt: skip
     caption = "The finest solve of every scheme from the problem's own guess, on the grids that the figure shows."
-    return Table(caption, head, tuple(rows)).without_empty_columns()
-
-
-def _drivers_table(by_driver: dict[str, Values], exact: float | None) -> Table:
-    newton = (by_driver.get("newton") or {}).get("seconds") or math.nan
-    rows, refused = [], list[str]()
-    for name, values in by_driver.items():
-        if values["seconds"] is None:
-            rows.append((name, values["status"], *["–"] * 6))
-            refused.append(f"{values['message'][0].upper()}{values['message'][1:]}.")
-            continue
-        rows.append((
-            name, values["status"], seconds(values["seconds"]), number(values["seconds"] / newton),
-            str(values["iterations"]), number(values["residual"], 2), number(values["stationarity"], 2),
-            number(_error(values, exact), 2),
-        ))  # fmt: skip
-    head = ("driver", "status", "solve time", "× newton", "iterations", "residual", "stationarity",
-            "relative error of cost")  # fmt: skip
-    steps = next(iter(by_driver.values()))["steps"]
-    caption = f"Drivers on {steps} intervals of the default scheme, each from the problem's own guess."
-    return Table(" ".join([caption, *refused]), head, tuple(rows))
+    tables.append(Table(caption, head, tuple(runs)).without_empty_columns())
+    by_driver = dict(store.rows(section_of(problem, "drivers")))
+    if by_driver:
+        newton = (by_driver.get("newton") or {}).get("seconds") or math.nan
+        rows, refused = [], list[str]()
+        for name, values in by_driver.items():
+            if values["seconds"] is None:
+                rows.append((name, values["status"], *["–"] * 6))
+                refused.append(f"{values['message'][0].upper()}{values['message'][1:]}.")
+                continue
+            rows.append((
+                name, values["status"], seconds(values["seconds"]), number(values["seconds"] / newton),
+                str(values["iterations"]), number(values["residual"], 2), number(values["stationarity"], 2),
+                number(_error(values, exact), 2),
+            ))  # fmt: skip
+        columns = ("driver", "status", "solve time", "× newton", "iterations", "residual", "stationarity",
+                   "relative error of cost")  # fmt: skip
+        steps = next(iter(by_driver.values()))["steps"]
+        caption = f"Drivers on {steps} intervals of the default scheme, each from the problem's own guess."
+        tables.append(Table(" ".join([caption, *refused]), columns, tuple(rows)))
+        bars = [(name, v["seconds"], v["status"] == "solved") for name, v in by_driver.items() if v["seconds"]]
+        pictures.append(Picture(f"Drivers on {steps} intervals.", svg(times_of_drivers, bars)))
+    return [Section(title, tuple(texts), tuple(tables), tuple(pictures))]

@@ -15,6 +15,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.colors import hsv_to_rgb, to_hex
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
@@ -60,9 +61,9 @@ class Section:
     pictures: tuple[Picture, ...] = ()
 
 
-def page(title: str, introduction: str, sections: Sequence[Section], environment: Mapping[str, Any]) -> str:
+def page(title: str, introduction: str, sections: Sequence[Section], environment: Mapping[str, object]) -> str:
     """The text of an HTML file that needs no other file."""
-    named: list[tuple[str, Any]] = []
+    named: list[tuple[str, object]] = []
     for name, value in environment.items():
         if isinstance(value, Mapping):
             named += [(f"{name}, {inner}", entry) for inner, entry in value.items()]
@@ -108,10 +109,10 @@ def slope(x: Sequence[float], y: Sequence[float]) -> float:
     return float(np.polyfit(np.log(x), np.log(np.maximum(y, 1e-300)), 1)[0])
 
 
-def svg(draw: Callable[[], Figure]) -> str:
-    """A figure as text that can be part of a page."""
+def svg(draw: Callable[..., Figure], *arguments: object) -> str:
+    """The figure that a function of these arguments draws, as text that can be part of a page."""
     with matplotlib.rc_context({**STYLE, "savefig.transparent": True}):
-        figure, text = draw(), io.StringIO()
+        figure, text = draw(*arguments), io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None})
     return text.getvalue()[text.getvalue().index("<svg") :]
 
@@ -152,24 +153,19 @@ class Line:
         }  # fmt: skip
 
 
+@cache
 def colour_of(scheme: str) -> str:
     """The colour of a scheme in every figure; for a scheme outside the registry it depends on the name alone."""
-    index = _registry_indices().get(scheme)
-    if index is None:
-        return _PALETTE[sum(map(ord, scheme)) % len(_PALETTE)]
-    if index < len(_PALETTE):
-        return _PALETTE[index]
-    return to_hex(tuple(hsv_to_rgb((0.618034 * index % 1.0, 0.7, 0.6))))
-
-
-@cache
-def _registry_indices() -> dict[str, int]:
-    """The names of schemes with their indices in the registry."""
     from codegen.discretise import schemes
 
     methods = ("hamiltonian", "variational", schemes.FIRST_ORDER, schemes.PARTICLES)
-    names = dict.fromkeys(scheme.name for method in methods for scheme in schemes.of_method(method))
-    return {name: index for index, name in enumerate(names)}
+    names = list(dict.fromkeys(entry.name for method in methods for entry in schemes.of_method(method)))
+    if scheme not in names:
+        return _PALETTE[sum(map(ord, scheme)) % len(_PALETTE)]
+    index = names.index(scheme)  # in the registry
+    if index < len(_PALETTE):
+        return _PALETTE[index]
+    return to_hex(tuple(hsv_to_rgb((0.618034 * index % 1.0, 0.7, 0.6))))
 
 
 def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | None = None) -> Figure:
@@ -197,10 +193,18 @@ def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | 
             axes.minorticks_off()
             for axis in (axes.xaxis, axes.yaxis):
                 axis.set_major_formatter(FuncFormatter(_power_of_ten))
-            _widen(axes)
+            # The x axis spans a decade at least, with ticks at 1, 2 and 5 times powers of ten if it spans little more.
+            low, high = axes.get_xlim()
+            if high / low < LEAST_SPAN:
+                middle = math.sqrt(low * high)
+                low, high = middle / math.sqrt(LEAST_SPAN), middle * math.sqrt(LEAST_SPAN)
+                axes.set_xlim(low, high)
+            if high / low < 60.0:
+                axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+                axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     rows[-1][0].set_xlabel("steps $N$")
     rows[-1][1].set_xlabel("seconds of one solve")
-    entries: dict[str, Any] = {}
+    entries: dict[str, Artist] = {}
     for axes in rows[:, 0]:
         handles, labels = axes.get_legend_handles_labels()
         entries |= dict(zip(labels, handles, strict=True))
@@ -211,18 +215,6 @@ def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | 
 def _power_of_ten(value: float, _position: int | None = None) -> str:
     """A tick label in plain text, which matplotlib sets many times as fast as a formula."""
     return "10" + str(round(math.log10(value))).translate(SUPERSCRIPTS) if value > 0.0 else ""
-
-
-def _widen(axes: Any) -> None:
-    """Let the x axis span a decade at least, with ticks at 1, 2 and 5 times powers of ten if it spans little more."""
-    low, high = axes.get_xlim()
-    if high / low < LEAST_SPAN:
-        middle = math.sqrt(low * high)
-        low, high = middle / math.sqrt(LEAST_SPAN), middle * math.sqrt(LEAST_SPAN)
-        axes.set_xlim(low, high)
-    if high / low < 60.0:
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def times_of_drivers(rows: Sequence[tuple[str, float, bool]]) -> Figure:

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -37,7 +36,7 @@ from codegen.evidence.report.orders import (
 )
 from codegen.evidence.report.page import Line, Picture, Section, Table, listed, number, seconds, svg, work_precision
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
-from codegen.solving.loading import SimulateModule, Vector, is_simulation
+from codegen.solving.loading import Matrix, SimulateModule, Vector
 
 TIGHT, LOOSE = 3e-14, 1e-13
 """Relative tolerances of the reference, and of a second run that shows the error of the reference."""
@@ -60,7 +59,7 @@ _QUANTITIES = (("trajectory", "error of trajectory"), ("energy", "error of energ
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """The reference, then every scheme with ever more steps, until a solve is slow or rounding has taken over."""
-    store, modules = workshop.store, {v: _simulation(workshop, v) for v in workshop.built(variants)}
+    store, modules = workshop.store, {v: workshop.simulation(v) for v in workshop.built(variants)}
     euler = next((module for v, module in modules.items() if v.scheme == "explicit-euler"), None)
     if euler is None:
         return
@@ -70,7 +69,13 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     span = cache(partial(reference_motion, euler, ORDER_CHECKPOINTS))
 
     def order(module: SimulateModule) -> Values:
-        return order_values(module, map(span, span_durations(euler, reference)), extent.limit)
+        # Durations of the spans on which orders are measured, from the speeds along the reference motion.
+        duration, states = _duration_of(euler), np.array(reference["states"], dtype=float)
+        field, sizes = _field_of(euler, duration), component_sizes(states)
+        speeds = [float(np.linalg.norm(field(t, z) / sizes)) for t, z in zip(reference["times"], states, strict=True)]
+        unit = 1.0 / (float(np.median(speeds)) or 1.0 / duration)
+        durations = dict.fromkeys(min(duration, factor * unit) for factor in SPANS)
+        return order_values(module, map(span, durations), extent.limit)
 
     for variant, module in modules.items():
         yield Case(section_of(problem, "orders"), variant.label, partial(order, module))
@@ -91,12 +96,6 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
                 break
 
 
-def _simulation(workshop: Workshop, variant: Variant) -> SimulateModule:
-    module = workshop.module(variant)
-    assert is_simulation(module)
-    return module
-
-
 @dataclass(frozen=True)
 class Motion:
     """States (q, p) at M + 1 times, shape (M + 1, 2n).
@@ -106,7 +105,7 @@ class Motion:
     """
 
     times: Vector
-    states: Any
+    states: Matrix
     error: float
     energy_scale: float
     how: str
@@ -140,11 +139,11 @@ def _field_of(module: SimulateModule, duration: float) -> Callable[[float, Vecto
     The step is linear in h, so that a long step loses no digits to the subtraction.
     """
     h = 2.0 ** math.ceil(math.log2(duration))
-    grid: Any = module.make_grid(1, duration=h)
+    grid = module.make_grid(1, duration=h)
     return lambda t, z: np.asarray((module.step(grid, z, t) - z) / h)
 
 
-def component_sizes(states: Any) -> Vector:
+def component_sizes(states: Matrix) -> Vector:
     """The largest position for every position, and the largest momentum for every momentum; shape (2n,)."""
     size = np.abs(states).max(axis=0)
     half = size.size // 2
@@ -161,7 +160,7 @@ def _start_of(module: SimulateModule) -> Vector:
     return np.asarray(module.make_grid(1).start, dtype=float).ravel()
 
 
-def conserved(module: SimulateModule) -> dict[str, Callable[[Any], Any]]:
+def conserved(module: SimulateModule) -> dict[str, Callable[[Matrix], Vector]]:
     """Momenta that Noether's theorem conserves, by name, as functions of states of shape (..., 2n).
 
     A momentum whose rate is exactly zero at several states belongs to a cyclic coordinate on which no force acts. For
@@ -173,7 +172,7 @@ def conserved(module: SimulateModule) -> dict[str, Callable[[Any], Any]]:
     size = np.where(start == 0.0, 0.1 * float(np.abs(start).max() or 1.0), np.abs(start))
     states = [start + 0.2 * size * generator.uniform(-1.0, 1.0, start.size) for _ in range(_STATES)]
     rates = [field(0.0, z) for z in states]
-    momenta: dict[str, Callable[[Any], Any]] = {}
+    momenta: dict[str, Callable[[Matrix], Vector]] = {}
     if not hasattr(module, "DIMENSION"):
         for i, name in enumerate(module.metadata.momenta or module.metadata.rates):
             if all(rate[half + i] == 0.0 for rate in rates):
@@ -191,37 +190,25 @@ def conserved(module: SimulateModule) -> dict[str, Callable[[Any], Any]]:
     return momenta
 
 
-def _vanishes(terms: Any) -> bool:
+def _vanishes(terms: Vector) -> bool:
     return bool(abs(np.sum(terms)) <= 1e-10 * np.abs(terms).sum())
 
 
-def _total_momentum(z: Any, first: int, axes: int) -> Any:
-    return np.asarray(z)[..., first::axes].sum(-1)
+def _total_momentum(z: Matrix, first: int, axes: int) -> Vector:
+    return np.asarray(z[..., first::axes].sum(-1))
 
 
-def _angular_momentum(z: Any, a: int, b: int, axes: int) -> Any:
-    z = np.asarray(z)
-    half = z.shape[-1] // 2
-    q, p = z[..., :half], z[..., half:]
-    return (q[..., b::axes] * p[..., a::axes] - q[..., a::axes] * p[..., b::axes]).sum(-1)
+def _angular_momentum(z: Matrix, a: int, b: int, axes: int) -> Vector:
+    q, p = np.split(z, 2, axis=-1)
+    return np.asarray((q[..., b::axes] * p[..., a::axes] - q[..., a::axes] * p[..., b::axes]).sum(-1))
 
 
-def _torques(z: Any, rate: Any, a: int, b: int, axes: int) -> Any:
+def _torques(z: Vector, rate: Vector, a: int, b: int, axes: int) -> Vector:
     """The terms of the rate of an angular momentum."""
-    half = z.size // 2
-    q, p, dq, dp = z[:half], z[half:], rate[:half], rate[half:]
+    (q, p), (dq, dp) = np.split(z, 2), np.split(rate, 2)
     return np.concatenate(
         [dq[b::axes] * p[a::axes], q[b::axes] * dp[a::axes], -dq[a::axes] * p[b::axes], -q[a::axes] * dp[b::axes]]
     )
-
-
-def span_durations(euler: SimulateModule, reference: Values) -> list[float]:
-    """Durations of the spans on which orders are measured, from the speeds along the reference motion."""
-    duration, states = _duration_of(euler), np.array(reference["states"], dtype=float)
-    field, sizes = _field_of(euler, duration), component_sizes(states)
-    speeds = [float(np.linalg.norm(field(t, z) / sizes)) for t, z in zip(reference["times"], states, strict=True)]
-    unit = 1.0 / (float(np.median(speeds)) or 1.0 / duration)
-    return list(dict.fromkeys(min(duration, factor * unit) for factor in SPANS))
 
 
 def order_values(module: SimulateModule, spans: Iterable[Motion], limit: float) -> Values:
@@ -230,14 +217,14 @@ def order_values(module: SimulateModule, spans: Iterable[Motion], limit: float) 
     On each span the number of steps grows until orders have settled, rounding has taken over, or a solve takes more
     than `limit` seconds. An error is the root mean square over checkpoints and components, relative to their sizes.
     """
-    values: dict[str, Any] = {}
+    values: Values = {}
     for motion in spans:
         duration, sizes = float(motion.times[-1]), component_sizes(motion.states)
         steps: list[int] = []
         errors: list[float | None] = []
         for count in RUNGS:
             begin = time.perf_counter()
-            solution: Any = module.solve(count, duration=duration, every=count // ORDER_CHECKPOINTS)
+            solution = module.solve(count, duration=duration, every=count // ORDER_CHECKPOINTS)
             error = math.nan
             if solution.status == "solved":
                 shape = (ORDER_CHECKPOINTS + 1, -1)
@@ -269,7 +256,7 @@ def _errors(module: SimulateModule, euler: SimulateModule, reference: Values, st
         result = well_timed(module, "newton", repeat, steps=steps, every=steps // CHECKPOINTS)
     except CodegenError as error:  # such as too little memory
         return {"status": "refused", "message": str(error), "steps": steps, "seconds": None}
-    values: dict[str, Any] = {
+    values: dict[str, float | str | None] = {
         "status": result.status, "steps": steps, "seconds": result.seconds_solve, "iterations": result.iterations,
         "residual": result.residual, "order": module.metadata.order,
     }  # fmt: skip
@@ -343,13 +330,9 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     picture = Picture(
         "Error against number of steps and against run time; dashed: variational. Lines that lie upon each other are "
         "the same map.",
-        svg(lambda: work_precision(groups, reference["error"])),
+        svg(work_precision, groups, reference["error"]),
     )
-    return [Section(title, tuple(texts), (_table(schemes),), (picture,))]
-
-
-def _table(schemes: dict[Variant, Measured]) -> Table:
-    """Orders, least errors, and the times to trajectory errors of 1e-3 and 1e-6."""
+    # Orders, least errors, and the times to trajectory errors of 1e-3 and 1e-6.
     rows = []
     for variant, scheme in schemes.items():
         solved = [v for v in scheme.rows if v.get("trajectory") is not None]
@@ -367,7 +350,8 @@ def _table(schemes: dict[Variant, Measured]) -> Table:
         "time to 1e-6", "ns per step", "failed runs",
     )  # fmt: skip
     caption = "Measured orders, least errors, and the time of the cheapest run with at most that error."
-    return Table(caption, head, tuple(rows)).without_empty_columns()
+    table = Table(caption, head, tuple(rows)).without_empty_columns()
+    return [Section(title, tuple(texts), (table,), (picture,))]
 
 
 def _time_to(rows: Sequence[Values], error: float) -> float | None:

@@ -13,10 +13,10 @@ import time
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.projections.polar import PolarAxes
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
@@ -27,14 +27,7 @@ from codegen.evidence.report.orders import measured_order, order_text, verdict
 from codegen.evidence.report.page import Picture, Section, Table, colour_of, number, seconds, svg
 from codegen.evidence.report.store import Case, Extent, Store, Values, quick_settings
 from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREEN, GREY, RED, body_colours
-from codegen.solving.loading import ControlModule, is_control, is_simulation
-
-
-def _control(workshop: Workshop, variant: Variant) -> ControlModule:
-    module = workshop.module(variant)
-    assert is_control(module)
-    return module
-
+from codegen.solving.loading import ControlModule, ControlSolution, Vector
 
 # ---- Hovercraft ----
 
@@ -52,7 +45,7 @@ def hovercraft_cases(problem: Path, variants: Sequence[Variant], workshop: Works
 
 def _formation(workshop: Workshop, variant: Variant, repeat: int) -> Values:
     """A solution with the positions and headings of the guess and of the optimum."""
-    module = _control(workshop, variant)
+    module = workshop.control(variant)
     grid, shape = module.make_grid(HOVERCRAFT_STEPS), (HOVERCRAFT_STEPS + 1, module.metadata.bodies, 3)
     _, guess, *_ = module.unpack(grid, module.initial_guess(grid))
     optimum = module.solve(HOVERCRAFT_STEPS).q
@@ -73,8 +66,7 @@ def hovercraft_sections(store: Store, problem: Path) -> list[Section]:
     head = ("craft", "status", "cost", "time", "iterations", "residual", "stationarity")
     table = Table(f"Hovercraft on N = {HOVERCRAFT_STEPS} intervals.", head, rows)
     picture = Picture(
-        "First guess (left) and optimum (right); arrows show the heading at every other node.",
-        svg(partial(_paths, runs)),
+        "First guess (left) and optimum (right); arrows show the heading at every other node.", svg(_paths, runs)
     )
     return [Section("Hovercraft: Figures A.1 to A.5", (), (table,), (picture,))]
 
@@ -134,7 +126,7 @@ def linear_pendulum_cases(
     """N = 10:5:200 for each transcription, every fourth of these in the quick form."""
 
     def measure(variant: Variant, steps: int) -> Values:
-        return solved(_control(workshop, variant), steps, extent.repeat)
+        return solved(workshop.control(variant), steps, extent.repeat)
 
     for variant, (label, *_) in zip(variants, LINEAR_METHODS, strict=True):
         for steps in LINEAR_STEPS[::4] if extent.quick else LINEAR_STEPS:
@@ -168,8 +160,8 @@ def linear_pendulum_sections(store: Store, problem: Path) -> list[Section]:
         "intervals here; the thesis has them on nodes, so that its curves differ in the constant."
     )
     table = Table("The transcriptions of section 3.2.", head, tuple(rows))
-    picture = Picture("Cost, its error, and time of one solve against the number of steps N = 10:5:200.",
-                      svg(partial(_linear_figure, store, exact)))  # fmt: skip
+    caption = "Cost, its error, and time of one solve against the number of steps N = 10:5:200."
+    picture = Picture(caption, svg(_linear_figure, store, exact))
     return [Section("Linearised pendulum: Figures 3.1 and 3.2", (text,), (table,), (picture,))]
 
 
@@ -180,7 +172,7 @@ def _linear_figure(store: Store, exact: float) -> Figure:
     for label, _, _, _, colour, style in LINEAR_METHODS:
         rows = _rows(store, label)
         steps = [v["steps"] for v in rows]
-        look: dict[str, Any] = {"color": colour, "linestyle": style}
+        look = {"color": colour, "linestyle": style}
         costs.plot(steps, [v["cost"] for v in rows], label=label, **look)
         errors.loglog(steps, [abs(v["cost"] - exact) for v in rows], **look)
         times.plot(steps, [1e3 * v["seconds"] for v in rows], **look)
@@ -222,13 +214,13 @@ def _name(label: str, revolutions: int, steps: int) -> str:
 
 def _transfer(workshop: Workshop, variant: Variant, revolutions: int, steps: int, repeat: int) -> Values:
     """A solution, its time, and the end of the motion under its splined force."""
-    module = _control(workshop, variant)
+    module = workshop.control(variant)
     best = math.inf
     for _ in range(3 * repeat + 1):
         begin = time.perf_counter()
         solution = module.solve(steps, revolutions=float(revolutions))
         best = min(best, time.perf_counter() - begin)
-    values: dict[str, Any] = {
+    values: dict[str, object] = {
         "status": solution.status, "cost": solution.cost, "seconds": best, "steps": steps,
         "iterations": solution.iterations, "residual": solution.residual,
     }  # fmt: skip
@@ -239,14 +231,14 @@ def _transfer(workshop: Workshop, variant: Variant, revolutions: int, steps: int
     return values
 
 
-def _reintegrated(module: ControlModule, solution: Any, revolutions: int) -> Values:
+def _reintegrated(module: ControlModule, solution: ControlSolution, revolutions: int) -> Values:
     """R-K: m (r'' - r phi'^2) = -GM m/r^2 and (m r^2 phi')' = r u, written for r, phi and their velocities."""
     values = module.metadata.parameters
     m, gravity, r0, r1 = (values[name] for name in ("m", "GM", "r0", "r1"))
     t = solution.t
     force = CubicSpline(0.5 * (t[1:] + t[:-1]), solution.u[:, 0])
 
-    def field(instant: float, z: Any) -> list[float]:
+    def field(instant: float, z: Vector) -> list[float]:
         r, _, y, w = z
         return [y, w, r * w * w - gravity / r**2, (float(force(instant)) / m - 2.0 * y * w) / r]
 
@@ -277,15 +269,10 @@ def orbit_sections(store: Store, problem: Path) -> list[Section]:
     )
     pictures = (
         Picture("Costs, times and miss of R-K (Figures 3.3 and 3.4; the miss is not in the thesis).",
-                svg(partial(_costs, store))),
-        Picture("Orbits of the three methods (Figures 3.5 and 3.6); grey: first and last orbit.",
-                svg(partial(_orbits, store))),
-        Picture("Optimal forces (Figures 3.7 to 3.9).", svg(partial(_forces, store))),
+                svg(_costs, store)),
+        Picture("Orbits of the three methods (Figures 3.5 and 3.6); grey: first and last orbit.", svg(_orbits, store)),
+        Picture("Optimal forces (Figures 3.7 to 3.9).", svg(_forces, store)),
     )  # fmt: skip
-    return [Section("Orbital transfer: Figures 3.3 to 3.9", (text,), (_transfer_table(store),), pictures)]
-
-
-def _transfer_table(store: Store) -> Table:
     rows = []
     for revolutions in SWEEPS:
         for label, *_ in ORBIT_METHODS:
@@ -299,7 +286,8 @@ def _transfer_table(store: Store) -> Table:
             ))  # fmt: skip
     head = ("method", "revolutions", "N", "cost", "time", "iterations", "miss of R-K", "its velocity miss",
             "order of the miss", "failed")  # fmt: skip
-    return Table("The largest N of each sweep.", head, tuple(rows))
+    table = Table("The largest N of each sweep.", head, tuple(rows))
+    return [Section("Orbital transfer: Figures 3.3 to 3.9", (text,), (table,), pictures)]
 
 
 def _costs(store: Store) -> Figure:
@@ -335,7 +323,8 @@ def _orbits(store: Store) -> Figure:
     """Polar plots of the smallest N of the force figures."""
     figure = Figure(figsize=(8.6, 4.2), layout="constrained")
     for column, (revolutions, steps) in enumerate((p, FORCES[p][0]) for p in SWEEPS):
-        axes: Any = figure.add_subplot(1, 2, column + 1, projection="polar")
+        axes = figure.add_subplot(1, 2, column + 1, projection="polar")
+        assert isinstance(axes, PolarAxes)
         angles = np.linspace(0.0, 2.0 * np.pi, 200)
         for label, *_, colour in ORBIT_METHODS:
             values = store.get(ORBIT_SECTION, _name(label, revolutions, steps))
@@ -398,8 +387,7 @@ def pendulum_cases(problem: Path, variants: Sequence[Variant], workshop: Worksho
 
 def _portrait(workshop: Workshop, variant: Variant, h: float, start: tuple[float, float], steps: int) -> Values:
     """The path in phase space, and the drift of energy on it and in the long run."""
-    module = workshop.module(variant)
-    assert is_simulation(module)
+    module = workshop.simulation(variant)
     short = module.solve(steps, duration=h * steps, start=start)
     long = module.solve(LONG, duration=h * LONG, start=start, every=LONG // 1000)
     half = long.t.size // 2
@@ -434,7 +422,7 @@ def pendulum_sections(store: Store, problem: Path) -> list[Section]:
     )
     table = Table("Drift of energy. A bounded drift without slope is what a symplectic method promises.", head,
                   tuple(rows))  # fmt: skip
-    picture = Picture("Phase portraits in the plane of q and p.", svg(partial(_portraits, store)))
+    picture = Picture("Phase portraits in the plane of q and p.", svg(_portraits, store))
     return [Section("Pendulum: phase portraits (Figure 1.3)", (text,), (table,), (picture,))]
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from codegen.evidence.stress.cases import Case, Measurement, Row
+    from codegen.evidence.stress.cases import Case, Row
 
 
 def run(cases: Sequence[Case], folder: Path, report_progress: Callable[[int, str], None]) -> list[Row]:
@@ -27,11 +27,8 @@ def run(cases: Sequence[Case], folder: Path, report_progress: Callable[[int, str
     from codegen.evidence.stress.cases import classify
 
     begin, done = time.perf_counter(), count(1)
-
-    def report(case: Case, measurement: Measurement) -> None:
-        report_progress(next(done), case.name)
-
-    measured = pool.run(cases, min(2, os.cpu_count() or 1), report)
+    workers = min(2, os.cpu_count() or 1)
+    measured = pool.run(cases, workers, lambda case, _: report_progress(next(done), case.name))
     rows = [classify(case, measurement) for case, measurement in zip(cases, measured, strict=True)]
     folder.mkdir(parents=True, exist_ok=True)
     page.write_csv(rows, folder / "stress.csv")

@@ -9,9 +9,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from codegen.runtime.search import point
 from codegen.solving.drivers import DRIVERS
@@ -172,7 +174,15 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
     if run.textbook > TEXTBOOK:
         return "false solved", f"the textbook's equations are off by {run.textbook:.1e} rounding errors"
     if math.isfinite(case.bound):
-        return _outcome_by_error(case, run)
+        if run.error <= case.bound:
+            is_limit = math.isnan(case.h_omega) and not math.isnan(run.stable_below)
+            remark = f"; {_stability(case, run)}" if is_limit else ""
+            return "accurate", f"error {run.error:.1e}, promised {case.bound:.1e}{remark}"
+        doubled = run.announced > 0.1 * min(run.error, 1.0)
+        if run.drift > SIGN or doubled:
+            estimate = run.announced if doubled else run.drift
+            return "unsuitable", f"error {run.error:.1e}, promised {case.bound:.1e}; the summary reports {estimate:.1e}"
+        return "false solved", f"error {run.error:.1e} beyond {case.bound:.1e}, and nothing in the result says so"
     # No comparison with NaN holds, so a drift that was not measured (first-order systems) is no bounded energy.
     if run.drift <= case.drift:
         coarse = f"; the fast motion is not resolved (h omega = {case.h_omega:.3g})" if case.h_omega > 0.5 else ""
@@ -182,17 +192,6 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
         return "bounded", f"the equations hold to {run.residual:.1e}"
     stability = "unsuitable at this step" if math.isnan(run.stable_below) else f"unsuitable, {_stability(case, run)}"
     return "unsuitable", f"{stability}: energy changes by {run.drift:.1e} of itself"
-
-
-def _outcome_by_error(case: Case, run: Measurement) -> tuple[str, str]:
-    if run.error <= case.bound:
-        limit = f"; {_stability(case, run)}" if math.isnan(case.h_omega) and not math.isnan(run.stable_below) else ""
-        return "accurate", f"error {run.error:.1e}, promised {case.bound:.1e}{limit}"
-    doubled = run.announced > 0.1 * min(run.error, 1.0)
-    if run.drift > SIGN or doubled:
-        estimate = run.announced if doubled else run.drift
-        return "unsuitable", f"error {run.error:.1e}, promised {case.bound:.1e}; the summary reports {estimate:.1e}"
-    return "false solved", f"error {run.error:.1e} beyond {case.bound:.1e}, and nothing in the result says so"
 
 
 def _stability(case: Case, run: Measurement) -> str:
@@ -215,46 +214,38 @@ class Expectation:
     energy that is not finite counts as drift.
     """
 
-    tolerance: Callable[[Any, Case, Result], float]
+    tolerance: Callable[[ModuleType, Case, Result], float]
     failures: Callable[[Result], int]
     drift: float
     has_guess: bool = False
     keeps_energy: bool = False
 
 
-def _rounding(*arrays: Any) -> float:
+def _rounding(*arrays: NDArray[np.float64] | None) -> float:
     """A thousand rounding errors of the largest entry."""
     largest = max((float(np.abs(a).max()) for a in arrays if a is not None and np.size(a)), default=1.0)
     return 1e3 * float(np.finfo(float).eps) * largest
 
 
-def _of_simulations(module: Any, case: Case, result: Result) -> float:
+def _of_simulations(module: ModuleType, case: Case, result: Result) -> float:
     """Equations of a variational step divide differences of positions by h; stiff springs amplify their rounding."""
     h = result.t[-1] / max(result.steps, 1)
     stiff = 10.0 * rounding_level(module, result.steps, result.q, result.p) if case.every == 1 else 0.0
     return max(1e-10, _rounding(result.q, result.p) * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)
 
 
-def _of_optima(module: Any, case: Case, result: Result) -> float:
+def _of_optima(module: ModuleType, case: Case, result: Result) -> float:
     scale = max(1.0, float(np.abs(point.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
     return max(1e-7 * scale, _rounding(result.unknowns, result.multipliers) * result.steps)
 
 
-def _of_connections(module: Any, case: Case, result: Result) -> float:
+def _of_connections(module: ModuleType, case: Case, result: Result) -> float:
     return max(1e-9, _rounding(result.q, result.p)) if DRIVERS[case.driver].generated else 1e-5
 
 
-def _once(result: Result) -> int:
-    return int(not result.solved)
-
-
-def _by_attempts(result: Result) -> int:
-    return int(result.summary["attempts"]) - int(result.solved)
-
-
 EXPECTATIONS = {
-    "simulate": Expectation(_of_simulations, _once, drift=0.1, keeps_energy=True),
-    "control": Expectation(_of_optima, _once, drift=math.nan, has_guess=True),
-    "connect": Expectation(_of_connections, _by_attempts, drift=1.0),
+    "simulate": Expectation(_of_simulations, lambda r: int(not r.solved), drift=0.1, keeps_energy=True),
+    "control": Expectation(_of_optima, lambda r: int(not r.solved), drift=math.nan, has_guess=True),
+    "connect": Expectation(_of_connections, lambda r: int(r.summary["attempts"]) - int(r.solved), drift=1.0),
 }
 """A row for each task of `codegen.solving.tasks`."""

@@ -28,13 +28,12 @@ from codegen.evidence.stress.systems import (
 )
 from codegen.problem.points import PointSet
 from codegen.solving import api
+from codegen.solving.loading import Grid, Vector
 from codegen.solving.results.result import Result
 from codegen.solving.tasks import task_of
 
-Vector = Any
 
-
-def measure(module: Any, case: Case) -> Measurement:
+def measure(module: ModuleType, case: Case) -> Measurement:
     """The measurement of a case; typed errors are passed on."""
     varied = _with_values(module, case)
     points = None
@@ -66,7 +65,7 @@ def measure(module: Any, case: Case) -> Measurement:
     )
 
 
-def _with_values(module: Any, case: Case) -> Any:
+def _with_values(module: ModuleType, case: Case) -> Any:
     """The module with the run-time values of the case as defaults of the functions that make a grid or a case."""
     values = _as_keywords(case.values)
     varied = ModuleType(module.__name__)
@@ -79,13 +78,13 @@ def _with_values(module: Any, case: Case) -> Any:
         # Functions that guess, with reproducible noise on every free primal unknown, relative to its size or to one.
         guessed, solved = varied.initial_guess, varied.solve
 
-        def initial_guess(grid: Any) -> Any:
-            free, guess = varied.primal_unknowns(grid), guessed(grid)
+        def initial_guess(grid: Grid) -> Vector:
+            free, guess = varied.primal_unknowns(grid), np.array(guessed(grid))
             size = np.maximum(1.0, np.abs(guess[free]))
             guess[free] += case.noise * size * np.random.default_rng(1).standard_normal(free.size)
             return guess
 
-        def solve(steps: int, guess: Any = None, **more: Any) -> Any:
+        def solve(steps: int, guess: Vector | None = None, **more: object) -> object:
             start = initial_guess(varied.make_grid(steps)) if guess is None else guess
             return solved(steps=steps, guess=start, **more)
 
@@ -93,10 +92,10 @@ def _with_values(module: Any, case: Case) -> Any:
     return varied
 
 
-def _as_keywords(values: Values) -> dict[str, Any]:
+def _as_keywords(values: Values) -> dict[str, object]:
     """Keyword arguments; a table of names and values becomes a dict, a table of numbers an array."""
 
-    def plain(value: Any) -> Any:
+    def plain(value: object) -> object:
         if not isinstance(value, tuple):
             return value
         is_table = bool(value) and all(isinstance(v, tuple) and len(v) == 2 and isinstance(v[0], str) for v in value)
@@ -132,7 +131,7 @@ def _parameters(case: Case) -> dict[str, Any]:
 # ---- References ----
 
 
-def oscillator(module: Any, case: Case, result: Result) -> float:
+def oscillator(module: ModuleType, case: Case, result: Result) -> float:
     """Q = cos(omega t), p = -omega sin(omega t), times the amplitude."""
     omega = _parameters(case).get("omega", 1.0)
     amplitude = float(result.q[0, 0])
@@ -141,7 +140,7 @@ def oscillator(module: Any, case: Case, result: Result) -> float:
     return float(max(error.max() for error in errors))
 
 
-def stable_step(module: Any, case: Case, result: Result) -> float:
+def stable_step(module: ModuleType, case: Case, result: Result) -> float:
     """The largest stable step by bisection, against that of the scheme's table."""
     measured, exact = stable_limit(module, case), systems.limit(registered((result.method, result.scheme)))
     if measured == exact:
@@ -149,7 +148,7 @@ def stable_step(module: Any, case: Case, result: Result) -> float:
     return abs(measured / exact - 1.0) if math.isfinite(exact) and exact else math.inf
 
 
-def discrete_oscillator(module: Any, case: Case, result: Result) -> float:
+def discrete_oscillator(module: ModuleType, case: Case, result: Result) -> float:
     """The scheme's own closed form, from its table."""
     h = result.t[-1] / result.steps
     theta, sine = systems.turn(registered((result.method, result.scheme)), h * _parameters(case).get("omega", 1.0))
@@ -158,7 +157,7 @@ def discrete_oscillator(module: Any, case: Case, result: Result) -> float:
     return float(np.abs(result.q[:, 0] / result.q[0, 0] - exact).max())
 
 
-def kepler(module: Any, case: Case, result: Result) -> float:
+def kepler(module: ModuleType, case: Case, result: Result) -> float:
     """Kepler's equation E - e sin E = pi + t for the ellipse of unit semi-major axis, from its farthest point."""
     e = float(result.q[0, 0]) - 1.0
     mean = np.mod(math.pi + result.t, 2.0 * math.pi)
@@ -169,7 +168,7 @@ def kepler(module: Any, case: Case, result: Result) -> float:
     return float(np.abs(result.q - np.stack([x, y], axis=1))[-1].max())
 
 
-def by_integration(module: Any, case: Case, result: Result) -> float:
+def by_integration(module: ModuleType, case: Case, result: Result) -> float:
     """DOP853 at tolerance 1e-12 on forces written by hand; errors of momenta relative to the largest."""
     problem, values = case.setup.file.stem, _parameters(case)
     count = result.q.shape[1]
@@ -183,14 +182,14 @@ def by_integration(module: Any, case: Case, result: Result) -> float:
     return float(max(of_positions, of_momenta))
 
 
-def rigid_pendulum(module: Any, case: Case, result: Result) -> float:
+def rigid_pendulum(module: ModuleType, case: Case, result: Result) -> float:
     """The limit of an infinitely stiff spring: a rod of unit length that starts horizontal at rest."""
     exact = _integrated(lambda _, z: np.array([z[1], -math.sin(z[0])]), np.array([math.pi / 2.0, 0.0]), result.t)
     positions = np.stack([np.sin(exact[:, 0]), -np.cos(exact[:, 0])], axis=1)
     return float(np.abs(result.q - positions).max())
 
 
-def chain(module: Any, case: Case, result: Result) -> float:
+def chain(module: ModuleType, case: Case, result: Result) -> float:
     """DOP853 at tolerance 1e-12 on the equations of the chain, written by hand."""
     values, count = _parameters(case), result.q.shape[1]
 
@@ -206,7 +205,7 @@ def _integrated(field: Callable[[float, Vector], Vector], start: Vector, t: Vect
     return solution.y.T if solution.success else np.full((len(t), len(start)), np.nan)
 
 
-def two_bodies(module: Any, case: Case, result: Result) -> float:
+def two_bodies(module: ModuleType, case: Case, result: Result) -> float:
     """A circle of radius d, on which the relative position turns with omega = sqrt(G (m1 + m2)/d^3); relative to d."""
     masses = dict(case.values).get("m", (1.0, 0.001))
     relative = result.q[:, 2:] - result.q[:, :2]
@@ -215,7 +214,7 @@ def two_bodies(module: Any, case: Case, result: Result) -> float:
     return float(np.abs(relative / distance - np.stack([np.cos(angle), np.sin(angle)], axis=1)).max())
 
 
-def regulator(module: Any, case: Case, result: Result) -> float:
+def regulator(module: ModuleType, case: Case, result: Result) -> float:
     """J = eps^2/2 (l ((x0^2 + x1^2) coth(l T) - 2 x0 x1/sinh(l T)) + a (x1^2 - x0^2)), l^2 = a^2 + 1/eps^2."""
     values = {"a": 1.0, "eps": 1.0, "T": 10.0, "begin": 1.5, "goal": 1.0} | dict(case.values)
     a, eps, T, x0, x1 = (values[name] for name in ("a", "eps", "T", "begin", "goal"))
@@ -226,32 +225,32 @@ def regulator(module: Any, case: Case, result: Result) -> float:
     return _relative(result.cost, eps**2 / 2.0 * (curved + a * (x1 * x1 - x0 * x0)))
 
 
-def cubic_regulator(module: Any, case: Case, result: Result) -> float:
+def cubic_regulator(module: ModuleType, case: Case, result: Result) -> float:
     """J = F(1) + F(9/4) + (81/16 - 1)/2 for long times, with F(y) = (y sqrt(1 + y^2) + asinh y)/2."""
     first, last = ((y * math.hypot(1.0, y) + math.asinh(y)) / 2.0 for y in (1.0, 2.25))
     return _relative(result.cost, first + last + (81.0 / 16.0 - 1.0) / 2.0)
 
 
-def short_turn(module: Any, case: Case, result: Result) -> float:
+def short_turn(module: ModuleType, case: Case, result: Result) -> float:
     """12 (angle)^2/T^3, the least integral of the squared torque where gravity has no time to act."""
     values = {"T": 1.0, "begin": 0.0, "goal": 1.0} | dict(case.values)
     exact = 12.0 * (values["goal"] - values["begin"]) ** 2 / values["T"] ** 3
     return _relative(result.cost, exact)
 
 
-def walled_cart(module: Any, case: Case, result: Result) -> float:
+def walled_cart(module: ModuleType, case: Case, result: Result) -> float:
     """4/(9 wall)."""
     return _relative(result.cost, 4.0 / (9.0 * dict(case.values)["wall"]))
 
 
-def other_units(module: Any, case: Case, result: Result) -> float:
+def other_units(module: ModuleType, case: Case, result: Result) -> float:
     """The transfer in units of one: with thrust as force, the cost is proportional to m^2 GM^(3/2) r^(-5/2)."""
     values = {"m": 1.0, "GM": 1.0, "r0": 1.0} | dict(case.values)
     plain = module.solve(result.steps, m=1.0, GM=1.0, r0=1.0, r1=1.2)
     return _relative(result.cost, plain.cost * values["m"] ** 2 * values["GM"] ** 1.5 * values["r0"] ** -2.5)
 
 
-def single_landmark(module: Any, case: Case, result: Result) -> float:
+def single_landmark(module: ModuleType, case: Case, result: Result) -> float:
     """The squared distance 2 artanh(|y - x|/|1 - conj(x) y|)^2 of the metric 2 |dq|^2/(1 - |q|^2)^2."""
     x0, y0, x1, y1 = case.points[0]
     start, target = complex(x0, y0), complex(x1, y1)
@@ -259,7 +258,7 @@ def single_landmark(module: Any, case: Case, result: Result) -> float:
     return _relative(result.cost, exact)
 
 
-def reintegrated(module: Any, case: Case, result: Result) -> float:
+def reintegrated(module: ModuleType, case: Case, result: Result) -> float:
     """The miss of the targets by DOP853 with the computed momenta, on Hamilton's equations written by hand."""
     shape = (len(case.points), 2)
     count = 2 * shape[0]
@@ -273,7 +272,7 @@ def reintegrated(module: Any, case: Case, result: Result) -> float:
     return float(np.abs(exact - np.array(case.points)[:, 2:]).max())
 
 
-def at_rest(module: Any, case: Case, result: Result) -> float:
+def at_rest(module: ModuleType, case: Case, result: Result) -> float:
     """Cost and motion vanish."""
     return max(abs(result.cost or 0.0), float(np.abs(result.q - result.q[0]).max()))
 
@@ -285,7 +284,7 @@ def _relative(value: float | None, exact: float) -> float:
     return abs(value / exact - 1.0) if exact else abs(value)
 
 
-REFERENCES: dict[str, Callable[[Any, Case, Result], float]] = {
+REFERENCES: dict[str, Callable[[ModuleType, Case, Result], float]] = {
     function.__name__: function
     for function in (
         oscillator, stable_step, discrete_oscillator, kepler, by_integration, rigid_pendulum, chain, two_bodies,

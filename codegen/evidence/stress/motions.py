@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from codegen.discretise import particles, schemes
 from codegen.discretise.schemes.base import Scheme
@@ -34,7 +34,7 @@ STIFF_SCHEMES: tuple[SchemeOf, ...] = (EULER, IMPLICIT_EULER, SYMPLECTIC_EULER, 
 """The schemes for larger problems: one of each kind, since each costs seconds of compilation."""
 
 
-def setup(problem: str, scheme: SchemeOf | None = None, **arguments: Any) -> Setup:
+def setup(problem: str, scheme: SchemeOf | None = None, **arguments: object) -> Setup:
     """A problem of this package by method and scheme (default: the problem's own)."""
     method, name = scheme or (None, None)
     return Setup(PROBLEMS / f"{problem}.py", name, method, tuple(arguments.items()))

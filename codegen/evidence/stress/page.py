@@ -61,25 +61,23 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if 0.01 <= abs(value) < 1e4 else f"{value:.1e}"
 
 
-def _line(row: Row) -> Line:
-    case, run = row.case, row.measurement
-    scheme = case.setup.label if DRIVERS[case.driver].generated else f"{case.setup.label}, {case.driver}"
-    limit = run.stable_below
-    stable = "any" if math.isinf(limit) else "none" if limit == 0.0 else _number(limit)
-    cells = (
-        case.name, scheme, _number(case.h_omega), _number(run.error), _number(case.bound), _number(run.drift),
-        stable, str(run.failures or ""), row.outcome,
-    )  # fmt: skip
-    figure = stable if case.reference == "stable_step" else _number(run.error) or _number(run.drift)
-    text = row.text if row.text.startswith(row.outcome) else f"{row.outcome}: {row.text}"
-    return Line(cells, figure or "–", text, case.reason, row.outcome, row.passed)
-
-
 def _sections(rows: Iterable[Row]) -> list[Section]:
     """Rows by family, in the order of the families."""
     families: dict[str, list[Line]] = {}
     for row in rows:
-        families.setdefault(row.case.family, []).append(_line(row))
+        case, run = row.case, row.measurement
+        scheme = case.setup.label if DRIVERS[case.driver].generated else f"{case.setup.label}, {case.driver}"
+        limit = run.stable_below
+        stable = "any" if math.isinf(limit) else "none" if limit == 0.0 else _number(limit)
+        cells = (
+            case.name, scheme, _number(case.h_omega), _number(run.error), _number(case.bound), _number(run.drift),
+            stable, str(run.failures or ""), row.outcome,
+        )  # fmt: skip
+        figure = stable if case.reference == "stable_step" else _number(run.error) or _number(run.drift)
+        text = row.text if row.text.startswith(row.outcome) else f"{row.outcome}: {row.text}"
+        families.setdefault(row.case.family, []).append(
+            Line(cells, figure or "–", text, case.reason, row.outcome, row.passed)
+        )
     sections = []
     for family, lines in families.items():
         schemes = tuple(dict.fromkeys(line.cells[1] for line in lines))

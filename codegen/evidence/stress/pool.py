@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
+from types import ModuleType
 from typing import Any
 
 from codegen.errors import CodegenError
@@ -27,42 +28,32 @@ def serve(connection: Connection) -> None:
     """Answer each Setup by None once its module is ready, each Case by its Measurement, until the pipe is closed."""
     warnings.simplefilter("ignore")
     threading.Thread(target=end_with_parent, daemon=True).start()
-    module: Any = Measurement()  # or the failure to make it
-    with suppress(EOFError, KeyboardInterrupt):
-        while True:
-            message, answer = connection.recv(), None
-            if isinstance(message, Setup):
-                module = _attempted(_compiled, message)
-            elif isinstance(message, Case):
-                answer = module if isinstance(module, Measurement) else _attempted(_solved, module, message)
-            connection.send(answer)
-
-
-def _attempted(action: Callable[..., Any], *arguments: Any) -> Any:
-    """The result of an action, or a measurement that reports the failure."""
-    try:
-        return action(*arguments)
-    except CodegenError as error:
-        return Measurement(refusal=str(error))
-    except Exception as error:
-        return Measurement(exception=" ".join(f"{type(error).__name__}: {error}".split())[:300])
-
-
-def _compiled(setup: Setup) -> Any:
+    from codegen.evidence.stress.measure import measure
     from codegen.solving import compiler
     from codegen.solving.loading import load
     from codegen.solving.machine_code.compilation import compile_all
 
-    arguments = {name: str(value) for name, value in setup.arguments}
-    module = load(compiler.build(setup.file, arguments, scheme=setup.scheme, method=setup.method).path)
-    compile_all(module)
-    return module
-
-
-def _solved(module: Any, case: Case) -> Measurement:
-    from codegen.evidence.stress.measure import measure
-
-    return measure(module, case)
+    module: ModuleType | Measurement = Measurement()  # or the failure to make the module
+    with suppress(EOFError, KeyboardInterrupt):
+        while True:
+            message, answer = connection.recv(), None
+            try:
+                if isinstance(message, Setup):
+                    arguments = {name: str(value) for name, value in message.arguments}
+                    path = compiler.build(message.file, arguments, scheme=message.scheme, method=message.method).path
+                    loaded = load(path)
+                    assert isinstance(loaded, ModuleType)
+                    compile_all(loaded)
+                    module = loaded
+                elif isinstance(message, Case):
+                    answer = module if isinstance(module, Measurement) else measure(module, message)
+            except CodegenError as error:
+                answer = Measurement(refusal=str(error))
+            except Exception as error:
+                answer = Measurement(exception=" ".join(f"{type(error).__name__}: {error}".split())[:300])
+            if isinstance(message, Setup) and answer is not None:
+                module, answer = answer, None
+            connection.send(answer)
 
 
 def end_with_parent() -> None:
@@ -84,7 +75,7 @@ class Worker:
         self.process.start()
         other.close()
 
-    def ask(self, message: Any, seconds: float) -> Any:
+    def ask(self, message: Setup | Case | None, seconds: float) -> Any:
         """The answer to a message within a time limit."""
         self.connection.send(message)
         if not self.connection.poll(seconds):

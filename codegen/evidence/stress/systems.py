@@ -19,6 +19,7 @@ import cmath
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from types import ModuleType
 from typing import Any, TypeAlias
 
 import mpmath
@@ -30,18 +31,21 @@ from codegen.solving.results.result import Result
 
 # ---- Forces ----
 
-Array = Any
-Force = Callable[[Mapping[str, Any], Array], Array]
+Array: TypeAlias = Any
+Number: TypeAlias = Any
+"""A float, or a number of mpmath."""
+Parameters: TypeAlias = Mapping[str, Any]
+Force = Callable[[Parameters, Array], Array]
 
 
-def spring_force(values: Mapping[str, Any], q: Array) -> Array:
+def spring_force(values: Parameters, q: Array) -> Array:
     """A spring of natural length one, and gravity downwards."""
     length = np.sqrt(q[0] * q[0] + q[1] * q[1])
     pull = -values["k"] * (length - 1) / length
     return np.stack([pull * q[0], pull * q[1] - 1])
 
 
-def fput_force(values: Mapping[str, Any], q: Array) -> Array:
+def fput_force(values: Parameters, q: Array) -> Array:
     """Stiff springs inside three pairs, quartic ones between them and to the walls."""
     force = np.zeros_like(q)
     for i in (0, 2, 4):
@@ -58,7 +62,7 @@ def fput_force(values: Mapping[str, Any], q: Array) -> Array:
     return force
 
 
-def rod_force(values: Mapping[str, Any], q: Array) -> Array:
+def rod_force(values: Parameters, q: Array) -> Array:
     """Elastic rods from the origin to each mass in turn, and gravity downwards; q holds x1, y1, x2, ..."""
     joints = np.concatenate([np.zeros_like(q[:2])[None], q.reshape(-1, 2)])
     along = joints[1:] - joints[:-1]
@@ -98,12 +102,12 @@ REST: dict[str, tuple[dict[str, float], tuple[float, ...]]] = {
 """Parameters and equilibrium states (q, p), about which the stability of a scheme is measured."""
 
 
-def frequency(problem: str, values: Mapping[str, Any]) -> float:
+def frequency(problem: str, values: Parameters) -> float:
     """The largest frequency of small motions about the equilibrium."""
     return math.sqrt(values["k"]) if problem == "spring_pendulum" else float(values["omega"])
 
 
-def chain_acceleration(values: Mapping[str, Any], angles: Array, rates: Array) -> Array:
+def chain_acceleration(values: Parameters, angles: Array, rates: Array) -> Array:
     """Angular accelerations of a chain of pendulums of unit length: M(angles) q'' = -C(angles) q'^2 - gravity."""
     count = len(angles)
     masses = np.ones(count)
@@ -160,7 +164,9 @@ NaN stands for half a kick, a drift, half a kick.
 """
 
 
-def textbook_residuals(scheme: str, f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
+def textbook_residuals(
+    scheme: str, f: Field, h: np.longdouble, q: Array, p: Array, q1: Array, p1: Array
+) -> tuple[Array, Array]:
     """The residuals of the textbook's equations of a step from (q, p) to (q1, p1)."""
     a, b = TEXTBOOK[scheme]
     if math.isnan(a):
@@ -173,7 +179,7 @@ COUNT = 200
 """The number of first steps that are evaluated again."""
 
 
-def textbook_errors(module: Any, case: Case, result: Result) -> float:
+def textbook_errors(module: ModuleType, case: Case, result: Result) -> float:
     """The largest residual of the textbook's equations over the first steps, in rounding errors of double precision.
 
     The rounding error of a step is estimated from the magnitudes of its terms. These are the states, h p, h f, and h
@@ -220,7 +226,7 @@ _limits: dict[tuple[str, str], float] = {}
 """Measured limits, by the inputs of a module and the label of its scheme."""
 
 
-def stable_limit(module: Any, case: Case) -> float:
+def stable_limit(module: ModuleType, case: Case) -> float:
     """The largest h omega at which no small motion about the equilibrium grows: 0 for none, infinite without a limit.
 
     Source of the criterion: Hairer, Lubich and Wanner (2006), Geometric numerical integration, VIII.6 and I.5.2.
@@ -247,7 +253,7 @@ def first_growth(is_stable: Callable[[float], bool]) -> float:
     return math.inf
 
 
-def spectral_radius(module: Any, problem: str, h_omega: float) -> float:
+def spectral_radius(module: ModuleType, problem: str, h_omega: float) -> float:
     """The largest modulus of an eigenvalue of the step's Jacobian at the equilibrium, by central differences."""
     values, state = REST[problem]
     grid = module.make_grid(1, duration=h_omega / frequency(problem, values), **values)
@@ -261,74 +267,63 @@ def spectral_radius(module: Any, problem: str, h_omega: float) -> float:
 # ---- Stability, angles and energies from the tables of schemes ----
 
 DIGITS = 30
-Rows: TypeAlias = Sequence[Sequence[Any]]
+Rows: TypeAlias = Sequence[Sequence[Number]]
+Entries: TypeAlias = tuple[Number, Number, Number, Number]
 
 
-def step_matrix(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
+def step_matrix(scheme: Scheme, x: Number) -> Entries:
     """Entries a, b, c, d of q1 = a q + b p, p1 = c q + d p, in the arithmetic of x: a float, or a number of mpmath."""
     if scheme.variational:
-        return _of_action(scheme, x)
-    return _of_substeps(scheme, x) if scheme.is_chain else _of_stages(scheme, x)
-
-
-def _of_substeps(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
-    """The product of the matrices of the substeps, each of a field at ((1-a) q + a q', (1-b) p + b p')."""
-    columns = []
-    for q, p in ((1, 0), (0, 1)):
-        for g, a, b in _substeps(scheme, x.__class__):
-            q, p = q + g * x * (1 - b) * p, p - g * x * (1 - a) * q  # right-hand sides of the equations
-            scale = 1 + (g * x) ** 2 * a * b
-            q, p = (q + g * x * b * p) / scale, (p - g * x * a * q) / scale
-        columns.append((q, p))
+        # With Ld = (a q0^2 + 2 b q0 q1 + d q1^2)/2, stationary in inner values, p0 = -a q0 - b q1 and p1 = b q0 + d q1.
+        points = _quadrature(scheme, x.__class__)
+        every = range(len(points[0][1]))
+        form = [[sum(w * (u[i] * u[j] / x - x * v[i] * v[j]) for w, v, u in points) for j in every] for i in every]
+        last = every[-1]
+        ends, inner = (0, last), every[1:-1]
+        block = [[form[i][j] for j in inner] for i in inner]
+        solutions = {j: _solved(block, [form[i][j] for i in inner]) for j in ends}
+        a, b, d = (
+            form[i][j] - sum(form[i][k] * value for k, value in zip(inner, solutions[j], strict=True))
+            for i, j in ((0, 0), (0, last), (last, last))
+        )
+        return -a / b, -1 / b, b - a * d / b, -d / b
+    columns: list[tuple[Number, Number]] = []
+    if scheme.is_chain:  # the product of the matrices of the substeps, of fields at ((1-a) q + a q', (1-b) p + b p')
+        for q, p in ((1, 0), (0, 1)):
+            for g, a, b in _substeps(scheme, x.__class__):
+                q, p = q + g * x * (1 - b) * p, p - g * x * (1 - a) * q  # right-hand sides of the equations
+                scale = 1 + (g * x) ** 2 * a * b
+                q, p = (q + g * x * b * p) / scale, (p - g * x * a * q) / scale
+            columns.append((q, p))
+    else:  # the stages satisfy Q = q + x A P and P = p - x B Q
+        a, b, (weights,) = _tableau(scheme, x.__class__)
+        count = range(len(weights))
+        matrix = [[(i == j) + x**2 * sum(b[i][k] * a[k][j] for k in count) for j in count] for i in count]
+        for q, p in ((1, 0), (0, 1)):
+            momenta = _solved(matrix, [p - x * sum(row) * q for row in b])
+            positions = [q + x * _product(row, momenta) for row in a]
+            columns.append((q + x * _product(weights, momenta), p - x * _product(weights, positions)))
     return columns[0][0], columns[1][0], columns[0][1], columns[1][1]
 
 
-def _of_stages(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
-    """The stages satisfy Q = q + x A P and P = p - x B Q."""
-    a, b, (weights,) = _tableau(scheme, x.__class__)
-    count, columns = range(len(weights)), []
-    matrix = [[(i == j) + x**2 * sum(b[i][k] * a[k][j] for k in count) for j in count] for i in count]
-    for q, p in ((1, 0), (0, 1)):
-        momenta = _solved(matrix, [p - x * sum(row) * q for row in b])
-        positions = [q + x * _product(row, momenta) for row in a]
-        columns.append((q + x * _product(weights, momenta), p - x * _product(weights, positions)))
-    return columns[0][0], columns[1][0], columns[0][1], columns[1][1]
-
-
-def _of_action(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
-    """With Ld = (a q0^2 + 2 b q0 q1 + d q1^2)/2, stationary in inner values, p0 = -a q0 - b q1 and p1 = b q0 + d q1."""
-    points = _quadrature(scheme, x.__class__)
-    every = range(len(points[0][1]))
-    form = [[sum(w * (u[i] * u[j] / x - x * v[i] * v[j]) for w, v, u in points) for j in every] for i in every]
-    last = every[-1]
-    ends, inner = (0, last), every[1:-1]
-    block = [[form[i][j] for j in inner] for i in inner]
-    solutions = {j: _solved(block, [form[i][j] for i in inner]) for j in ends}
-    a, b, d = (
-        form[i][j] - sum(form[i][k] * value for k, value in zip(inner, solutions[j], strict=True))
-        for i, j in ((0, 0), (0, last), (last, last))
-    )
-    return -a / b, -1 / b, b - a * d / b, -d / b
-
-
-def _numbers(rows: Rows, number: Any) -> list[list[Any]]:
+def _numbers(rows: Rows, number: type[Number]) -> list[list[Number]]:
     return [[number(str(entry.evalf(DIGITS))) for entry in row] for row in rows]
 
 
 @cache
-def _substeps(scheme: Scheme, number: Any) -> list[list[Any]]:
+def _substeps(scheme: Scheme, number: type[Number]) -> list[list[Number]]:
     return _numbers(scheme.step().substeps, number)
 
 
 @cache
-def _tableau(scheme: Scheme, number: Any) -> tuple[Any, Any, Any]:
+def _tableau(scheme: Scheme, number: type[Number]) -> tuple[Rows, Rows, Rows]:
     """The coefficients of a scheme as a Runge-Kutta method, for coordinates, for momenta, and the row of weights."""
     table = scheme.step().tableau
-    return tuple(_numbers(rows, number) for rows in (table.positions, table.momenta, [table.weights]))  # type: ignore[return-value]
+    return _numbers(table.positions, number), _numbers(table.momenta, number), _numbers([table.weights], number)
 
 
 @cache
-def _quadrature(scheme: Scheme, number: Any) -> list[tuple[Any, list[Any], list[Any]]]:
+def _quadrature(scheme: Scheme, number: type[Number]) -> list[tuple[Number, list[Number], list[Number]]]:
     """For every point its weight, and the values and slopes of the Lagrange polynomials of the inner nodes."""
     rule = scheme.discrete_lagrangian()
     (nodes,) = _numbers([rule.nodes], number)
@@ -346,11 +341,11 @@ def _quadrature(scheme: Scheme, number: Any) -> list[tuple[Any, list[Any], list[
     return points
 
 
-def _product(row: Sequence[Any], column: Sequence[Any]) -> Any:
+def _product(row: Sequence[Number], column: Sequence[Number]) -> Number:
     return sum(a * b for a, b in zip(row, column, strict=True))
 
 
-def _solved(matrix: Rows, right: Sequence[Any]) -> list[Any]:
+def _solved(matrix: Rows, right: Sequence[Number]) -> list[Number]:
     """The solution of a few linear equations by elimination with row pivots, in the arithmetic of the numbers."""
     rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
     for k in range(len(rows)):
