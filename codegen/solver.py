@@ -129,11 +129,13 @@ class Solver:
 
         return solve(self, driver, **options)
 
-    def check(self, *, time_limit: float = CHECK) -> Findings:
+    def check(self, *, steps: int | None = None, time_limit: float = CHECK) -> Findings:
         """Run the checks of `codegen check`.
 
         Parameters
         ----------
+        steps : int
+            Number of intervals of the checked solution, by default that of the problem.
         time_limit : float
             Limit in seconds.
 
@@ -148,6 +150,7 @@ class Solver:
         return checks.run(
             self.problem, self._settings, scheme=choices.scheme, method=choices.method, controls=choices.controls,
             sensitivities=choices.sensitivities, module=self.build.path, time_limit=time_limit,
+            steps=steps,
         )  # fmt: skip
 
     def show(self) -> Equations:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from codegen.cli.options import Controls, ControlSites, Method, Problem, Scheme, Set
+from codegen.cli.options import Controls, ControlSites, Method, Problem, Scheme, Set, Steps
 from codegen.emit.deadline import CHECK
 from codegen.errors import one_line
 from codegen.terminal import console, working
@@ -22,6 +22,7 @@ def check(
     scheme: Scheme = None,
     method: Method = None,
     controls: ControlSites = Controls.INTERVAL,
+    steps: Steps = None,
     sensitivities: Annotated[
         bool, typer.Option("--sensitivities", help="Check the module with sensitivities.")
     ] = False,
@@ -56,7 +57,7 @@ def check(
                 typer.echo(line, err=True)
         findings = checks.run(
             problem, arguments, scheme=scheme, method=method, controls=controls.value, module=module,
-            time_limit=time_limit, sensitivities=sensitivities,
+            time_limit=time_limit, sensitivities=sensitivities, steps=steps,
         )  # fmt: skip
     failed = [finding for finding in findings if not finding.passed]
     screen = console()

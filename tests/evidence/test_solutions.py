@@ -29,6 +29,13 @@ def test_motion_that_drifts_off_its_constraint(prepared):
     assert "at node 7" in failure.detail
 
 
+def test_the_solution_has_the_intervals_that_were_asked_for(prepared):
+    """Also fewer than the default; small numbers, on which problems have no motion, become larger."""
+    context = prepared("double_integrator_effort")
+    for asked, taken in ((30, 30), (1, 8)):
+        assert replace(context, steps=asked).solution.t.size == taken + 1
+
+
 def test_saddle_point_is_no_minimum(prepared, tmp_path: Path):
     """Both ways round a hill of the cost are minima, and the straight way over it is a saddle point."""
     path = tmp_path / "hill.py"
