@@ -35,7 +35,7 @@ from codegen.registration.batch_pairs import (
     write_summary,
 )
 from codegen.registration.job import Job, Options, run
-from codegen.registration.pair_report import facts, number
+from codegen.registration.pair_report import Outcome, Record, facts, number
 from codegen.registration.solver import registration_module
 from codegen.registration.volumes import is_volume
 
@@ -95,8 +95,8 @@ def outcome_of(
     request: BatchRequest,
     working: Working = nullcontext,
     progress: Progress = silent,
-    run_one: Callable[[Job, Options], Any] = run,
-    prepare: Callable[[str, int], Any] = registration_module,
+    run_one: Callable[[Job, Options], Outcome] = run,
+    prepare: Callable[[str, int], object] = registration_module,
 ) -> Batch:
     """Register all pairs that are not up to date; a failed pair has a line with the reason and stops no other pair.
 
@@ -156,7 +156,7 @@ class _Run:
         )  # fmt: skip
         return [line for line in lines if line is not None]
 
-    def all_pairs(self, options: Options, run_one: Callable[[Job, Options], Any]) -> None:
+    def all_pairs(self, options: Options, run_one: Callable[[Job, Options], Outcome]) -> None:
         """Register a first pair, then chunks of pairs, then one by one the pairs of lost chunks."""
         pairs = [Pair(number, job, self.earlier.get(str(job.out), {})) for number, job in enumerate(self.jobs)]
         alone = self.team.workers == 1 and self.team.cluster is None
@@ -224,7 +224,7 @@ def write_batch_report(folder: Path, batch: Batch, pages: Iterable[Path | None])
     return path
 
 
-def table(record: Mapping[str, Any]) -> Table:
+def table(record: Record) -> Table:
     """Return the record of one pair as a table for the terminal."""
     from rich import box
     from rich.table import Table
@@ -246,7 +246,7 @@ def table(record: Mapping[str, Any]) -> Table:
     return shown
 
 
-def record(batch: Batch, summary: Path) -> dict[str, Any]:
+def record(batch: Batch, summary: Path) -> dict[str, object]:
     """Return the JSON object of a batch."""
     failed = [{name: line[name] for name in ("moving", "out", "status", "message")} for line in batch.failed]
     return {

@@ -14,7 +14,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -279,5 +279,5 @@ def write_mean(path: Path, distances: Distances) -> None:
         writer.writerows([k, *map(_text, point)] for k, point in enumerate(distances.mean, 1))
 
 
-def _text(value: Any) -> str:
+def _text(value: float) -> str:
     return f"{value:.12g}" if np.isfinite(value) else ""
