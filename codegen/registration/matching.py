@@ -170,18 +170,10 @@ class Matching:
 
     @classmethod
     def of(
-        cls,
-        pairs: LandmarkPairs,
-        shape: Extent,
-        *,
-        fixed_shape: Extent | None = None,
-        align: Kind = "similarity",
-        sigma: float = 0.0,
-        scheme: str = DEFAULT_SCHEME,
-        margin: float | None = None,
-        strength: float = 1.0,
+        cls, pairs: LandmarkPairs, shape: Extent, *, fixed_shape: Extent | None = None, align: Kind = "similarity",
+        sigma: float = 0.0, scheme: str = DEFAULT_SCHEME, margin: float | None = None, strength: float = 1.0,
         weights: NDArray[np.float64] | None = None,
-    ) -> Matching:
+    ) -> Matching:  # fmt: skip
         """Align the landmarks and lay the frame around both images; LandmarkError for unusable arguments.
 
         `shape` and `fixed_shape`, by default the same, are shapes of pictures or grids. Only landmarks of a weight of

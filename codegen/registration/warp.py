@@ -165,18 +165,10 @@ def warp(
 
 
 def warp_reported(
-    pixels: ArrayLike,
-    registration: Registration,
-    *,
-    interpolation: Interpolation = "linear",
-    inverse: bool = False,
-    shape: Sequence[int] | None = None,
-    spacing: Spacing = None,
-    bound: float = BOUND,
-    fill: float = 0.0,
-    time: float = 1.0,
-    positions: Positions | None = None,
-) -> tuple[Pixels, WarpReport]:
+    pixels: ArrayLike, registration: Registration, *, interpolation: Interpolation = "linear", inverse: bool = False,
+    shape: Sequence[int] | None = None, spacing: Spacing = None, bound: float = BOUND, fill: float = 0.0,
+    time: float = 1.0, positions: Positions | None = None,
+) -> tuple[Pixels, WarpReport]:  # fmt: skip
     """Warp an image as `warp` does, and report the accuracy."""
     image = np.asarray(pixels)
     if interpolation not in ORDERS:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path, PurePath
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from codegen.registration.app.session import NAME_LENGTH, Edges, Picture, Sessio
 from codegen.registration.formats import FORMATS, parse_landmarks
 from codegen.registration.images import SAMPLES, Limits, Spacing, read_image, unit_name
 from codegen.registration.volumes import library, library_errors, require_whole, silent
+
+if TYPE_CHECKING:
+    from SimpleITK import ImageFileReader
 
 Files: TypeAlias = list[tuple[str, bytes]]
 """Names and contents of files."""
@@ -104,7 +107,11 @@ def in_order(files: Files) -> tuple[Files, list[str]]:
             raise PointsError(f"{name} has the points of one image only", remedy)
     if len(files) != 2:
         return files, []
-    first, second = (_side_in(name) for name, _ in files)
+    mentioned = []  # the image that each name mentions; empty for none or both
+    for name, _ in files:
+        sides = [side for side, words in _SIDES.items() if any(word in name.lower() for word in words)]
+        mentioned.append(sides[0] if len(sides) == 1 else "")
+    first, second = mentioned
     decided = first != second
     ordered = files[::-1] if decided and (first == "fixed" or second == "moving") else files
     moving, fixed = (name for name, _ in ordered)
@@ -112,12 +119,6 @@ def in_order(files: Files) -> tuple[Files, list[str]]:
     if decided:
         why = "as their names say"
     return ordered, [f"{moving} was taken for the moving image and {fixed} for the fixed one, {why}"]
-
-
-def _side_in(name: str) -> str:
-    """The image that a file name mentions; empty for none or both."""
-    sides = [side for side, words in _SIDES.items() if any(word in name.lower() for word in words)]
-    return sides[0] if len(sides) == 1 else ""
 
 
 def _volume_suffix(data: bytes) -> str | None:
@@ -185,7 +186,7 @@ def _nrrd_header(data: bytes) -> bytes:
     return re.split(rb"\r?\n\r?\n", data, maxsplit=1)[0]
 
 
-def _edges(data: bytes, suffix: str, reader: Any, column: int, row: int) -> Edges | None:
+def _edges(data: bytes, suffix: str, reader: ImageFileReader, column: int, row: int) -> Edges | None:
     """The sides of the patient of the left, right, upper and lower edge; None if the file has no orientation."""
     dimension = reader.GetDimension()
     # SimpleITK supplies an orientation if the file has none.
@@ -209,7 +210,7 @@ def _patient_side(direction: NDArray[np.float64]) -> str:
     return "".join(letters[k][int(direction[k] > 0.0)] for k in order if abs(direction[k]) >= OBLIQUE)
 
 
-def _spacing(data: bytes, suffix: str, reader: Any, column: int, row: int) -> Spacing | None:
+def _spacing(data: bytes, suffix: str, reader: ImageFileReader, column: int, row: int) -> Spacing | None:
     """The size of a pixel; None for 1 by 1 without a unit, which programs write if they know no size."""
     x, y = (float(reader.GetSpacing()[axis]) for axis in (column, row))
     unit = ""

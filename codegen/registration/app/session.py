@@ -50,11 +50,6 @@ SIDE = 512
 """Pixels along each side of a tile; tiles at the right and at the lower edge may be smaller."""
 
 
-def other(side: Side) -> Side:
-    """Return the other image."""
-    return "fixed" if side == "moving" else "moving"
-
-
 @dataclass(frozen=True)
 class Pair:
     """One feature in both images, in pixels; `identity` is unique and constant.
@@ -402,7 +397,7 @@ class Session:
             if len(self.work.pairs) >= MOST_PAIRS:
                 raise LandmarkError(f"there are {MOST_PAIRS} pairs already", "delete some, or use codegen warp")
             self._last_identity += 1
-            away = other(side)
+            away: Side = "fixed" if side == "moving" else "moving"
             if self.registration is not None:
                 registration, points = self.registration, np.array([place])
                 carry = registration.map_points if side == "moving" else registration.map_points_inverse
