@@ -364,7 +364,7 @@ def _show(axes: Axes, pixels: Pixels, shape: Shape | None = None) -> None:
 
 def _mark(axes: Axes, points: PointArray, colour: str) -> None:
     size = 14 if len(points) <= MOST_NAMES else 4
-    axes.scatter(*points.T, s=size, c=colour, edgecolors="white", linewidths=0.6, zorder=2)
+    axes.scatter(points[:, 0], points[:, 1], s=size, c=colour, edgecolors="white", linewidths=0.6, zorder=2)
 
 
 def _bar(axes: Axes, shown: AxesImage, name: str, ticks: Sequence[float]) -> None:
@@ -488,13 +488,18 @@ def volume_pictures(result: Outcome, moving: Volume, fixed: Volume | None) -> li
             (low, high), (least, most) = _range(images), _range(targets)
             pairs = zip(images, targets, strict=True)
             differences = [(one - low) / (high - low) - (two - least) / (most - least) for one, two in pairs]
-            style = {"cmap": "RdBu_r", "vmin": -1.0, "vmax": 1.0}
-            pictures.append(_slices(title, caption, planes, differences, bar="difference", **style))
+            picture = _slices(
+                title, caption, planes, differences, None, "difference", cmap="RdBu_r", vmin=-1.0, vmax=1.0
+            )
+            pictures.append(picture)
     caption = "Where volumes have shrunk (blue) and grown (red) towards the fixed volume."
     colours, reach = _determinant_scale(np.concatenate([image.ravel() for image in growth]))
     masked = [np.ma.masked_less_equal(image, 0.0) for image in growth]
-    style = {"interpolation": "bilinear", "cmap": colours, "norm": LogNorm(1.0 / reach, reach)}
-    return [*pictures, _slices("Map of det J", caption, planes, masked, bar="det J", **style)]
+    picture = _slices(
+        "Map of det J", caption, planes, masked, None, "det J",
+        interpolation="bilinear", cmap=colours, norm=LogNorm(1.0 / reach, reach),
+    )  # fmt: skip
+    return [*pictures, picture]
 
 
 def _range(images: Sequence[Array]) -> tuple[float, float]:
@@ -522,7 +527,9 @@ def _slices(
             indices = plane.grid.to_indices(marks)
             close, both = np.abs(indices[:, plane.axis] - plane.index) <= NEAR, list(plane.axes)
             near = (indices[close][:, both] + 0.5) * np.array(plane.grid.spacing)[both]
-            axes.scatter(*near.T, s=12, c=RED if title == "Before" else BLUE, edgecolors="white", linewidths=0.6)
+            axes.scatter(
+                near[:, 0], near[:, 1], s=12, c=RED if title == "Before" else BLUE, edgecolors="white", linewidths=0.6
+            )
         axes.set_xlim(plane.extent[:2])
         axes.set_ylim(plane.extent[2:])
         axes.set_aspect("equal")

@@ -23,7 +23,6 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Protocol, cast
 
 import numpy as np
@@ -31,8 +30,7 @@ from numpy.typing import NDArray
 
 from codegen.errors import ModuleError, NumericsError, SchemeError
 from codegen.registration.pairs import PointArray
-from codegen.runtime.record import ConnectRecord, Task
-from codegen.solving.loading import load
+from codegen.solving.loading import ConnectModule, GeneratedModule, is_connect, load
 
 _THREADS: ContextVar[int] = ContextVar("threads", default=os.cpu_count() or 1)
 THREADED = 400_000
@@ -62,30 +60,26 @@ class FlowSolution(Protocol):
     p: NDArray[np.float64]
 
 
-class FlowModule(Protocol):
-    """The interface of a generated module that carries tracer points; the last three are those of explicit schemes."""
+class FlowModule(ConnectModule, Protocol):
+    """A generated module that carries tracer points; modules of implicit schemes lack the last three functions."""
 
     __file__: str
-    metadata: ConnectRecord
-
     solve_case: Callable[..., FlowSolution]
     make_case: Callable[..., FlowCase]
     momenta_of: Callable[..., NDArray[np.float64]]
     momenta_of_least_action: Callable[[FlowCase], NDArray[np.float64]]
-    momentum_matrix: Callable[..., None]
     penalised: Callable[[FlowCase, float, NDArray[np.float64]], float]
     stages_of: Callable[[FlowCase, NDArray[np.float64]], NDArray[np.float64]]
     carry: Callable[..., tuple[PointArray, NDArray[np.float64]]]
-    POINTS: int
     BLOCK: int
     ROWS: Sequence[Sequence[float]]
     WEIGHTS: Sequence[float]
     tracer_gradient: Callable[..., None]
 
 
-def require_tracers(module: ModuleType) -> FlowModule:
+def require_tracers(module: GeneratedModule) -> FlowModule:
     """Return the module if it carries tracer points; ModuleError otherwise."""
-    if module.metadata.task != Task.CONNECT or not module.metadata.passive:
+    if not is_connect(module) or not module.metadata.passive:
         raise ModuleError("the module carries no points", "build it with --set passive=True")
     return cast(FlowModule, module)
 

@@ -23,13 +23,13 @@ import gzip
 import os
 import threading
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,12 +52,10 @@ from codegen.registration.warp import (
     spline_on_grid,
 )
 
-if TYPE_CHECKING:
-    from SimpleITK import ImageFileReader
-
 Array: TypeAlias = NDArray[np.float64]
 
-_VOLUMES = "which reads and writes volumes,", "volumes"
+ITK = "SimpleITK", "which reads and writes volumes,", "volumes"
+"""Arguments of `library`."""
 TIFF = (".tif", ".tiff")
 WRITTEN = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
 _UNCOMPRESSED = (".nii", ".mhd")
@@ -92,6 +90,16 @@ class Volume:
     grid: Grid
 
 
+class VolumeReader(Protocol):
+    """The functions of SimpleITK's ImageFileReader that describe a file."""
+
+    GetSize: Callable[[], tuple[int, ...]]
+    GetDimension: Callable[[], int]
+    GetSpacing: Callable[[], tuple[float, ...]]
+    GetDirection: Callable[[], tuple[float, ...]]
+    GetMetaData: Callable[[str], str]
+
+
 def suffix_of(path: Path, suffixes: tuple[str, ...]) -> str | None:
     """Return the longest of the suffixes with which a file name ends."""
     return max((suffix for suffix in suffixes if path.name.lower().endswith(suffix)), key=len, default=None)
@@ -122,7 +130,7 @@ def read_volume(path: Path, most: int = MOST_VOXELS) -> Volume:
         raise ImageError(f"{path}: unknown kind of volume", f"give {', '.join((*VOLUMES, *TIFF))}")
     if not path.is_file():
         raise ImageError(f"{path} cannot be read (no such file)", "give a volume")
-    itk = library("SimpleITK", *_VOLUMES)
+    itk = library(*ITK)
     with library_errors(path), silent():
         reader = itk.ImageFileReader()
         reader.SetFileName(str(path))
@@ -179,7 +187,7 @@ def _read_stack(path: Path, most: int) -> Volume:
     return Volume(samples.astype(samples.dtype.newbyteorder("="), copy=False), grid)
 
 
-def require_whole(path: Path, reader: ImageFileReader, name: str = "") -> None:
+def require_whole(path: Path, reader: VolumeReader, name: str = "") -> None:
     """Refuse truncated NIfTI files, which SimpleITK completes with zeros; errors call them `name`."""
     kind = suffix_of(path, VOLUMES)
     if kind not in (".nii", ".nii.gz"):
@@ -234,7 +242,7 @@ def require_written(path: Path, dtype: SampleType | None = None) -> None:
     kind = suffix_of(path, (*WRITTEN, *TIFF))
     if kind is None or (kind in WRITTEN and not path.name.endswith(kind)):  # SimpleITK accepts no capitals
         raise ImageError(f"{path}: volumes are not written so", f"let it end in {', '.join((*WRITTEN, '.tif'))}")
-    library("tifffile" if kind in TIFF else "SimpleITK", *_VOLUMES)
+    library("tifffile" if kind in TIFF else "SimpleITK", *ITK[1:])
     if dtype is not None and kind in TIFF and dtype not in SAMPLES:
         raise ImageError(f"{path}: samples of {dtype} cannot be written", "write NIfTI, MetaImage or NRRD")
 
@@ -265,7 +273,7 @@ def require_field(path: Path) -> None:
     if not path.name.endswith(WRITTEN):  # SimpleITK accepts no capitals
         finding = f"--field {path}: displacements of volumes are not written so"
         raise ArgumentError(finding, f"let it end in {', '.join(WRITTEN)}")
-    library("SimpleITK", *_VOLUMES)
+    library(*ITK)
 
 
 def write_field(path: Path, field: NDArray[np.float32], grid: Grid, direction: str = "") -> None:
@@ -277,7 +285,7 @@ def write_field(path: Path, field: NDArray[np.float32], grid: Grid, direction: s
 
 def _write_by_itk(path: Path, samples: Pixels, grid: Grid, note: str = "") -> None:
     """Write samples, shape (slices, rows, columns), or vectors along a fourth axis."""
-    itk, kind = library("SimpleITK", *_VOLUMES), suffix_of(path, VOLUMES)
+    itk, kind = library(*ITK), suffix_of(path, VOLUMES)
     image = itk.GetImageFromArray(samples, isVector=samples.ndim == 4)
     image.SetSpacing(grid.spacing)
     image.SetOrigin(grid.origin)

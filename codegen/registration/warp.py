@@ -428,7 +428,7 @@ class _Grid:
         worst = worst[remaining.ravel()[worst] > 0.0]
         if worst.size:
             rows, columns = np.unravel_index(worst, remaining.shape)
-            centres = (np.stack([columns, rows], axis=1) + 0.5) * self.spacing
+            centres = np.asarray((np.stack([columns, rows], axis=1) + 0.5) * self.spacing, dtype=float)
             interpolated = spline_at(lines, coefficients, centres[:, ::-1])
             checked = float(np.linalg.norm(interpolated - (function(centres) - centres), axis=1).max())
         return Positions(places, self.spacing, exact, max(float(remaining.max()), checked))
