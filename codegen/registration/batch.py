@@ -172,17 +172,6 @@ def outcome_of(
     return Batch(tuple(lines()), unchanged, tuple(team.notes))
 
 
-@dataclass(frozen=True)
-class Row:
-    """A row of the page: name and page of the pair, status, reason of a failure, and the other cells."""
-
-    name: str
-    page: str
-    status: str
-    text: str
-    cells: tuple[str, ...]
-
-
 def write_batch_report(folder: Path, batch: Batch, pages: Iterable[Path | None]) -> Path:
     """Write the page next to the pages of the pairs, which come in the order of the batch; return its path.
 
@@ -195,7 +184,10 @@ def write_batch_report(folder: Path, batch: Batch, pages: Iterable[Path | None])
         cells = (line["count"], line["steps"], *values, outliers, number(float(line["seconds"] or 0)))
         solved = line["status"] == "solved"
         link = urllib.parse.quote(page.name) if page is not None and page.is_file() else ""
-        row = Row(Path(line["moving"]).name, link, line["status"], "" if solved else line["message"], cells)
+        row = {
+            "name": Path(line["moving"]).name, "page": link, "status": line["status"],
+            "text": "" if solved else line["message"], "cells": cells,
+        }  # fmt: skip
         rows.append(((solved, float(line["det_min"] or math.inf)), row))
     rows.sort(key=lambda entry: entry[0])
     path, template = folder / NAME, Path(__file__).parent / "templates/batch.html.j2"

@@ -130,7 +130,8 @@ def certificate_of(
     registration: Registration, shape: Extent | None = None, *, inverse: bool = False
 ) -> tuple[Certificate, Positions | None]:
     """Certify as `certify`, and return the positions of all pixels if all had to be evaluated."""
-    grid = _grid(registration, shape, inverse)
+    default = registration.grid if inverse else registration.fixed_grid
+    grid = grid_of(default if shape is None else shape)
     bounds = None
     if registration.alignment.determinant > 0.0 and registration.status == "solved":
         # In space few nodes take less time than all voxels, even of a small volume.
@@ -138,7 +139,7 @@ def certificate_of(
         bounds = bound_of_steps(registration.flow, max(least, int(grid.count / CHEAPER)))
     carry = registration.leaving if inverse else registration.arriving
     if bounds is None and grid.dimension == 2:
-        return certify_with_positions(registration, shape, inverse=inverse)
+        return certify_with_positions(registration, grid, inverse=inverse)
     if bounds is None:
         # Every voxel, by portions, of which one is in memory at a time.
         findings = _Findings(np.inf, (), -np.inf, 0, None, 0)
@@ -171,7 +172,8 @@ def certify_with_positions(
 
     The arguments are those of `certify`; nothing is evaluated between pixels.
     """
-    grid = _grid(registration, shape, inverse)
+    default = registration.grid if inverse else registration.fixed_grid
+    grid = grid_of(default if shape is None else shape)
     carry = registration.leaving if inverse else registration.arriving
     places, determinants = np.empty((grid.count, 2)), np.empty(grid.count)
     for part, pixels in grid.portions(PORTION):
@@ -191,12 +193,6 @@ def in_provable_steps(registration: Registration) -> Registration:
         except RegistrationError:
             return registration
     return replace(candidate, error=registration.error, solves=registration.solves)
-
-
-def _grid(registration: Registration, shape: Extent | None, inverse: bool) -> Grid:
-    if shape is not None:
-        return grid_of(shape)
-    return registration.grid if inverse else registration.fixed_grid
 
 
 def _around(points: PointArray, grid: Grid, reach: int) -> PointArray:

@@ -204,10 +204,7 @@ def corners(extent: Extent) -> PointArray:
 def pixel_grid(shape: Sequence[int]) -> PointArray:
     """Return all pixels of an image of shape (height, width, ...), row by row, shape (height * width, 2)."""
     height, width = shape[:2]
-    grid = np.empty((height, width, 2))
-    grid[..., 0] = np.arange(width)
-    grid[..., 1] = np.arange(height)[:, None]
-    return grid.reshape(-1, 2)
+    return mesh([np.arange(float(width)), np.arange(float(height))])
 
 
 def coarse_grid(extent: Extent, count: int = 17) -> PointArray:

@@ -41,7 +41,6 @@ KINDS = {"PNG": (".png",), "JPEG": (".jpg", ".jpeg"), "TIFF": (".tif", ".tiff")}
 VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr")
 """Suffixes of files that `codegen.registration.volumes` reads."""
 SAMPLES = frozenset(np.dtype(name) for name in ("u1", "u2", "i2", "u4", "i4", "f4", "f8"))
-CHANNELS = {1: "grey", 2: "grey with opacity", 3: "RGB", 4: "RGB with opacity"}
 LONGEST = 1000.0
 """Largest ratio of the sides of a pixel."""
 MOST_UNIT = 12
@@ -119,11 +118,6 @@ class Image:
     def shape(self) -> tuple[int, ...]:
         """(h, w) or (h, w, c)."""
         return self.pixels.shape
-
-    @property
-    def channels(self) -> str:
-        """The names of the channels."""
-        return CHANNELS[self.pixels.shape[2] if self.pixels.ndim == 3 else 1]
 
 
 @dataclass(frozen=True)

@@ -149,13 +149,9 @@ class Registration:
 
     def jacobian(self, xy: ArrayLike, inverse: bool = False) -> NDArray[np.float64]:
         """Return the derivative of the map or of its inverse at points in pixels, shape (n, d, d), rows x, y, ..."""
-        points, (moving, fixed), frame = as_points(xy, self.pairs.dimension), self.sides, self.matching.frame
-        if inverse:
-            jacobians = self.alignment.inverse_matrix @ self.flow.carry_with_jacobian(frame.to_disc(points * fixed))[1]
-            return np.asarray(jacobians * (fixed / moving[:, None]))
-        aligned = frame.to_disc(self.alignment.apply(points * moving))
-        jacobians = self.flow.carry_with_jacobian(aligned, 1.0, 0.0)[1] @ self.alignment.matrix
-        return np.asarray(jacobians * (moving / fixed[:, None]))
+        moving, fixed = self.sides
+        ratio = fixed / moving[:, None] if inverse else moving / fixed[:, None]
+        return np.asarray(self._with_derivative(xy, inverse)[1] * ratio)
 
     def determinant(self, xy: ArrayLike, inverse: bool = False) -> NDArray[np.float64]:
         """Return the growth of areas by the map, or by its inverse, at points in pixels, shape (n,)."""
@@ -166,20 +162,28 @@ class Registration:
 
         The growth, shape (n,), is the reciprocal of that of the inverse map, which costs less than `determinant`.
         """
-        points = as_points(xy, self.pairs.dimension) * self.sides[1]
-        before = self.matching.frame.to_disc(points)
-        after, jacobians = self.flow.carry_with_jacobian(before)
-        jacobians = self.alignment.inverse_matrix @ jacobians
+        places, jacobians = self._with_derivative(xy, inverse=True)
         with np.errstate(divide="ignore"):
-            factors = 1.0 / _determinant(jacobians)
-        return self.alignment.apply_inverse(self._moved(points, before, after)) / self.sides[0], factors
+            return places, 1.0 / _determinant(jacobians)
 
     def leaving(self, xy: ArrayLike) -> tuple[PointArray, NDArray[np.float64]]:
         """Map points of the moving image, in pixels, to the fixed image, and return the growth of areas, shape (n,)."""
-        aligned = self.alignment.apply(as_points(xy, self.pairs.dimension) * self.sides[0])
-        before = self.matching.frame.to_disc(aligned)
+        places, jacobians = self._with_derivative(xy, inverse=False)
+        return places, _determinant(jacobians)
+
+    def _with_derivative(self, xy: ArrayLike, inverse: bool) -> tuple[PointArray, NDArray[np.float64]]:
+        """Map points, and return the derivatives in the coordinates of the matching, whose areas are those of pixels."""
+        points, (moving, fixed), frame = as_points(xy, self.pairs.dimension), self.sides, self.matching.frame
+        if inverse:
+            points = points * fixed
+            before = frame.to_disc(points)
+            after, jacobians = self.flow.carry_with_jacobian(before)
+            places = self.alignment.apply_inverse(self._moved(points, before, after)) / moving
+            return places, self.alignment.inverse_matrix @ jacobians
+        aligned = self.alignment.apply(points * moving)
+        before = frame.to_disc(aligned)
         after, jacobians = self.flow.carry_with_jacobian(before, 1.0, 0.0)
-        return self._moved(aligned, before, after) / self.sides[1], _determinant(jacobians @ self.alignment.matrix)
+        return self._moved(aligned, before, after) / fixed, jacobians @ self.alignment.matrix
 
     def _carried(self, points: PointArray, start: float, stop: float) -> PointArray:
         """Carry points in pixels of the fixed image by the flow."""

@@ -108,14 +108,6 @@ class Picture:
     data: str
 
 
-@dataclass(frozen=True)
-class Row:
-    """The cells of a landmark; `outlier` highlights the row."""
-
-    cells: tuple[str, ...]
-    outlier: bool
-
-
 def write_page(path: Path, result: Outcome, pictures: list[Picture], note: str) -> None:
     """Write a page with pictures and a note about its numbers; FileError if the file system refuses."""
     record, pairs = result.record, result.pairs
@@ -138,9 +130,9 @@ def write_page(path: Path, result: Outcome, pictures: list[Picture], note: str) 
     for k in range(min(len(pairs), MOST_ROWS)):
         points = [f"{value:.2f}" for value in (*pairs.moving[k], *pairs.fixed[k])]
         cells = (pairs.names[k], *points, *(number(error[k]) for error in errors), "outlier" if k in outliers else "")
-        table.append(Row(cells, k in outliers))
+        table.append((cells, k in outliers))
     if len(pairs) > MOST_ROWS:
-        table.append(Row((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(table[0].cells) - 1)), False))
+        table.append(((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(table[0][0]) - 1)), False))
     message = record["message"]
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba"))
     seconds = ", ".join(f"{name} {value:.3g} s" for name, value in record["seconds"].items())
