@@ -20,7 +20,7 @@ from codegen.registration.pairs import LandmarkPairs, PointArray
 
 Kind: TypeAlias = Literal["auto", "none", "similarity", "affine"]
 KINDS: tuple[Kind, ...] = ("none", "similarity", "affine")
-"""The alignments of `align`; "auto" chooses one of them."""
+"""The alignments of `align`; "auto" chooses among them."""
 
 MIRRORED = 0.2
 """Landmarks are mirrored if this is the ratio of the residuals of a mirrored and a proper similarity, or less."""
@@ -159,7 +159,7 @@ def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
 def require_unmirrored(pairs: LandmarkPairs) -> None:
     """Raise LandmarkError for landmarks that only a mirrored similarity fits.
 
-    Squared residuals are those of Umeyama's equation (33), which in the plane are sums of complex numbers.
+    Squared residuals follow Umeyama's equation (33), which in the plane are sums of complex numbers.
     """
     if len(pairs) <= pairs.dimension or _is_thin(pairs.moving) or _is_thin(pairs.fixed):
         return

@@ -132,7 +132,7 @@ def jobs_in_table(table: Path, places: Places, fixed: Path | None) -> list[Job]:
     """Read the pairs of a table with the columns moving and landmarks, and optionally fixed, out and interpolation.
 
     Names are relative to the folder of the table. A semicolon separates two landmark files of one pair. An
-    interpolation is that of one pair, such as nearest for labels. Raises ArgumentError, naming the line, for other
+    interpolation holds for its pair only, such as nearest for labels. Raises ArgumentError, naming the line, for other
     tables.
     """
     jobs = []
@@ -432,7 +432,7 @@ class BatchParcel:
     origin: Target
 
     def unpacked(self) -> tuple[BatchWork, tuple[str, ...]]:
-        """Prepare the work on this machine; ClusterError if files or versions differ from those of the batch."""
+        """Prepare the work on this machine; ClusterError if files or versions differ from the batch."""
         if not self.work.shared.is_visible:
             raise _unseen(self.work.shared.path)
         scheme, dimensions = self.work.options.scheme, self.work.dimensions

@@ -3,7 +3,7 @@
 A proof that a flow folds nowhere: every step differs from the identity by less than the identity. A step Phi of an
 explicit Runge-Kutta method has a derivative with |D Phi - I| <= h sum_s b_s L_s d_s. L_s bounds the gradient of the
 velocity at stage s, and d_s = 1 + h sum_r |a_sr| L_r d_r the derivative of the stage. Below 1, the determinant of
-D Phi is positive at every point of the disc or ball, also between pixels, and so is that of the composition of steps.
+D Phi is positive at every point of the disc or ball, also between pixels, and so is the determinant of all steps.
 
 In the plane L_s is the largest gradient at the nodes of a grid, plus the change of gradients on the way to the nearest
 node. The second derivative of the Green's function is
@@ -81,7 +81,7 @@ class Certificate:
     is the pixel (x, y) of the least one; of volumes, points are in the coordinates of the landmarks. `folded` counts
     pixels whose det J is not positive, and `first_fold` is the first of them in reading order. `round_trip` and
     `residual_max` are in pixels. `proved` is True if bounds of the derivative prove that det J is positive everywhere
-    and within `det_bounds`; the extremes are then those of `evaluated` pixels.
+    and within `det_bounds`; the extremes are then found among `evaluated` pixels.
     """
 
     det_min: float
@@ -106,7 +106,7 @@ def certify(registration: Registration, shape: Extent | None = None, *, inverse:
     registration : Registration
         The map.
     shape : sequence of int or Grid, optional
-        The shape or grid of the warped image; by default that of the fixed image.
+        The shape or grid of the warped image; by default the grid of the fixed image.
     inverse : bool
         Evaluate the pixels of the moving image, and the derivative of the map instead of its inverse.
 
@@ -119,7 +119,7 @@ def certify(registration: Registration, shape: Extent | None = None, *, inverse:
     -----
     If every step is proved to fold nowhere (see `codegen.registration.certificate`), det J is evaluated at every
     `SPACING`-th pixel, around landmarks and around the extremes. Otherwise it is evaluated at every pixel. The
-    derivative is that of the discrete inverse map, carried along its steps, and not a difference of neighbouring
+    derivative belongs to the discrete inverse map. It is carried along the steps, and is no difference of neighbouring
     pixels. The round trip is evaluated on a grid of at most 129 by 129 pixels, or 25 by 25 by 25 voxels, and at every
     landmark.
     """
@@ -170,7 +170,7 @@ def certify_with_positions(
 ) -> tuple[Certificate, Positions]:
     """Evaluate det J at every pixel, and return the positions of all pixels, which `warp` needs.
 
-    The arguments are those of `certify`; nothing is evaluated between pixels.
+    Arguments as in `certify`; nothing is evaluated between pixels.
     """
     default = registration.grid if inverse else registration.fixed_grid
     grid = grid_of(default if shape is None else shape)

@@ -154,7 +154,7 @@ MARGINS = {2: 0.25, 3: 1.0}
 """The margin of the disc, relative to the distance of the farthest corner, by dimension.
 
 In space the Green's function decays more slowly. Errors between 40 or 150 landmarks of smooth maps were 10 to 25 %
-larger with 0.25; with 1 they were about those of thin plates.
+larger with 0.25; with 1 they were about as large as with thin plates.
 """
 
 
@@ -182,7 +182,7 @@ class Frame:
     def around(cls, points: PointArray, margin: float = MARGINS[2]) -> Frame:
         """Return the frame in which points, shape (n, d), are within the radius 1/(1 + margin).
 
-        Its centre is that of the bounding box. LandmarkError if the margin is not positive, or if all points coincide.
+        Its centre is the centre of the bounding box. LandmarkError if the margin is not positive, or if all points coincide.
         """
         if not 0.0 < margin < np.inf:
             raise LandmarkError(f"the margin is {margin!r}", "give a positive number")

@@ -179,7 +179,7 @@ def read_image(source: Path | str | bytes, limits: Limits | None = None, name: s
     except Exception as error:  # for damaged files decoders raise exceptions of almost every class
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise ImageError(f"{name} is damaged or no image ({reason})", "give a whole PNG, JPEG or TIFF file") from error
-    # The resolution of PNG and JPEG files is that of a print.
+    # The resolution of PNG and JPEG files refers to a print.
     spacing = _tiff_spacing(data) if header.kind == "TIFF" else None
     if spacing is not None and orientation in _TRANSPOSED:
         spacing = Spacing(spacing.y, spacing.x, spacing.unit)
@@ -285,7 +285,7 @@ def tifffile() -> ModuleType:
 
 
 def _header(name: str, data: bytes) -> _Header:
-    """Read the header; ImageError if the first bytes are not those of a PNG, JPEG or TIFF file."""
+    """Read the header; ImageError if the data do not begin like a PNG, JPEG or TIFF file."""
     if data.startswith(_PNG):
         # The IHDR chunk comes first (PNG specification, 11.2.2).
         if len(data) < 33 or data[12:16] != b"IHDR" or zlib.crc32(data[12:29]) != struct.unpack(">I", data[29:33])[0]:

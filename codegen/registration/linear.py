@@ -200,7 +200,7 @@ def chosen_alignment(pairs: LandmarkPairs, shape: Extent, **options: Any) -> Ali
         return AlignmentChoice(CANDIDATES[0], {})
     if len(pairs) > MOST:
         kept = np.zeros(len(pairs), dtype=bool)
-        # A random sample, always the same: every n-th landmark of a grid may be those of a few columns.
+        # A random sample, always the same: every n-th landmark of a grid may lie in a few columns.
         kept[np.random.default_rng(0).choice(len(pairs), MOST, replace=False)] = True
         pairs = pairs.chosen(kept)
     errors: dict[str, float] = {}

@@ -1,7 +1,7 @@
 """Registrations: the maps from the moving to the fixed image, their inverses, and the number of steps.
 
 Pictures whose pixels are not square are registered on grids, as volumes are, and their maps are between pixels.
-Distances in such pixels are not isotropic: rotations, the disc, roughness and errors would be those of a stretched
+Distances in such pixels are not isotropic: rotations, the disc, roughness and errors would be measured in a stretched
 picture. Landmarks are therefore registered in coordinates whose unit is the side of a square with the area of a pixel.
 Areas, and so det J, are the same in both coordinates. For square pixels, and for files without a spacing, the
 coordinates are exactly pixels.
@@ -139,7 +139,7 @@ class Registration:
             raise LandmarkError(f"the time is {time!r}", "give a number from 0 to 1")
         alignment, (moving, fixed) = self.alignment, self.sides
         part = alignment.part(time, self.matching.pairs.moving.mean(axis=0))
-        sides = moving * (fixed / moving) ** time  # they change from those of one image to those of the other
+        sides = moving * (fixed / moving) ** time  # they change from one image to the other
         if inverse:
             points = as_points(xy, self.pairs.dimension) * sides
             aligned = points if part is alignment else alignment.apply(part.apply_inverse(points))
@@ -160,7 +160,7 @@ class Registration:
     def arriving(self, xy: ArrayLike) -> tuple[PointArray, NDArray[np.float64]]:
         """Map points of the fixed image, in pixels, to the moving image, and return the growth of areas by the map.
 
-        The growth, shape (n,), is the reciprocal of that of the inverse map, which costs less than `determinant`.
+        The growth, shape (n,), is the reciprocal of the growth by the inverse map, which costs less than `determinant`.
         """
         places, jacobians = self._with_derivative(xy, inverse=True)
         with np.errstate(divide="ignore"):
@@ -172,7 +172,7 @@ class Registration:
         return places, _determinant(jacobians)
 
     def _with_derivative(self, xy: ArrayLike, inverse: bool) -> tuple[PointArray, NDArray[np.float64]]:
-        """Map points, and return the derivatives in the coordinates of the matching, whose areas are those of pixels."""
+        """Map points, and return the derivatives in the coordinates of the matching; areas are the same there."""
         points, (moving, fixed), frame = as_points(xy, self.pairs.dimension), self.sides, self.matching.frame
         if inverse:
             points = points * fixed

@@ -55,7 +55,7 @@ FEWEST, MOST = 4, 1000
 MOST_TURNED = 200
 """Most landmarks for which rotations are tried."""
 BETTER = 0.25
-"""The largest ratio of the squared distances of other partners to those of the given ones."""
+"""The largest ratio of the squared distances of other partners to the squared distances of the given partners."""
 ROUNDS = 20
 NAMED = 5
 """Most landmarks in a message."""
@@ -132,7 +132,7 @@ def _squared_distances(pairs: LandmarkPairs, order: NDArray[np.intp]) -> float:
 TRUSTED = 0.5
 """The least weight of landmarks that determine the alignment."""
 FAR = 1.5
-"""The ratio of misses to those of the linear theory above which another solution is searched."""
+"""The ratio of misses to misses of the linear theory above which another solution is searched."""
 IN_ORDER = "give landmarks of both images in the same order"
 PATIENCE = 20
 """Most iterations of shooting from the first momenta."""
@@ -250,7 +250,7 @@ class Matching:
     ) -> tuple[Flow, FlowSolution, str]:
         """Solve for the motion in a number of steps; return flow, generated solution and name of the attempt.
 
-        The solver starts from the initial `velocities` of the pairs, shape (n, d), if there are any, from those of
+        The solver starts from the initial `velocities` of the pairs, shape (n, d), if there are any, from
         straight lines, and from a path of least action. Unless `quick`, the generated solver makes further attempts.
         Raises RegistrationError, with the most difficult landmarks, if no attempt succeeds.
         """
@@ -297,7 +297,7 @@ class Matching:
                     best, least = (solution, f"shooting from {name}"), penalised
                 if self.ridge == 0.0:
                     break
-                # The root mean square of misses, and that of the linear theory.
+                # The root mean square of misses, and its prediction by the linear theory.
                 start, target = self.ends
                 ridges = self.ridge / self.weights
                 pulls = np.linalg.solve(self.covariance + np.diag(ridges), target - start)

@@ -71,7 +71,7 @@ class LandmarkPairs:
 
     @property
     def dimension(self) -> int:
-        """2 for landmarks of pictures, 3 for those of volumes."""
+        """2 for landmarks of pictures, 3 for landmarks of volumes."""
         return int(self.moving.shape[1])
 
     def without(self, k: int) -> LandmarkPairs:

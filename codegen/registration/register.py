@@ -145,7 +145,7 @@ def register(
 
 
 def _first_velocities(matching: Matching, start: Registration) -> NDArray[np.float64]:
-    """Initial velocities from those of similar landmarks: differences move along straight lines."""
+    """Initial velocities from a registration of similar landmarks: differences move along straight lines."""
     (first, target), (start_first, start_target) = matching.ends, start.matching.ends
     return np.asarray(start.velocities + (target - first) - (start_target - start_first))
 
@@ -299,7 +299,7 @@ def leave_one_out(
 
 
 def out_of_place(outliers: Outliers | None, left_out: LeaveOneOut | None) -> tuple[int, ...]:
-    """Return the numbers of the outliers; of few landmarks those of leave-one-out."""
+    """Return the numbers of the outliers; of few landmarks the outliers of leave-one-out."""
     if outliers is not None and not np.isnan(outliers.errors).all():
         return outliers.numbers
     return left_out.outliers if left_out is not None else ()

@@ -15,7 +15,7 @@ the spline is compared with the map at the centres of the worst cells.
 Displacement fields: a field on the fixed frame, made with `inverse=True`, is the input of resampling programs such as
 ITK. Added to the position of a fixed pixel, it gives the position in the moving image. NIfTI, MetaImage and NRRD files
 have one voxel of size 1 per pixel, the origin at the centre of the top-left pixel, and vectors (x, y) in pixels. Axes
-are those of ITK: x to the left of the patient and y to the back. So no sign changes between the array and ITK.
+are the axes of ITK: x to the left of the patient and y to the back. So no sign changes between the array and ITK.
 
 MetaImage in two files consists of a header, `.mhd`, and the file of samples that the header names. Written headers
 name `stem.raw`, which holds numbers without compression, so that any program can read them.
@@ -134,7 +134,7 @@ def warp(
     inverse : bool
         Warp the fixed image to the frame of the moving image.
     shape : sequence of int, optional
-        Height and width of the result; by default those of the other image.
+        Height and width of the result; by default of the other image.
     spacing : int or "auto", optional
         Pixels between the nodes of a coarse grid from which positions are interpolated; by default none are.
     bound : float
@@ -222,7 +222,7 @@ def displacement_field(
     registration : Registration
         The map.
     shape : sequence of int, optional
-        Height and width; by default those of the image.
+        Height and width; by default of the image.
     inverse : bool
         Return the displacements of the inverse map at the pixels of the fixed image.
     spacing : int or "auto", optional
@@ -278,7 +278,7 @@ def write_field(path: Path | str, field: Array, direction: str = "") -> None:
         if kind == ".npz":
             np.savez_compressed(temporary, displacement=values, direction=np.array(direction))
         elif kind in (".nii", ".nii.gz"):
-            # Axes x, y, z, t, component; x and y of NIfTI are opposite to those of ITK.
+            # Axes x, y, z, t, component; x and y of NIfTI are opposite to x and y of ITK.
             data = np.ascontiguousarray(values.transpose(1, 0, 2)[:, :, None, None, :])
             nifti = library("nibabel", *_FIELDS).Nifti1Image(data, np.diag([-1.0, -1.0, 1.0, 1.0]))
             nifti.header.set_intent(_NIFTI_VECTOR)

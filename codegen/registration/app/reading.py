@@ -92,7 +92,7 @@ def example() -> Session:
 def in_order(files: Files) -> tuple[Files, list[str]]:
     """Sort landmark files, the moving one first, and return remarks for the visitor.
 
-    Names decide if one of them has a word for its image; otherwise the order stays. PointsError if one file of a pair
+    Names decide if a name has a word for its image; otherwise the order stays. PointsError if one file of a pair
     is missing.
     """
     if len(files) == 1:

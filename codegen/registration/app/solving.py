@@ -228,7 +228,7 @@ def _weights(coarse: Array, fine: Array) -> Array:
 def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.uint8]:
     """Sample a picture at points in pixels of its image, as RGBA; transparent outside.
 
-    The samples are those of the reduced copy whose pixels are as far apart as the points, or a little closer.
+    The samples come from the reduced copy whose pixels are as far apart as the points, or a little closer.
     """
     apart = [np.hypot(np.diff(x, axis=k), np.diff(y, axis=k)) for k in (0, 1)]
     typical = [float(np.median(distances)) for distances in apart if distances.size]
