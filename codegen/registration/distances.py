@@ -1,6 +1,6 @@
 """Geodesic distances between all specimens, on several processes: the command `codegen distances`.
 
-The squared distance of two specimens is the cost of the motion that carries the landmarks of one to the landmarks of the other.
+The squared distance of two specimens is the cost of the motion from the landmarks of one to the landmarks of the other.
 So the distance is the length of a geodesic in the metric of registrations.
 """
 

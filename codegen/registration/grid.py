@@ -182,7 +182,8 @@ class Frame:
     def around(cls, points: PointArray, margin: float = MARGINS[2]) -> Frame:
         """Return the frame in which points, shape (n, d), are within the radius 1/(1 + margin).
 
-        Its centre is the centre of the bounding box. LandmarkError if the margin is not positive, or if all points coincide.
+        Its centre is the centre of the bounding box. LandmarkError if the margin is not positive, or if all points
+        coincide.
         """
         if not 0.0 < margin < np.inf:
             raise LandmarkError(f"the margin is {margin!r}", "give a positive number")

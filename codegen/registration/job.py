@@ -86,8 +86,8 @@ class Options:
 class Job:
     """The input and output files of one pair.
 
-    `landmarks` is one file, or a moving and a fixed one. `interpolation` replaces the option for this pair, for instance
-    for labels among other images.
+    `landmarks` is one file, or a moving and a fixed one. `interpolation` replaces the option for this pair, for
+    instance for labels among other images.
     """
 
     moving: Path

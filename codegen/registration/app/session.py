@@ -438,7 +438,7 @@ class Session:
         self._change(self.work.without(identities))
 
     def load(self, landmarks: LandmarkPairs) -> None:
-        """Replace all pairs by the pairs of a landmark file, which can be undone; LandmarkError if there are too many."""
+        """Load the pairs of a landmark file instead of all pairs; LandmarkError if there are too many."""
         pairs = pairs_of(landmarks, self._last_identity + 1)
         self._last_identity += len(pairs)
         self._change(replace(self.work, pairs=pairs))

@@ -38,8 +38,8 @@ class Source:
 class Frames:
     """The images of the landmarks, as far as known: shapes (height, width, ...) and file names.
 
-    With the `grids` of a moving and a fixed volume, landmarks have three coordinates, which are converted to the coordinates
-    of the grids: usually LPS in millimetres.
+    With the `grids` of a moving and a fixed volume, landmarks have three coordinates. They are converted to the
+    coordinates of the grids: usually LPS in millimetres.
     """
 
     moving_shape: tuple[int, ...] | None = None
