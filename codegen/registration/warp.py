@@ -447,12 +447,15 @@ def spline_coefficients(lines: Sequence[Array], values: Array) -> Array:
 
 def spline_on_grid(lines: Sequence[Array], coefficients: Array, points: Sequence[Array]) -> Array:
     """Evaluate a spline on another grid, whose coordinates along each axis are `points`."""
-    values = coefficients
-    for axis, (line, at) in enumerate(zip(lines, points, strict=True)):
-        first = np.moveaxis(values, axis, 0)
-        others = first.shape[1:]
-        values = np.moveaxis((basis(line, at) @ first.reshape(len(first), -1)).reshape(-1, *others), 0, axis)
-    return np.ascontiguousarray(values)
+    bases = [basis(line, at) for line, at in zip(lines, points, strict=True)]
+    out = np.empty((*map(len, points), coefficients.shape[-1]))
+    for component in range(out.shape[-1]):
+        values = coefficients[..., component]
+        for axis, matrix in enumerate(bases):
+            first = np.moveaxis(values, axis, 0)
+            values = np.moveaxis((matrix @ first.reshape(len(first), -1)).reshape(-1, *first.shape[1:]), 0, axis)
+        out[..., component] = values
+    return out
 
 
 def spline_at(lines: Sequence[Array], coefficients: Array, points: Array) -> Array:
