@@ -414,6 +414,12 @@ class Plane:
         return across, up
 
     @property
+    def name(self) -> str:
+        """The patient's plane nearest to the slice, and the number of the slice."""
+        across = np.abs(np.array(self.grid.direction)[:, self.axis])
+        return f"{NAMES[int(across.argmax())]}, {('column', 'row', 'slice')[self.axis]} {self.index}"
+
+    @property
     def extent(self) -> tuple[float, float, float, float]:
         """Left, right, bottom and top of the picture, in units of length from the edge of the first voxel.
 
@@ -525,10 +531,7 @@ def _slices(
         axes.set_xlim(plane.extent[:2])
         axes.set_ylim(plane.extent[2:])
         axes.set_aspect("equal")
-        # The patient's plane nearest to the slice, and the number of the slice.
-        across = np.abs(np.array(plane.grid.direction)[:, plane.axis])
-        name = f"{NAMES[int(across.argmax())]}, {('column', 'row', 'slice')[plane.axis]} {plane.index}"
-        axes.set_title(name, fontsize=8)
+        axes.set_title(plane.name, fontsize=8)
     if bar:
         _style_bar(figure.colorbar(shown, ax=list(rows), fraction=0.045, pad=0.02, format="%.3g"), bar)
     return _as_png(title, caption, figure)
