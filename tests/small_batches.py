@@ -11,7 +11,7 @@ from codegen.registration.batch_pairs import Places, jobs_in_folder
 from codegen.registration.formats import write_landmarks
 from codegen.registration.images import write_image
 from codegen.registration.job import Options
-from codegen.registration.job import run_pictures as run_pair
+from codegen.registration.job import run as run_pair
 from codegen.registration.pairs import LandmarkPairs
 
 CORNERS = np.array([[3.0, 4.0], [24.0, 5.0], [5.0, 20.0], [22.0, 18.0], [13.0, 11.0]])

@@ -20,7 +20,7 @@ from codegen.registration.pairs import LandmarkPairs, PointArray
 
 Kind: TypeAlias = Literal["auto", "none", "similarity", "affine"]
 KINDS: tuple[Kind, ...] = ("none", "similarity", "affine")
-"""The alignments of `align`; "auto" chooses one of them."""
+"""The alignments of `align`; "auto" chooses among them."""
 
 MIRRORED = 0.2
 """Landmarks are mirrored if this is the ratio of the residuals of a mirrored and a proper similarity, or less."""
@@ -139,7 +139,7 @@ def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
         raise ArgumentError(f"alignment is {kind!r}", f"use {', '.join(KINDS)}")
     require_unmirrored(pairs)
     if kind == "none" or (pairs.moving == pairs.fixed).all():
-        return Alignment("none" if kind == "none" else kind, np.eye(pairs.dimension), np.zeros(pairs.dimension))
+        return Alignment(kind, np.eye(pairs.dimension), np.zeros(pairs.dimension))
     if kind == "affine":
         if len(pairs) > pairs.dimension and not (_is_thin(pairs.moving) or _is_thin(pairs.fixed)):
             before, after = pairs.moving.mean(axis=0), pairs.fixed.mean(axis=0)
@@ -150,25 +150,16 @@ def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
                 finding = f"the affine map that fits the landmarks best turns the image over {determinant}"
                 raise LandmarkError(finding, "mirror the moving image and its landmarks, or correct the landmarks")
             return affine
-        simpler = _similarity(pairs) if _determine_similarity(pairs) else _translation(pairs)
+        simpler = _similarity(pairs)
         reason = f"an affine map needs {_NEEDED[pairs.dimension][1]}; {simpler.kind} instead"
         return replace(simpler, message=reason)
-    if _determine_similarity(pairs):
-        return _similarity(pairs)
-    reason = f"a similarity needs {_NEEDED[pairs.dimension][0]}; translation instead"
-    return replace(_translation(pairs), message=reason)
-
-
-def _determine_similarity(pairs: LandmarkPairs) -> bool:
-    if pairs.dimension == 2:
-        return len(pairs) > 1
-    return len(pairs) > 2 and not (_is_thin(pairs.moving, 1) or _is_thin(pairs.fixed, 1))
+    return _similarity(pairs)
 
 
 def require_unmirrored(pairs: LandmarkPairs) -> None:
     """Raise LandmarkError for landmarks that only a mirrored similarity fits.
 
-    Squared residuals are those of Umeyama's equation (33), which in the plane are sums of complex numbers.
+    Squared residuals follow Umeyama's equation (33), which in the plane are sums of complex numbers.
     """
     if len(pairs) <= pairs.dimension or _is_thin(pairs.moving) or _is_thin(pairs.fixed):
         return
@@ -194,16 +185,22 @@ def _is_thin(points: PointArray, axis: int = -1) -> bool:
     return bool(widths[axis] <= THIN * widths[0])
 
 
-def _translation(pairs: LandmarkPairs) -> Alignment:
-    return Alignment("translation", np.eye(pairs.dimension), (pairs.fixed - pairs.moving).mean(axis=0))
-
-
 def _similarity(pairs: LandmarkPairs) -> Alignment:
-    """Equations (40) to (42) of Umeyama; in the plane rotation and size are one complex number."""
-    before, after = pairs.moving.mean(axis=0), pairs.fixed.mean(axis=0)
+    """Fit a similarity by equations (40) to (42) of Umeyama, or a translation if landmarks do not determine it.
+
+    In the plane rotation and size are one complex number.
+    """
+    before, after, dimension = pairs.moving.mean(axis=0), pairs.fixed.mean(axis=0), pairs.dimension
+    shift = (pairs.fixed - pairs.moving).mean(axis=0)
+    reason = f"a similarity needs {_NEEDED[dimension][0]}; translation instead"
+    translation = Alignment("translation", np.eye(dimension), shift, reason)
+    if len(pairs) < dimension:
+        return translation
     x, y = pairs.moving - before, pairs.fixed - after
     spread = float((x**2).sum())
-    if pairs.dimension == 3:
+    if dimension == 3:
+        if _is_thin(pairs.moving, 1) or _is_thin(pairs.fixed, 1):
+            return translation
         left, values, right = np.linalg.svd(y.T @ x)
         signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
         matrix = (left * signs) @ right * ((signs * values).sum() / spread)
@@ -211,6 +208,6 @@ def _similarity(pairs: LandmarkPairs) -> Alignment:
     cosine, sine = (x * y).sum() / spread, (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]).sum() / spread
     if np.hypot(cosine, sine) * np.sqrt(spread) <= THIN * np.sqrt((y**2).sum()):
         # All rotations fit equally well, for instance if landmarks are mirrored.
-        return replace(_translation(pairs), message="no similarity fits the landmarks; translation instead")
+        return replace(translation, message="no similarity fits the landmarks; translation instead")
     matrix = np.array([[cosine, -sine], [sine, cosine]])
     return Alignment("similarity", matrix, after - matrix @ before)

@@ -11,14 +11,14 @@ from __future__ import annotations
 import math
 import os
 import urllib.parse
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from codegen.batch.executors import Progress, Team, Working, connected, silent
-from codegen.batch.executors.chunks import LOST, SOLVED, Done, Journal, Tally, journal_of, new_journal, read_journal
+from codegen.batch.executors.chunks import LOST, SOLVED, Done, Tally, journal_of, new_journal, read_journal
 from codegen.errors import ArgumentError
 from codegen.files import remove_leftovers, rendered, write_text
 from codegen.registration.batch_pairs import (
@@ -35,7 +35,7 @@ from codegen.registration.batch_pairs import (
     write_summary,
 )
 from codegen.registration.job import Job, Options, run
-from codegen.registration.pair_report import facts, number
+from codegen.registration.pair_report import Outcome, Record, facts, number
 from codegen.registration.solver import registration_module
 from codegen.registration.volumes import is_volume
 
@@ -95,8 +95,8 @@ def outcome_of(
     request: BatchRequest,
     working: Working = nullcontext,
     progress: Progress = silent,
-    run_one: Callable[[Job, Options], Any] = run,
-    prepare: Callable[[str, int], Any] = registration_module,
+    run_one: Callable[[Job, Options], Outcome] = run,
+    prepare: Callable[[str, int], object] = registration_module,
 ) -> Batch:
     """Register all pairs that are not up to date; a failed pair has a line with the reason and stops no other pair.
 
@@ -125,82 +125,51 @@ def outcome_of(
             {name: str(record[name]) for name in COLUMNS} for record in journal.records if set(record) == set(COLUMNS)
         ]
         jobs = [job.absolute() for job in request.jobs]
-        course = _Run(journal, jobs, dimensions, {line["out"]: line for line in (*before, *noted)}, {}, team)
+        earlier = {line["out"]: line for line in (*before, *noted)}
+        pairs = [Pair(number, job, earlier.get(str(job.out), {})) for number, job in enumerate(jobs)]
+        tried: dict[int, Tried] = {}
+
+        def lines() -> list[Line]:
+            """Return a new or earlier line for every pair that has one."""
+            return [line for p in pairs if (line := tried[p.number].line if p.number in tried else p.earlier)]
+
+        def keep(number: int, done: Done) -> None:
+            """Record the lines of a chunk; after the loss of a chunk of several pairs each pair is tried again."""
+            if LOST in done.tally.counts and len(done.rows) > 1:
+                return
+            # After an interruption between these lines, the summary, which replaces the journal, has the new lines.
+            tried.update({entry.number: entry for entry in done.rows})
+            journal.add(entry.line for entry in done.rows if entry.is_new)
+
+        def seconds_of_solved() -> list[float]:
+            solved = [entry.line for entry in tried.values() if entry.line["status"] == SOLVED]
+            return [float(line["seconds"]) for line in solved]
+
         try:
-            course.all_pairs(request.options, run_one)
+            # A first pair, then chunks of pairs, then one by one the pairs of lost chunks.
+            threads = os.cpu_count() or 1 if team.workers == 1 and cluster is None else 1
+            shared = SharedFile.of(path)
+            work = BatchWork(pairs, request.options, 1, threads, shared, dimensions, run_one=run_one)
+            first, local = 0, replace(team, workers=1, cluster=None, progress=silent)
+            with working("Registering a first pair"):
+                while first < min(TRIALS, len(pairs)) and not seconds_of_solved():
+                    local.do(work, [first], len(pairs), Tally(), keep)
+                    first += 1
+            rest, seconds = pairs[first:], max(seconds_of_solved(), default=0.1)
+            of_a_second = max(1, min(MOST_OF_A_CHUNK, int(1.0 / max(1e-3, seconds))))
+            size = min(of_a_second, max(1, len(rest) // (SHARES * team.workers)))
+            for is_again in (False, True):
+                left = [pair for pair in rest if pair.number not in tried]
+                part = replace(work, pairs=left, size=1 if is_again else size)
+                before_them = tally_of(entry.line for entry in tried.values())
+                team.do(part, part.chunks, len(pairs), before_them, keep, ("Warping", "pairs"))
             remove_leftovers(path for job in jobs for path in job.written)
         finally:
-            write_summary(request.summary, course.lines())
+            write_summary(request.summary, lines())
             path.unlink(missing_ok=True)  # the summary has all of its lines
         remove_leftovers([request.summary, path])
-    unchanged = sum(not tried.is_new for tried in course.tried.values())
-    return Batch(tuple(course.lines()), unchanged, tuple(team.notes))
-
-
-@dataclass
-class _Run:
-    """A batch in progress: new lines by the numbers of pairs, and earlier lines by their outputs."""
-
-    journal: Journal
-    jobs: Sequence[Job]
-    dimensions: tuple[int, ...]
-    earlier: Mapping[str, Line]
-    tried: dict[int, Tried]
-    team: Team
-
-    def lines(self) -> list[Line]:
-        """Return a new or earlier line for every pair that has one."""
-        lines = (
-            self.tried[number].line if number in self.tried else self.earlier.get(str(job.out))
-            for number, job in enumerate(self.jobs)
-        )  # fmt: skip
-        return [line for line in lines if line is not None]
-
-    def all_pairs(self, options: Options, run_one: Callable[[Job, Options], Any]) -> None:
-        """Register a first pair, then chunks of pairs, then one by one the pairs of lost chunks."""
-        pairs = [Pair(number, job, self.earlier.get(str(job.out), {})) for number, job in enumerate(self.jobs)]
-        alone = self.team.workers == 1 and self.team.cluster is None
-        threads = os.cpu_count() or 1 if alone else 1
-        shared = SharedFile.of(self.journal.path)
-        work = BatchWork(pairs, options, 1, threads, shared, self.dimensions, run_one=run_one)
-        first, local = 0, replace(self.team, workers=1, cluster=None, progress=silent)
-        with self.team.working("Registering a first pair"):
-            while first < min(TRIALS, len(pairs)) and not self._seconds_of_solved():
-                local.do(work, [first], len(pairs), Tally(), self._keep)
-                first += 1
-        rest = pairs[first:]
-        seconds = max(self._seconds_of_solved(), default=0.1)
-        of_a_second = max(1, min(MOST_OF_A_CHUNK, int(1.0 / max(1e-3, seconds))))
-        self._do(replace(work, pairs=rest, size=min(of_a_second, max(1, len(rest) // (SHARES * self.team.workers)))))
-        lost = [pair for pair in rest if pair.number not in self.tried]
-        self._do(replace(work, pairs=lost, size=1))
-
-    def _do(self, work: BatchWork) -> None:
-        before = tally_of(tried.line for tried in self.tried.values())
-        self.team.do(work, work.chunks, len(self.jobs), before, self._keep, ("Warping", "pairs"))
-
-    def _keep(self, number: int, done: Done) -> None:
-        """Record the lines of a chunk; after the loss of a chunk of several pairs all of its pairs are tried again."""
-        if LOST in done.tally.counts and len(done.rows) > 1:
-            return
-        # After an interruption between these lines, the summary, which replaces the journal, has the new lines.
-        self.tried |= {tried.number: tried for tried in done.rows}
-        self.journal.add(tried.line for tried in done.rows if tried.is_new)
-
-    def _seconds_of_solved(self) -> list[float]:
-        lines = (tried.line for tried in self.tried.values())
-        return [float(line["seconds"]) for line in lines if line["status"] == SOLVED]
-
-
-@dataclass(frozen=True)
-class Row:
-    """A row of the page: name and page of the pair, status, reason of a failure, and the other cells."""
-
-    name: str
-    page: str
-    status: str
-    text: str
-    cells: tuple[str, ...]
+    unchanged = sum(not entry.is_new for entry in tried.values())
+    return Batch(tuple(lines()), unchanged, tuple(team.notes))
 
 
 def write_batch_report(folder: Path, batch: Batch, pages: Iterable[Path | None]) -> Path:
@@ -215,7 +184,10 @@ def write_batch_report(folder: Path, batch: Batch, pages: Iterable[Path | None])
         cells = (line["count"], line["steps"], *values, outliers, number(float(line["seconds"] or 0)))
         solved = line["status"] == "solved"
         link = urllib.parse.quote(page.name) if page is not None and page.is_file() else ""
-        row = Row(Path(line["moving"]).name, link, line["status"], "" if solved else line["message"], cells)
+        row = {
+            "name": Path(line["moving"]).name, "page": link, "status": line["status"],
+            "text": "" if solved else line["message"], "cells": cells,
+        }  # fmt: skip
         rows.append(((solved, float(line["det_min"] or math.inf)), row))
     rows.sort(key=lambda entry: entry[0])
     path, template = folder / NAME, Path(__file__).parent / "templates/batch.html.j2"
@@ -224,7 +196,7 @@ def write_batch_report(folder: Path, batch: Batch, pages: Iterable[Path | None])
     return path
 
 
-def table(record: Mapping[str, Any]) -> Table:
+def table(record: Record) -> Table:
     """Return the record of one pair as a table for the terminal."""
     from rich import box
     from rich.table import Table
@@ -246,7 +218,7 @@ def table(record: Mapping[str, Any]) -> Table:
     return shown
 
 
-def record(batch: Batch, summary: Path) -> dict[str, Any]:
+def record(batch: Batch, summary: Path) -> dict[str, object]:
     """Return the JSON object of a batch."""
     failed = [{name: line[name] for name in ("moving", "out", "status", "message")} for line in batch.failed]
     return {

@@ -10,10 +10,10 @@ import csv
 import hashlib
 import platform
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 from codegen import __version__
 from codegen.batch.executors.chunks import LOST, SOLVED, Abandoned, Done, Tally, Target, alone, compiled_note, target
@@ -21,6 +21,7 @@ from codegen.errors import ArgumentError, ClusterError, CodegenError, FileError,
 from codegen.files import refused, replacing
 from codegen.registration.images import KINDS, VOLUMES
 from codegen.registration.job import Job, Options, run
+from codegen.registration.pair_report import Outcome, Record
 from codegen.registration.solver import is_compiled, registration_module, threads_at_most
 from codegen.registration.volumes import is_volume, suffix_of
 from codegen.registration.warp import Interpolation, written_with
@@ -104,7 +105,16 @@ def jobs_in_folder(
     images = sorted(path for path in folder.iterdir() if path.name.lower().endswith(suffixes) and path.is_file())
     jobs, without = [], []
     for image in images:
-        files = landmarks or _landmarks_of(image)
+        files, stem = landmarks, _stem(image)
+        if not files:
+            candidates: list[tuple[Path, ...]] = [(image.with_name(stem + suffix),) for suffix in _ONE_FILE]
+            for suffix in _TWO_FILES:
+                candidates.append(tuple(image.with_name(f"{stem}.{side}{suffix}") for side in ("moving", "fixed")))
+            candidates = [paths for paths in candidates if all(path.is_file() for path in paths)]
+            if len(candidates) > 1:
+                finding = f"{folder}: {' and '.join(paths[0].name for paths in candidates)} both belong to {image.name}"
+                raise ArgumentError(finding, "leave one of them in the folder")
+            files = candidates[0] if candidates else ()
         if fixed is not None and fixed.is_file() and fixed.samefile(image):
             continue
         if files:
@@ -118,25 +128,11 @@ def jobs_in_folder(
     return _distinct(jobs), without
 
 
-def _landmarks_of(image: Path) -> tuple[Path, ...]:
-    """Return the landmark files of an image: one, two or none."""
-    stem = _stem(image)
-    candidates: list[tuple[Path, ...]] = [(image.with_name(stem + suffix),) for suffix in _ONE_FILE]
-    candidates += [
-        tuple(image.with_name(f"{stem}.{side}{suffix}") for side in ("moving", "fixed")) for suffix in _TWO_FILES
-    ]
-    candidates = [files for files in candidates if all(path.is_file() for path in files)]
-    if len(candidates) > 1:
-        names = " and ".join(files[0].name for files in candidates)
-        raise ArgumentError(f"{image.parent}: {names} both belong to {image.name}", "leave one of them in the folder")
-    return candidates[0] if candidates else ()
-
-
 def jobs_in_table(table: Path, places: Places, fixed: Path | None) -> list[Job]:
     """Read the pairs of a table with the columns moving and landmarks, and optionally fixed, out and interpolation.
 
     Names are relative to the folder of the table. A semicolon separates two landmark files of one pair. An
-    interpolation is that of one pair, such as nearest for labels. Raises ArgumentError, naming the line, for other
+    interpolation holds for its pair only, such as nearest for labels. Raises ArgumentError, naming the line, for other
     tables.
     """
     jobs = []
@@ -200,28 +196,9 @@ def require_free(jobs: Iterable[Job], path: Path) -> None:
             raise ArgumentError(finding, "rename the image, or give it another out in a table")
 
 
-@dataclass(frozen=True)
-class Digests:
-    """The digests of a line, which show later if its pair is up to date: texts under their columns."""
-
-    options: str = ""
-    read: str = ""
-    written: str = ""
-
-
 def options_digest(options: Options) -> str:
     """Return the digest of the options and of the version."""
     return hashlib.sha256(repr((__version__, sorted(asdict(options).items()))).encode()).hexdigest()[:_DIGITS]
-
-
-def _input_digest(job: Job) -> str:
-    """Return the digest of all input, apart from options; empty if a file is not readable."""
-    digests = [_digest(path) for path in job.read]
-    if not all(digests):
-        return ""
-    names = [path.name for path in job.read]  # TPS files contain names of images
-    interpolation = [] if job.interpolation is None else [job.interpolation]
-    return hashlib.sha256(repr((digests, names, *interpolation)).encode()).hexdigest()[:_DIGITS]
 
 
 def _output_digests(job: Job) -> dict[str, str]:
@@ -239,11 +216,11 @@ def _digest(path: Path) -> str:
         return ""
 
 
-def _line(record: Mapping[str, Any], digests: Digests) -> Line:
+def _line(record: Record, digests: Line) -> Line:
     """Convert the record of a job to a line; missing numbers are empty."""
     values = {**record, **record["summary"]}
     errors = values.get("leave_one_out") or []
-    texts: dict[str, Any] = {name: values.get(name) for name in COLUMNS}
+    texts: dict[str, object] = {name: values.get(name) for name in COLUMNS}
     texts |= {
         "landmarks": ";".join(record["landmarks"]),
         "message": one_line(record["message"], 300),
@@ -252,30 +229,19 @@ def _line(record: Mapping[str, Any], digests: Digests) -> Line:
         "leave_one_out": sorted(errors)[len(errors) // 2] if errors and None not in errors else None,
         "outliers": ";".join(values.get("outliers") or []),
         "seconds": round(sum(record["seconds"].values()), 3),
-        **asdict(digests),
+        **digests,
     }
     return {name: "" if value is None else str(value) for name, value in texts.items()}
 
 
-def _failed_line(job: Job, status: str, message: str, digests: Digests) -> Line:
+def _failed_line(job: Job, status: str, message: str, digests: Line) -> Line:
     """Return the line of a pair without a result."""
-    record = {
+    record: Record = {
         "moving": str(job.moving), "fixed": str(job.fixed or ""), "out": str(job.out),
         "landmarks": [str(path) for path in job.landmarks], "status": status, "message": message, "summary": {},
         "seconds": {},
     }  # fmt: skip
     return _line(record, digests)
-
-
-def _is_up_to_date(line: Line, job: Job, now: Digests) -> bool:
-    """Return True if the pair was solved with the present input and options, and its outputs are unchanged.
-
-    Outputs of an earlier run that are no longer requested may be missing.
-    """
-    if line.get("status") != SOLVED or not now.read or (line["options"], line["read"]) != (now.options, now.read):
-        return False
-    earlier = dict(word.partition(":")[::2] for word in line.get("written", "").split())
-    return all(earlier.get(kind) == digest for kind, digest in _output_digests(job).items())
 
 
 def tally_of(lines: Iterable[Line]) -> Tally:
@@ -368,7 +334,7 @@ class BatchWork:
     shared: SharedFile
     dimensions: tuple[int, ...] = (2,)
     is_remote: bool = False
-    run_one: Callable[[Job, Options], Any] = run
+    run_one: Callable[[Job, Options], Outcome] = run
 
     @property
     def chunks(self) -> range:
@@ -406,7 +372,7 @@ class BatchWork:
 
     def lost(self, number: int, reason: str) -> Done:
         """Return the lines of a chunk whose worker processes ended repeatedly."""
-        digests, pairs = Digests(options_digest(self.options)), self.piece(number).pairs
+        digests, pairs = {"options": options_digest(self.options)}, self.piece(number).pairs
         return _done([Tried(pair.number, _failed_line(pair.job, LOST, reason, digests), True) for pair in pairs])
 
     def returned(self, number: int, done: Done) -> Done:
@@ -419,17 +385,31 @@ class BatchWork:
 
     def digest_of_solvers(self) -> str:
         """Return the digest of the source texts of all solvers."""
-        modules: list[Any] = [registration_module(self.options.scheme, dimension) for dimension in self.dimensions]
+        modules = [registration_module(self.options.scheme, dimension) for dimension in self.dimensions]
         return hashlib.sha256(b"".join(Path(module.__file__).read_bytes() for module in modules)).hexdigest()
 
     def _tried(self, pair: Pair) -> Tried:
-        job, digests = pair.job, Digests(options_digest(self.options), _input_digest(pair.job))
-        if _is_up_to_date(pair.earlier, job, digests):
-            return Tried(pair.number, pair.earlier, False)
+        job, earlier = pair.job, pair.earlier
+        # The digest of all input, apart from options; empty if a file is not readable.
+        files, read = [_digest(path) for path in job.read], ""
+        if all(files):
+            names = [path.name for path in job.read]  # TPS files contain names of images
+            interpolation = [] if job.interpolation is None else [job.interpolation]
+            read = hashlib.sha256(repr((files, names, *interpolation)).encode()).hexdigest()[:_DIGITS]
+        digests = {"options": options_digest(self.options), "read": read}
+        if (
+            earlier.get("status") == SOLVED
+            and read
+            and (earlier["options"], earlier["read"]) == (digests["options"], read)
+        ):
+            # Outputs of an earlier run that are no longer requested may be missing.
+            before = dict(word.partition(":")[::2] for word in earlier.get("written", "").split())
+            if all(before.get(kind) == digest for kind, digest in _output_digests(job).items()):
+                return Tried(pair.number, earlier, False)
         try:
             record = self.run_one(job, self.options).record
             written = " ".join(f"{kind}:{digest}" for kind, digest in _output_digests(job).items())
-            return Tried(pair.number, _line(record, replace(digests, written=written)), True)
+            return Tried(pair.number, _line(record, digests | {"written": written}), True)
         except FileError:
             raise
         except CodegenError as error:
@@ -452,13 +432,13 @@ class BatchParcel:
     origin: Target
 
     def unpacked(self) -> tuple[BatchWork, tuple[str, ...]]:
-        """Prepare the work on this machine; ClusterError if files or versions differ from those of the batch."""
+        """Prepare the work on this machine; ClusterError if files or versions differ from the batch."""
         if not self.work.shared.is_visible:
             raise _unseen(self.work.shared.path)
         scheme, dimensions = self.work.options.scheme, self.work.dimensions
         with alone(f"registration {scheme}"):
             were_compiled = all(is_compiled(scheme, dimension) for dimension in dimensions)
-            modules: list[Any] = [registration_module(scheme, dimension) for dimension in dimensions]
+            modules = [registration_module(scheme, dimension) for dimension in dimensions]
         if self.work.digest_of_solvers() != self.digest:
             remedy = "install the same versions of variational-codegen and sympy for all workers"
             raise ClusterError(f"{platform.node()} derives another solver of registrations", remedy)

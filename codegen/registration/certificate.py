@@ -3,7 +3,7 @@
 A proof that a flow folds nowhere: every step differs from the identity by less than the identity. A step Phi of an
 explicit Runge-Kutta method has a derivative with |D Phi - I| <= h sum_s b_s L_s d_s. L_s bounds the gradient of the
 velocity at stage s, and d_s = 1 + h sum_r |a_sr| L_r d_r the derivative of the stage. Below 1, the determinant of
-D Phi is positive at every point of the disc or ball, also between pixels, and so is that of the composition of steps.
+D Phi is positive at every point of the disc or ball, also between pixels, and so is the determinant of all steps.
 
 In the plane L_s is the largest gradient at the nodes of a grid, plus the change of gradients on the way to the nearest
 node. The second derivative of the Green's function is
@@ -12,7 +12,7 @@ node. The second derivative of the Green's function is
     s = |x - q|^2,   t = |1 - x q*|^2 <= 4,   |z| = (1 - |q|^2)/sqrt(t) <= 1 + |q|,
 
 so its norm is at most the larger of log(4/s) and |q|^2 + 2 (1 + |q|)^2 <= 9. On a way of length r the worst case is q
-in the middle, which gives the integral in `_change_of_gradients`. Rounding errors, about 1e-15 of these sums, are
+in the middle, which gives the integral in `bound_of_steps`. Rounding errors, about 1e-15 of these sums, are
 neglected.
 
 In space, with s = |x - q|^2, t = |1 - x q*|^2, u = (|q|^2 x - q)/sqrt(t), e the unit vector from q to x and
@@ -33,14 +33,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from codegen.errors import RegistrationError
-from codegen.registration.grid import Extent, Grid, grid_of, mesh, pixel_grid, slabs
+from codegen.registration.grid import Extent, Grid, grid_of, mesh, pixel_grid
 from codegen.registration.maps import ROUND_TRIP, Registration, in_steps
 from codegen.registration.pairs import PointArray
 from codegen.registration.solver import Flow, of_steps
@@ -82,7 +81,7 @@ class Certificate:
     is the pixel (x, y) of the least one; of volumes, points are in the coordinates of the landmarks. `folded` counts
     pixels whose det J is not positive, and `first_fold` is the first of them in reading order. `round_trip` and
     `residual_max` are in pixels. `proved` is True if bounds of the derivative prove that det J is positive everywhere
-    and within `det_bounds`; the extremes are then those of `evaluated` pixels.
+    and within `det_bounds`; the extremes are then found among `evaluated` pixels.
     """
 
     det_min: float
@@ -107,7 +106,7 @@ def certify(registration: Registration, shape: Extent | None = None, *, inverse:
     registration : Registration
         The map.
     shape : sequence of int or Grid, optional
-        The shape or grid of the warped image; by default that of the fixed image.
+        The shape or grid of the warped image; by default the grid of the fixed image.
     inverse : bool
         Evaluate the pixels of the moving image, and the derivative of the map instead of its inverse.
 
@@ -120,7 +119,7 @@ def certify(registration: Registration, shape: Extent | None = None, *, inverse:
     -----
     If every step is proved to fold nowhere (see `codegen.registration.certificate`), det J is evaluated at every
     `SPACING`-th pixel, around landmarks and around the extremes. Otherwise it is evaluated at every pixel. The
-    derivative is that of the discrete inverse map, carried along its steps, and not a difference of neighbouring
+    derivative belongs to the discrete inverse map. It is carried along the steps, and is no difference of neighbouring
     pixels. The round trip is evaluated on a grid of at most 129 by 129 pixels, or 25 by 25 by 25 voxels, and at every
     landmark.
     """
@@ -131,7 +130,8 @@ def certificate_of(
     registration: Registration, shape: Extent | None = None, *, inverse: bool = False
 ) -> tuple[Certificate, Positions | None]:
     """Certify as `certify`, and return the positions of all pixels if all had to be evaluated."""
-    grid = _grid(registration, shape, inverse)
+    default = registration.grid if inverse else registration.fixed_grid
+    grid = grid_of(default if shape is None else shape)
     bounds = None
     if registration.alignment.determinant > 0.0 and registration.status == "solved":
         # In space few nodes take less time than all voxels, even of a small volume.
@@ -139,14 +139,11 @@ def certificate_of(
         bounds = bound_of_steps(registration.flow, max(least, int(grid.count / CHEAPER)))
     carry = registration.leaving if inverse else registration.arriving
     if bounds is None and grid.dimension == 2:
-        return certify_with_positions(registration, shape, inverse=inverse)
+        return certify_with_positions(registration, grid, inverse=inverse)
     if bounds is None:
-        # Every voxel, by slabs, of which one is in memory at a time.
-        columns, rows, slices = grid.size
+        # Every voxel, by portions, of which one is in memory at a time.
         findings = _Findings(np.inf, (), -np.inf, 0, None, 0)
-        for slab in slabs(slices, max(1, PORTION // (columns * rows))):
-            lines = [np.arange(float(columns)), np.arange(float(rows)), np.arange(float(slab.start), float(slab.stop))]
-            places = grid.to_places(mesh(lines))
+        for _, places in grid.portions(PORTION):
             findings = findings.joined(_Findings.of(places, carry(places)[1]))
         return _certificate(registration, grid, inverse, findings), None
     # Every n-th pixel, the last row and column, and pixels around landmarks, where det J is least smooth.
@@ -159,7 +156,7 @@ def certificate_of(
     more = _around(points[np.concatenate([order[:EXTREMES], order[-EXTREMES:]])], grid, REACH[grid.dimension])
     findings = _Findings.of(np.vstack([points, more]), np.concatenate([determinants, carry(more)[1]]))
     certificate = _certificate(registration, grid, inverse, findings)
-    scale, power = registration.alignment.determinant, float(registration.dimension)
+    scale, power = registration.alignment.determinant, float(grid.dimension)
     # The flow runs from fixed to moving: its determinant is the reciprocal.
     low, high = (float(scale * np.exp(-power * np.log1p(sign * bounds).sum())) for sign in (1.0, -1.0))
     message = certificate.message
@@ -173,22 +170,22 @@ def certify_with_positions(
 ) -> tuple[Certificate, Positions]:
     """Evaluate det J at every pixel, and return the positions of all pixels, which `warp` needs.
 
-    The arguments are those of `certify`; nothing is evaluated between pixels.
+    Arguments as in `certify`; nothing is evaluated between pixels.
     """
-    grid = _grid(registration, shape, inverse)
+    default = registration.grid if inverse else registration.fixed_grid
+    grid = grid_of(default if shape is None else shape)
     carry = registration.leaving if inverse else registration.arriving
-    pixels = pixel_grid(grid.shape)
-    places, determinants = np.empty_like(pixels), np.empty(len(pixels))
-    for part in (slice(k, k + PORTION) for k in range(0, len(pixels), PORTION)):
-        places[part], determinants[part] = carry(pixels[part])
-    certificate = _certificate(registration, grid, inverse, _Findings.of(pixels, determinants))
-    return certificate, Positions(places.reshape(*grid.shape, 2))
+    places, determinants = np.empty((grid.count, 2)), np.empty(grid.count)
+    for part, pixels in grid.portions(PORTION):
+        places[part], determinants[part] = carry(pixels)
+    findings = _Findings.of(pixel_grid(grid.shape), determinants)
+    return _certificate(registration, grid, inverse, findings), Positions(places.reshape(*grid.shape, 2))
 
 
 def in_provable_steps(registration: Registration) -> Registration:
     """Increase the number of steps until each is proved to fold nowhere; without success the map is unchanged."""
     candidate = registration
-    while is_explicit(candidate.flow) and bound_of_steps(candidate.flow, NODES) is None:
+    while hasattr(candidate.flow.module, "ROWS") and bound_of_steps(candidate.flow, NODES) is None:
         if 2 * candidate.steps > MOST_STEPS or candidate.status != "solved":
             return registration
         try:
@@ -196,12 +193,6 @@ def in_provable_steps(registration: Registration) -> Registration:
         except RegistrationError:
             return registration
     return replace(candidate, error=registration.error, solves=registration.solves)
-
-
-def _grid(registration: Registration, shape: Extent | None, inverse: bool) -> Grid:
-    if shape is not None:
-        return grid_of(shape)
-    return registration.grid if inverse else registration.fixed_grid
 
 
 def _around(points: PointArray, grid: Grid, reach: int) -> PointArray:
@@ -253,7 +244,7 @@ def _certificate(registration: Registration, grid: Grid, inverse: bool, findings
     round_trip = distance if np.isfinite(distance) else np.inf
     is_accurate = round_trip <= ROUND_TRIP * registration.fixed_grid.pixel
     if findings.first is not None:
-        samples = "pixels" if registration.dimension == 2 else "voxels"
+        samples = "pixels" if grid.dimension == 2 else "voxels"
         place = ", ".join(f"{x:g}" for x in findings.first)
         message = f"the map folds at {findings.folded} {samples}, the first at ({place}); take more steps"
     elif not is_accurate:
@@ -262,23 +253,11 @@ def _certificate(registration: Registration, grid: Grid, inverse: bool, findings
         message = registration.message
     else:
         message = f"the map does not fold: det J is at least {findings.least:.4g}"
+    passed = findings.folded == 0 and is_accurate and registration.status == "solved"
     return Certificate(
-        findings.least,
-        findings.largest,
-        findings.least_at,
-        findings.folded,
-        findings.first,
-        round_trip,
-        float(registration.residuals.max()),
-        findings.folded == 0 and is_accurate and registration.status == "solved",
-        message,
-        evaluated=findings.evaluated,
-    )
-
-
-def is_explicit(flow: Flow) -> bool:
-    """Return True if the scheme of a flow has bounds."""
-    return hasattr(flow.module, "ROWS") and hasattr(flow.module, "tracer_gradient")
+        findings.least, findings.largest, findings.least_at, findings.folded, findings.first, round_trip,
+        float(registration.residuals.max()), passed, message, evaluated=findings.evaluated,
+    )  # fmt: skip
 
 
 def bound_of_steps(flow: Flow, most_nodes: int) -> Array | None:
@@ -286,15 +265,18 @@ def bound_of_steps(flow: Flow, most_nodes: int) -> Array | None:
 
     Returns None if a bound is not below 1, or if the scheme is not explicit.
     """
-    if not is_explicit(flow):
+    if not (hasattr(flow.module, "ROWS") and hasattr(flow.module, "tracer_gradient")):
         return None
     if flow.points.shape[-1] == 3:
         return _bound_in_ball(flow, most_nodes)
-    module: Any = flow.module
+    module = flow.module
     momenta, nodes = np.linalg.norm(flow.points[:, 1], axis=2).sum(axis=1), FIRST
     rates, gradients = np.empty(2 * module.BLOCK), np.empty(4 * module.BLOCK)
     while nodes <= LAST and 3.2 * nodes**2 <= most_nodes:
-        changes = momenta * _change_of_gradients(np.sqrt(0.5) / nodes)
+        # The largest change of gradients by a landmark of momentum 1 in the middle of a way to a node.
+        length = np.sqrt(0.5) / nodes
+        near = np.log(4.0) + 2.0 + 2.0 * np.log(2.0 / length)
+        changes = momenta * float(length * (near + max(0.0, CURVED - near + 2.0)))
         if (of_steps(flow, changes) < 1.0).all():  # gradients at nodes can only increase the bounds
             points = mesh([np.arange(-nodes, nodes + 1) / nodes] * 2)
             points = points[(points**2).sum(axis=1) < 1.0]
@@ -320,12 +302,6 @@ def bound_of_steps(flow: Flow, most_nodes: int) -> Array | None:
     return None
 
 
-def _change_of_gradients(length: float) -> float:
-    """The largest change of gradients by a landmark of momentum 1 in the middle of a way."""
-    near = np.log(4.0) + 2.0 + 2.0 * np.log(2.0 / length)
-    return float(length * (near + max(0.0, CURVED - near + 2.0)))
-
-
 def _bound_in_ball(flow: Flow, most_cells: int) -> Array | None:
     """Bound |D Phi - I| of each step of an explicit scheme in space, shape (N,); None if a bound is not below 1."""
     # The changes at landmarks in the finest cells are part of every bound.
@@ -334,13 +310,13 @@ def _bound_in_ball(flow: Flow, most_cells: int) -> Array | None:
     for close in CLOSE:
         if not (of_steps(flow, np.maximum(least, close * seen)) < 1.0).all():
             continue
-        gradients = np.zeros(len(flow.points))
-        for s, state in enumerate(flow.points):
+        gradients = []
+        for state in flow.points:
             bound = _largest_gradient(flow, state, close, most_cells)
             if bound is None:
                 return None
-            gradients[s] = bound
-        bounds = of_steps(flow, gradients)
+            gradients.append(bound)
+        bounds = of_steps(flow, np.array(gradients))
         if (bounds < 1.0).all():
             return bounds
     return None
@@ -390,13 +366,13 @@ def _cells() -> Array:
 
 def _gradients(flow: Flow, state: Array, points: Array) -> Array:
     """Bound the spectral norm of the gradient of the velocity at points, shape (m,): zero beyond the rim."""
-    module: Any = flow.module
-    size = module.BLOCK
+    size = flow.module.BLOCK
     rates, gradients = np.empty(3 * size), np.empty(9 * size)
     norms = np.zeros(len(points))
     inside = np.flatnonzero((points**2).sum(axis=1) < 1.0)
     for k in range(0, len(inside), size):
         part = inside[np.minimum(np.arange(k, k + size), len(inside) - 1)]
-        module.tracer_gradient(points[part].T.ravel(), state, flow.case.own, flow.case.parameters, rates, gradients)
+        block = points[part].T.ravel()
+        flow.module.tracer_gradient(block, state, flow.case.own, flow.case.parameters, rates, gradients)
         norms[part] = np.linalg.norm(gradients.reshape(9, -1), axis=0)
     return norms

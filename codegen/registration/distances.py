@@ -1,6 +1,6 @@
 """Geodesic distances between all specimens, on several processes: the command `codegen distances`.
 
-The squared distance of two specimens is the cost of the motion that carries the landmarks of one to those of the other.
+The squared distance of two specimens is the cost of the motion from the landmarks of one to the landmarks of the other.
 So the distance is the length of a geodesic in the metric of registrations.
 """
 
@@ -14,7 +14,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +122,7 @@ def classical_scaling(distances: Array, dimensions: int = 2) -> tuple[Array, flo
     """Return points, shape (m, dimensions), that approximate a table of distances, shape (m, m), and their share.
 
     The points are the leading eigenvectors of -1/2 J D^2 J (Torgerson 1952, Psychometrika 17(4)). The largest entry of
-    each eigenvector is positive. The share is that of the absolute eigenvalues.
+    each eigenvector is positive. The share is their part of all absolute eigenvalues.
     """
     count = len(distances)
     centring = np.eye(count) - 1.0 / count
@@ -279,5 +279,5 @@ def write_mean(path: Path, distances: Distances) -> None:
         writer.writerows([k, *map(_text, point)] for k, point in enumerate(distances.mean, 1))
 
 
-def _text(value: Any) -> str:
+def _text(value: float) -> str:
     return f"{value:.12g}" if np.isfinite(value) else ""

@@ -58,14 +58,6 @@ class Grid:
         if not np.abs(axes.T @ axes - np.eye(len(self.size))).max() <= COSINES:
             raise LandmarkError("the image's axes are not orthogonal unit vectors", "resample it on an upright grid")
 
-    @classmethod
-    def plain(cls, shape: Sequence[int]) -> Grid:
-        """Return the grid of a picture of shape (height, width, ...), in pixels."""
-        height, width = (int(length) for length in tuple(shape)[:2])
-        if height < 1 or width < 1:
-            raise LandmarkError(f"the image's shape is {tuple(shape)}", "give its height and width in pixels")
-        return cls((width, height), (0.0, 0.0), (1.0, 1.0), ((1.0, 0.0), (0.0, 1.0)))
-
     @property
     def dimension(self) -> int:
         """2 or 3."""
@@ -115,20 +107,17 @@ class Grid:
         low, high = -0.5 - slack, np.array(self.size) - 0.5 + slack
         return np.asarray(((indices >= low) & (indices <= high)).all(axis=1))
 
-    def corners(self) -> PointArray:
-        """Return the outer corners, half a sample beyond the centres of samples."""
-        ends = [(-0.5, length - 0.5) for length in self.size[::-1]]
-        return self.to_places(np.array([corner[::-1] for corner in product(*ends)]))
-
-    def coarse(self, count: int) -> PointArray:
-        """Return a grid of `count` positions along each axis, from edge to edge, columns fastest."""
-        lines = [np.linspace(-0.5, length - 0.5, count) for length in self.size]
-        return self.to_places(mesh(lines))
-
     def samples(self, most: int) -> PointArray:
         """Return the positions of at most `most` samples along each axis, including the first and the last."""
         lines = [np.unique(np.linspace(0, length - 1, min(most, length)).round()) for length in self.size]
         return self.to_places(mesh(lines))
+
+    def portions(self, most: int) -> Iterator[tuple[slice, PointArray]]:
+        """Yield parts of at most `most` samples, columns fastest, and the positions of their samples."""
+        for begin in range(0, self.count, most):
+            part = slice(begin, min(begin + most, self.count))
+            indices = np.unravel_index(np.arange(part.start, part.stop), self.shape)
+            yield part, self.to_places(np.stack(indices[::-1], axis=1).astype(float))
 
 
 Extent: TypeAlias = Sequence[int] | Grid
@@ -136,20 +125,19 @@ Extent: TypeAlias = Sequence[int] | Grid
 
 
 def grid_of(extent: Extent) -> Grid:
-    """Return the grid of an extent; LandmarkError for a shape without pixels."""
-    return extent if isinstance(extent, Grid) else Grid.plain(extent)
+    """Return the grid of an extent, in pixels for a shape; LandmarkError for a shape without pixels."""
+    if isinstance(extent, Grid):
+        return extent
+    height, width = (int(length) for length in tuple(extent)[:2])
+    if height < 1 or width < 1:
+        raise LandmarkError(f"the image's shape is {tuple(extent)}", "give its height and width in pixels")
+    return Grid((width, height), (0.0, 0.0), (1.0, 1.0), ((1.0, 0.0), (0.0, 1.0)))
 
 
 def mesh(lines: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Return all combinations of the coordinates on lines, the first one changing fastest, shape (n, d)."""
     axes = np.meshgrid(*lines[::-1], indexing="ij")[::-1]
     return np.stack([axis.ravel() for axis in axes], axis=1)
-
-
-def slabs(length: int, thickness: int) -> Iterator[slice]:
-    """Yield successive slices of at most `thickness` samples."""
-    for begin in range(0, length, thickness):
-        yield slice(begin, min(begin + thickness, length))
 
 
 def short(unit: str) -> str:
@@ -166,7 +154,7 @@ MARGINS = {2: 0.25, 3: 1.0}
 """The margin of the disc, relative to the distance of the farthest corner, by dimension.
 
 In space the Green's function decays more slowly. Errors between 40 or 150 landmarks of smooth maps were 10 to 25 %
-larger with 0.25; with 1 they were about those of thin plates.
+larger with 0.25; with 1 they were about as large as with thin plates.
 """
 
 
@@ -194,7 +182,8 @@ class Frame:
     def around(cls, points: PointArray, margin: float = MARGINS[2]) -> Frame:
         """Return the frame in which points, shape (n, d), are within the radius 1/(1 + margin).
 
-        Its centre is that of the bounding box. LandmarkError if the margin is not positive, or if all points coincide.
+        Its centre is the centre of the bounding box. LandmarkError if the margin is not positive, or if all points
+        coincide.
         """
         if not 0.0 < margin < np.inf:
             raise LandmarkError(f"the margin is {margin!r}", "give a positive number")
@@ -208,18 +197,18 @@ class Frame:
 
 def corners(extent: Extent) -> PointArray:
     """Return the outer corners of an image, half a pixel beyond the centres of pixels."""
-    return grid_of(extent).corners()
+    grid = grid_of(extent)
+    ends = [(-0.5, length - 0.5) for length in grid.size[::-1]]
+    return grid.to_places(np.array([corner[::-1] for corner in product(*ends)]))
 
 
 def pixel_grid(shape: Sequence[int]) -> PointArray:
     """Return all pixels of an image of shape (height, width, ...), row by row, shape (height * width, 2)."""
     height, width = shape[:2]
-    grid = np.empty((height, width, 2))
-    grid[..., 0] = np.arange(width)
-    grid[..., 1] = np.arange(height)[:, None]
-    return grid.reshape(-1, 2)
+    return mesh([np.arange(float(width)), np.arange(float(height))])
 
 
 def coarse_grid(extent: Extent, count: int = 17) -> PointArray:
-    """Return `count` points along each axis of an image, from edge to edge."""
-    return grid_of(extent).coarse(count)
+    """Return a grid of `count` points along each axis of an image, from edge to edge, columns fastest."""
+    grid = grid_of(extent)
+    return grid.to_places(mesh([np.linspace(-0.5, length - 0.5, count) for length in grid.size]))

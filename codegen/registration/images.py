@@ -11,6 +11,7 @@ the size of a pixel from NIfTI, NRRD and MetaImage.
 
 from __future__ import annotations
 
+import importlib
 import io
 import logging
 import re
@@ -20,7 +21,8 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +30,17 @@ from numpy.typing import NDArray
 from codegen.errors import CodegenError, ExtraError, ImageError
 from codegen.files import replacing
 
+if TYPE_CHECKING:
+    from PIL.Image import Image as Picture
+
 Pixels: TypeAlias = NDArray[Any]
-"""An image of shape (h, w), or (h, w, c) with c = 2 (grey, opacity), 3 (RGB) or 4 (RGB, opacity)."""
+"""An image of shape (h, w), or (h, w, c) with c = 2 (grey, opacity), 3 (RGB) or 4 (RGB, opacity); or a volume."""
+SampleType: TypeAlias = np.dtype[Any]
 
 KINDS = {"PNG": (".png",), "JPEG": (".jpg", ".jpeg"), "TIFF": (".tif", ".tiff")}
 VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr")
 """Suffixes of files that `codegen.registration.volumes` reads."""
 SAMPLES = frozenset(np.dtype(name) for name in ("u1", "u2", "i2", "u4", "i4", "f4", "f8"))
-CHANNELS = {1: "grey", 2: "grey with opacity", 3: "RGB", 4: "RGB with opacity"}
 LONGEST = 1000.0
 """Largest ratio of the sides of a pixel."""
 MOST_UNIT = 12
@@ -44,9 +49,7 @@ MOST_UNIT = 12
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
-# JPEG markers (ITU-T T.81, table B.1): frames SOF0 to SOF15 without DHT, JPG and DAC; markers without a length.
-_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-_JPEG_WITHOUT_LENGTH = frozenset(range(0xD0, 0xD9)) | {0x01, 0xFF}
+_PNG_OF_16_BITS = "SimpleITK", "which reads and writes PNG with several channels of 16 bits,", "images"
 _EXIF_ORIENTATION = 0x0112
 _DEFLATE = (8, 32946)
 # EXIF 2.32, tag 0x0112: the side of the image that the first row and the first column of the stored array show.
@@ -116,11 +119,6 @@ class Image:
         """(h, w) or (h, w, c)."""
         return self.pixels.shape
 
-    @property
-    def channels(self) -> str:
-        """The names of the channels."""
-        return CHANNELS[self.pixels.shape[2] if self.pixels.ndim == 3 else 1]
-
 
 @dataclass(frozen=True)
 class _Header:
@@ -181,7 +179,7 @@ def read_image(source: Path | str | bytes, limits: Limits | None = None, name: s
     except Exception as error:  # for damaged files decoders raise exceptions of almost every class
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise ImageError(f"{name} is damaged or no image ({reason})", "give a whole PNG, JPEG or TIFF file") from error
-    # The resolution of PNG and JPEG files is that of a print.
+    # The resolution of PNG and JPEG files refers to a print.
     spacing = _tiff_spacing(data) if header.kind == "TIFF" else None
     if spacing is not None and orientation in _TRANSPOSED:
         spacing = Spacing(spacing.y, spacing.x, spacing.unit)
@@ -219,15 +217,13 @@ def write_image(path: Path, pixels: Pixels, profile: bytes | None = None) -> Non
                 planarconfig="contig" if channels > 1 else None,
             )  # fmt: skip
         elif pixels.dtype == np.uint16 and pixels.ndim == 3:
-            itk = _simple_itk(str(path))
+            itk = library(*_PNG_OF_16_BITS)
             itk.WriteImage(itk.GetImageFromArray(pixels, isVector=True), str(temporary), imageIO="PNGImageIO")
         else:
             from PIL import Image
 
-            options: dict[str, Any] = {"icc_profile": profile} if profile else {}
-            if kind == "JPEG":
-                options |= {"quality": 95, "subsampling": 0}
-            Image.fromarray(pixels).save(temporary, format=kind, **options)
+            options = {"quality": 95, "subsampling": 0} if kind == "JPEG" else {}
+            Image.fromarray(pixels).save(temporary, format=kind, icc_profile=profile, **options)
 
 
 def require_fitting(path: Path, pixels: Pixels) -> None:
@@ -249,7 +245,7 @@ def require_fitting(path: Path, pixels: Pixels) -> None:
     if dtype == np.uint16 and channels == 2:
         raise ImageError(f"{path}: 16-bit grey with opacity cannot be written as PNG", "write TIFF")
     if dtype == np.uint16 and channels > 2:
-        _simple_itk(str(path))
+        library(*_PNG_OF_16_BITS)
 
 
 def require_kind(path: Path) -> str:
@@ -266,34 +262,30 @@ def unit_name(unit: str) -> str:
     return _UNITS.get(unit, unit)[:MOST_UNIT]
 
 
-def rational(value: Any) -> float:
+def rational(value: tuple[int, int] | float | None) -> float:
     """Convert a rational number of a TIFF tag; a missing number is zero."""
     top, bottom = value if isinstance(value, tuple) else (value or 0, 1)
     return float(top) / float(bottom) if bottom else 0.0
 
 
-def tifffile() -> Any:
+def library(name: str, use: str, extra: str) -> ModuleType:
+    """Import a library; ExtraError with the command that installs the extra."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        remedy = f"install the extra: pip install 'variational-codegen[{extra}]'"
+        raise ExtraError(f"{name}, {use} is not installed", remedy) from error
+
+
+def tifffile() -> ModuleType:
     """Import tifffile without its messages on stderr; ExtraError if it is not installed."""
-    try:
-        import tifffile
-    except ImportError as error:
-        finding = "TIFF files take tifffile, which is not installed"
-        raise ExtraError(finding, "install the extra: pip install 'variational-codegen[images]'") from error
-    tifffile.logger().setLevel(logging.CRITICAL)
-    return tifffile
-
-
-def _simple_itk(name: str) -> Any:
-    try:
-        import SimpleITK
-    except ImportError as error:
-        finding = f"{name}: PNG with several channels of 16 bits takes SimpleITK, which is not installed"
-        raise ExtraError(finding, "pip install variational-codegen[images], or use TIFF") from error
-    return SimpleITK
+    module = library("tifffile", "which reads and writes TIFF files,", "images")
+    module.logger().setLevel(logging.CRITICAL)
+    return module
 
 
 def _header(name: str, data: bytes) -> _Header:
-    """Read the header; ImageError if the first bytes are not those of a PNG, JPEG or TIFF file."""
+    """Read the header; ImageError if the data do not begin like a PNG, JPEG or TIFF file."""
     if data.startswith(_PNG):
         # The IHDR chunk comes first (PNG specification, 11.2.2).
         if len(data) < 33 or data[12:16] != b"IHDR" or zlib.crc32(data[12:29]) != struct.unpack(">I", data[29:33])[0]:
@@ -301,7 +293,13 @@ def _header(name: str, data: bytes) -> _Header:
         width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
         return _Header("PNG", width, height, bits, _PNG_CHANNELS.get(colour, 0))
     if data.startswith(b"\xff\xd8\xff"):
-        return _jpeg_header(name, data)
+        from PIL.JpegImagePlugin import JpegImageFile
+
+        try:
+            picture = JpegImageFile(io.BytesIO(data))  # reads the header only
+        except Exception as error:  # for damaged files it raises exceptions of several classes
+            raise ImageError(f"{name} has no frame header", "give a whole JPEG file") from error
+        return _Header("JPEG", *picture.size, 8, len(picture.getbands()))
     if data.startswith(_TIFF):
         return _tiff_header(name, data)
     if name.lower().endswith(VOLUMES):
@@ -310,30 +308,10 @@ def _header(name: str, data: bytes) -> _Header:
     raise ImageError(f"{name} {problem}", "convert it to PNG, JPEG or TIFF")
 
 
-def _jpeg_header(name: str, data: bytes) -> _Header:
-    """Read the frame header (ITU-T T.81, B.2.2), which follows any number of other segments."""
-    position = 2
-    while position + 4 <= len(data):
-        marker = data[position + 1]
-        if data[position] != 0xFF:
-            break
-        if marker in _JPEG_WITHOUT_LENGTH:
-            position += 1 if marker == 0xFF else 2
-            continue
-        (length,) = struct.unpack(">H", data[position + 2 : position + 4])
-        if marker in _JPEG_FRAMES and position + 10 <= len(data):
-            bits, height, width, samples = struct.unpack(">BHHB", data[position + 4 : position + 10])
-            return _Header("JPEG", width, height, bits, samples)
-        if length < 2 or marker == 0xDA:
-            break
-        position += 2 + length
-    raise ImageError(f"{name} has no frame header", "give a whole JPEG file")
-
-
 def _tiff_header(name: str, data: bytes) -> _Header:
     """Read size and samples of the first page; ImageError for stacks and for unsupported samples."""
     with tifffile().TiffFile(io.BytesIO(data)) as file:
-        page: Any = file.pages[0]
+        page = file.pages[0]
         for number in range(1, 20):
             try:
                 other = file.pages[number]
@@ -358,7 +336,7 @@ def _decode_by_pillow(name: str, data: bytes, header: _Header) -> tuple[Pixels, 
     from PIL import Image
 
     if header.bits == 16 and header.samples > 1:
-        itk = _simple_itk(name)
+        itk = library(*_PNG_OF_16_BITS)
         if header.samples == 2:
             raise ImageError(f"{name} holds 16-bit grey with opacity", "save it as TIFF, or as RGB with opacity")
         with tempfile.TemporaryDirectory() as folder:
@@ -380,7 +358,7 @@ def _decode_by_pillow(name: str, data: bytes, header: _Header) -> tuple[Pixels, 
     return pixels, profile, orientation
 
 
-def _channels(picture: Any) -> Any:
+def _channels(picture: Picture) -> Picture:
     """Convert palettes, single bits and one transparent colour to the channels that they represent."""
     transparent = "transparency" in picture.info
     if picture.mode == "P":
@@ -395,10 +373,24 @@ def _channels(picture: Any) -> Any:
 def _decode_tiff(name: str, data: bytes, header: _Header) -> tuple[Pixels, bytes | None, int]:
     """Return pixels, colour profile and orientation of a TIFF file."""
     with tifffile().TiffFile(io.BytesIO(data)) as file:
-        page: Any = file.pages[0]
+        page = file.pages[0]
         is_plain = page.photometric.name in ("MINISBLACK", "RGB") and page.bitspersample != 1
         if is_plain and page.compression in (1, *_DEFLATE):
-            _require_segments(name, data, page)
+            # Refuse strips or tiles that lie outside the file, or that inflate to more than the image needs.
+            segments = list(zip(page.dataoffsets, page.databytecounts, strict=True))
+            if any(start + length > len(data) for start, length in segments):
+                raise ImageError(f"{name} is cut off", "give a whole TIFF file")
+            if page.compression in _DEFLATE:
+                width, height = (max(side, 1024) for side in (page.imagewidth, page.imagelength))
+                across, down = page.tilewidth or 1, page.tilelength or 1
+                if across > 2 * width or down > 2 * height:
+                    raise ImageError(f"{name} has tiles of {across} x {down} pixels", "save it anew")
+                most = (width + across) * (height + down) * page.samplesperpixel * page.dtype.itemsize
+                for start, length in segments:
+                    decompressor = zlib.decompressobj()
+                    most -= len(decompressor.decompress(data[start : start + length], most + 1))
+                    if most < 0:
+                        raise ImageError(f"{name} unfolds to more than its pixels", "save it anew")
             pixels = np.asarray(page.asarray())
             if page.planarconfig == 2 and pixels.ndim == 3:
                 pixels = np.moveaxis(pixels, 0, -1)
@@ -416,25 +408,6 @@ def _decode_tiff(name: str, data: bytes, header: _Header) -> tuple[Pixels, bytes
         return pixels, page.iccprofile, int(page.tags.valueof(274, 1) or 1)
 
 
-def _require_segments(name: str, data: bytes, page: Any) -> None:
-    """Refuse strips or tiles that lie outside the file, or that inflate to more than the image needs."""
-    segments = list(zip(page.dataoffsets, page.databytecounts, strict=True))
-    if any(start + length > len(data) for start, length in segments):
-        raise ImageError(f"{name} is cut off", "give a whole TIFF file")
-    if page.compression not in _DEFLATE:
-        return
-    width, height = (max(side, 1024) for side in (page.imagewidth, page.imagelength))
-    across, down = page.tilewidth or 1, page.tilelength or 1
-    if across > 2 * width or down > 2 * height:
-        raise ImageError(f"{name} has tiles of {across} x {down} pixels", "save it anew")
-    most = (width + across) * (height + down) * page.samplesperpixel * page.dtype.itemsize
-    for start, length in segments:
-        decompressor = zlib.decompressobj()
-        most -= len(decompressor.decompress(data[start : start + length], most + 1))
-        if most < 0:
-            raise ImageError(f"{name} unfolds to more than its pixels", "save it anew")
-
-
 def _tiff_spacing(data: bytes) -> Spacing | None:
     """Read the size of a pixel; None if the file has none, or one that is not plausible."""
     spacing = None
@@ -446,7 +419,7 @@ def _tiff_spacing(data: bytes) -> Spacing | None:
                 if x is not None and y is not None:
                     spacing = Spacing(float(x[1]), float(y[1]), unit_name(unit[1] if unit else "µm"))
             else:
-                tags: Any = file.pages[0].tags
+                tags = file.pages[0].tags
                 width, height = (rational(tags.valueof(tag)) for tag in (282, 283))
                 if not (width and height):
                     return None

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,17 +23,24 @@ from codegen.registration.alignment import Kind
 from codegen.registration.certificate import certificate_of, in_provable_steps
 from codegen.registration.formats import read_landmarks
 from codegen.registration.formats.base import Frames
-from codegen.registration.grid import Extent, Grid, place_text
+from codegen.registration.grid import Grid, place_text
 from codegen.registration.images import read_image, require_fitting, require_kind, write_image
 from codegen.registration.linear import chosen_alignment
 from codegen.registration.maps import in_pixels, in_squares, square_grid
 from codegen.registration.matching import Matching
 from codegen.registration.noise import Loss, estimate_sigma, outliers_of
-from codegen.registration.pair_report import RESIDUALS, Outcome, Result, write_page, write_report
+from codegen.registration.pair_report import (
+    NOTE,
+    VOLUME_NOTE,
+    Outcome,
+    Record,
+    pictures_of,
+    volume_pictures,
+    write_page,
+)
 from codegen.registration.pairs import LandmarkPairs, flipped
 from codegen.registration.register import MOST_LEFT_OUT, leave_one_out, register
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
-from codegen.registration.volume_pictures import VolumeResult, volume_pictures
 from codegen.registration.volumes import Nodes, is_volume, read_volume, warped
 from codegen.registration.warp import (
     FIELD_KINDS,
@@ -52,7 +59,8 @@ LARGE = 1 << 22
 """Pixels of an image above which positions are interpolated from a coarse grid by default."""
 
 Progress = Callable[[str], None]
-R = TypeVar("R", bound=Outcome)
+_DIRECTIONS = ("moving to fixed", "fixed to moving")
+"""The direction of the image by `inverse`; the direction of a displacement field is the opposite."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +86,8 @@ class Options:
 class Job:
     """The input and output files of one pair.
 
-    `landmarks` is one file, or a moving and a fixed one. `interpolation` is that of this pair, for instance for labels
-    among other images; None: that of the options.
+    `landmarks` is one file, or a moving and a fixed one. `interpolation` replaces the option for this pair, for
+    instance for labels among other images.
     """
 
     moving: Path
@@ -120,13 +128,13 @@ def run(job: Job, options: Options, progress: Progress | None = None) -> Outcome
     `progress` receives a line after each solve if there are several. Raises CodegenError for wrong input; after a
     failure of the numerics the outcome has not `passed`.
     """
+    if job.interpolation is not None:
+        options = replace(options, interpolation=job.interpolation)
     return (run_volumes if is_volume(job.moving) else run_pictures)(job, options, progress)
 
 
-def run_pictures(job: Job, options: Options, progress: Progress | None = None) -> Result:
+def run_pictures(job: Job, options: Options, progress: Progress | None = None) -> Outcome:
     """Register one pair of pictures, as `run`."""
-    if job.interpolation is not None:
-        options = replace(options, interpolation=job.interpolation)
     seconds: dict[str, float] = {}
     require_kind(job.out)
     if job.field is not None and not job.field.name.endswith(FIELD_KINDS):
@@ -143,14 +151,11 @@ def run_pictures(job: Job, options: Options, progress: Progress | None = None) -
             pairs = flipped(pairs, moving.shape[1])
         source = fixed if options.inverse and fixed is not None else moving
         require_fitting(job.out, source.pixels)
-    with _timed(seconds, "build"):
-        registration_module(options.scheme)
-    record = _record(job, options, len(pairs), seconds)
-    target, summary = fixed or moving, record["summary"]
+    target = fixed or moving
     grids = square_grid(moving.shape, moving.spacing), square_grid(target.shape, target.spacing)
-    result = Result(record=record, pairs=pairs, moving=moving, fixed=fixed)
-    result, positions = _registered(job, options, result, in_squares(pairs, *grids), *grids, progress)
+    result, positions = _registered(job, options, pairs, grids, seconds, progress)
     registration, certificate, left_out = result.registration, result.certificate, result.left_out
+    summary = result.record["summary"]
     if registration is not None and certificate is not None:
         if target.spacing is not None:
             residuals = target.spacing.lengths(registration.misses)
@@ -165,36 +170,28 @@ def run_pictures(job: Job, options: Options, progress: Progress | None = None) -
         if certificate.passed:
             with _timed(seconds, "warp"):
                 if options.coarse or positions is None:
-                    shape = registration.shape if options.inverse else registration.fixed_shape
+                    shape = (registration.grid if options.inverse else registration.fixed_grid).shape
                     coarse = math.prod(shape) > LARGE if options.coarse is None else options.coarse
                     positions = sources(registration, shape, options.inverse, "auto" if coarse else None)
                 pixels, report = warp_reported(
-                    source.pixels, registration, interpolation=options.interpolation, inverse=options.inverse,
-                    positions=positions,
-                )  # fmt: skip
+                    source.pixels, registration, interpolation=options.interpolation, positions=positions
+                )
             summary |= {"spacing": report.spacing, "spacing_bound": report.bound, "outside": report.outside}
             result = replace(result, warped=pixels)
     if job.report is not None:
         with _timed(seconds, "report"):
-            write_report(job.report, result)
-    if result.passed:
+            write_page(job.report, result, pictures_of(result, moving, fixed), NOTE)
+    if result.passed and result.warped is not None:
         with _timed(seconds, "write"):
             if job.field is not None and positions is not None:
                 # The field of the image: from each of its pixels to the position of its value.
-                write_field(job.field, displacements(positions), _field_direction(options))
+                write_field(job.field, displacements(positions), _DIRECTIONS[not options.inverse])
             write_image(job.out, result.warped, source.profile)
     return result
 
 
-NOTE = (
-    f"Places and errors are in the coordinates of the files, LPS as a rule, x to the left of the patient. {RESIDUALS}"
-)
-
-
-def run_volumes(job: Job, options: Options, progress: Progress | None = None) -> VolumeResult:
+def run_volumes(job: Job, options: Options, progress: Progress | None = None) -> Outcome:
     """Register one pair of volumes, as `run`."""
-    if job.interpolation is not None:
-        options = replace(options, interpolation=job.interpolation)
     seconds: dict[str, float] = {}
     if options.flip:
         raise ArgumentError("--flip mirrors pictures", "mirror the volume and its landmarks where they were made")
@@ -211,34 +208,30 @@ def run_volumes(job: Job, options: Options, progress: Progress | None = None) ->
             raise ArgumentError(finding, "give volumes in the same unit")
         pairs = read_landmarks(*job.landmarks, frames=Frames(grids=grids))
         _require_inside(job, pairs, grids)
-        volumes.require_written(job.out, (fixed if options.inverse and fixed else moving).samples.dtype)
-    with _timed(seconds, "build"):
-        registration_module(options.scheme, 3)
-    record = _record(job, options, len(pairs), seconds)
-    result = VolumeResult(record=record, pairs=pairs, moving=moving, fixed=fixed, inverse=options.inverse)
-    result, _ = _registered(job, options, result, pairs, *grids, progress)
-    registration, certificate = result.registration, result.certificate
+        source, target = (fixed, grids[0]) if options.inverse and fixed is not None else (moving, grids[1])
+        volumes.require_written(job.out, source.samples.dtype)
+    result, _ = _registered(job, options, pairs, grids, seconds, progress)
+    registration, certificate, field = result.registration, result.certificate, None
     if registration is not None and certificate is not None and certificate.passed:
         with _timed(seconds, "warp"):
-            inverse = options.inverse
-            function = registration.map_points if inverse else registration.map_points_inverse
-            landmarks = registration.pairs.moving if inverse else registration.pairs.fixed
-            nodes = Nodes.of(function, registration.grid if inverse else registration.fixed_grid, landmarks)
-            made = warped(result.source, nodes, options.interpolation, job.field is not None)
-            record["summary"] |= {
+            function = registration.map_points if options.inverse else registration.map_points_inverse
+            nodes = Nodes.of(
+                function, target, registration.pairs.moving if options.inverse else registration.pairs.fixed
+            )
+            made = warped(source, nodes, options.interpolation, job.field is not None)
+            result.record["summary"] |= {
                 "spacing": list(nodes.steps), "spacing_bound": nodes.bound, "exact": nodes.exact,
                 "outside": made.outside,
             }  # fmt: skip
-            result = replace(result, warped=made)
+            result, field = replace(result, warped=made.samples), made.field
     if job.report is not None:
         with _timed(seconds, "report"):
-            write_page(job.report, result, volume_pictures(result), NOTE)
+            write_page(job.report, result, volume_pictures(result, moving, fixed), VOLUME_NOTE)
     if result.passed and result.warped is not None:
         with _timed(seconds, "write"):
-            grid = grids[0] if options.inverse else grids[1]
-            if job.field is not None and result.warped.field is not None:
-                volumes.write_field(job.field, result.warped.field, grid, _field_direction(options))
-            volumes.write_volume(job.out, result.warped.samples, grid)
+            if job.field is not None and field is not None:
+                volumes.write_field(job.field, field, target, _DIRECTIONS[not options.inverse])
+            volumes.write_volume(job.out, result.warped, target)
     return result
 
 
@@ -280,33 +273,30 @@ def _require_inside(job: Job, pairs: LandmarkPairs, grids: tuple[Grid, Grid]) ->
         raise PointsError(f"{job.landmarks[0]}: {finding} the {side} volume", remedy)
 
 
-def _record(job: Job, options: Options, count: int, seconds: dict[str, float]) -> dict[str, Any]:
-    """The record before the solve."""
-    direction = "fixed to moving" if options.inverse else "moving to fixed"
-    return {
-        "problem": "image_registration", "task": "warp", "direction": direction, "moving": str(job.moving),
-        "fixed": str(job.fixed) if job.fixed is not None else None, "landmarks": [str(path) for path in job.landmarks],
-        "out": str(job.out), "align": options.align, "scheme": options.scheme, "interpolation": options.interpolation,
-        "sigma": None if options.sigma == "auto" else options.sigma, "steps": options.steps, "status": "",
-        "message": "", "residual": None, "seconds": seconds, "summary": {"landmarks": count},
-    }  # fmt: skip
-
-
-def _field_direction(options: Options) -> str:
-    """The direction of the displacement field, which is opposite to that of the image."""
-    return "moving to fixed" if options.inverse else "fixed to moving"
-
-
 def _registered(
-    job: Job, options: Options, result: R, pairs: LandmarkPairs, shape: Extent, fixed_shape: Extent,
+    job: Job, options: Options, pairs: LandmarkPairs, grids: tuple[Grid, Grid], seconds: dict[str, float],
     progress: Progress | None,
-) -> tuple[R, Positions | None]:  # fmt: skip
-    """Register and certify pictures or volumes, and complete the record; without a map the result stays as it is.
+) -> tuple[Outcome, Positions | None]:  # fmt: skip
+    """Register and certify pictures or volumes; without a map the record of the outcome has the reason.
 
-    The second value has the positions of all pixels if the certificate needed them.
+    `pairs` are in pixels for pictures, and in the coordinates of the grids for volumes. The second value has the
+    positions of all pixels if the certificate needed them.
     """
-    record, seconds, summary = result.record, result.record["seconds"], result.record["summary"]
-    method: dict[str, Any] = {"fixed_shape": fixed_shape, "align": options.align, "scheme": options.scheme}
+    with _timed(seconds, "build"):
+        registration_module(options.scheme, pairs.dimension)
+    summary: Record = {"landmarks": len(pairs)}
+    record: Record = {
+        "problem": "image_registration", "task": "warp", "direction": _DIRECTIONS[options.inverse],
+        "moving": str(job.moving), "fixed": str(job.fixed) if job.fixed is not None else None,
+        "landmarks": [str(path) for path in job.landmarks], "out": str(job.out), "align": options.align,
+        "scheme": options.scheme, "interpolation": options.interpolation,
+        "sigma": None if options.sigma == "auto" else options.sigma, "steps": options.steps, "status": "",
+        "message": "", "residual": None, "seconds": seconds, "summary": summary,
+    }  # fmt: skip
+    result, (shape, fixed_shape) = Outcome(record=record, pairs=pairs), grids
+    if pairs.dimension == 2:
+        pairs = in_squares(pairs, *grids)
+    method: Record = {"fixed_shape": fixed_shape, "align": options.align, "scheme": options.scheme}
     try:
         with _timed(seconds, "solve"):
             if options.align == "auto":
@@ -341,13 +331,14 @@ def _registered(
         "status": status, "message": certificate.message, "residual": _strict(certificate.residual_max),
     }  # fmt: skip
     residuals = registration.residuals
-    findings: dict[str, Any] = {
+    findings: Record = {
         "landmarks": len(pairs), "names": list(registration.pairs.names), "residuals": residuals.tolist(),
         "det_min": certificate.det_min, "det_max": certificate.det_max, "det_min_at": certificate.det_min_at,
         "folded": certificate.folded, "first_fold": certificate.first_fold, "round_trip": certificate.round_trip,
         "proved": certificate.proved, "scheme_error": registration.error, "alignment": registration.alignment.kind,
-        "rung": registration.rung, "deviation": float(np.sqrt((residuals**2).mean() / registration.dimension)),
-        "strength": registration.matching.strength, "solves": registration.solves, "unit": registration.matching.unit,
+        "rung": registration.rung, "deviation": float(np.sqrt((residuals**2).mean() / pairs.dimension)),
+        "strength": registration.matching.strength, "solves": registration.solves,
+        "unit": registration.matching.fixed_grid.unit,
     }  # fmt: skip
     if left_out is not None:
         findings["leave_one_out"] = left_out.errors.tolist()
@@ -357,7 +348,7 @@ def _registered(
     return result, positions
 
 
-def _strict(value: Any) -> Any:
+def _strict(value: object) -> Any:
     """Convert a value for strict JSON: NaN and infinity become None."""
     if isinstance(value, dict):
         return {name: _strict(entry) for name, entry in value.items()}

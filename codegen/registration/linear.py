@@ -70,39 +70,34 @@ class Linear:
     @classmethod
     def of(cls, matching: Matching) -> Linear:
         """Return the theory of landmarks after their alignment, in their frame."""
-        start, target = matching.all_ends
+        start, target = matching.ends
         return cls(matching.covariance, (target - start) * matching.frame.radius, matching.alignment.parameters)
 
     @cached_property
-    def _parts(self) -> tuple[Array, Array, Array]:
-        """Eigenvalues, eigenvectors, and squares of the displacements along them."""
+    def parts(self) -> tuple[Array, Array, Array]:
+        """Eigenvalues, orthonormal eigenvectors in columns, and squares of the displacements along the latter."""
         values, vectors = np.linalg.eigh(self.covariance)
         return np.maximum(values, 0.0), vectors, ((vectors.T @ self.displacements) ** 2).sum(axis=1)
 
     @property
-    def vectors(self) -> Array:
-        """Orthonormal eigenvectors of the covariance, shape (n, n), in columns."""
-        return self._parts[1]
-
-    @property
     def largest(self) -> float:
         """The largest eigenvalue."""
-        return float(self._parts[0][-1])
+        return float(self.parts[0][-1])
 
     def unfitted(self, ridges: Array) -> Array:
         """Return the share of each component in the residuals, shape (number of ridges, n)."""
-        return ridges[:, None] / (self._parts[0] + ridges[:, None])
+        return ridges[:, None] / (self.parts[0] + ridges[:, None])
 
     def residual(self, ridge: float) -> float:
         """Return the root mean square of the residuals of coordinates, in pixels."""
         unfitted = self.unfitted(np.array([ridge]))[0]
-        return float(np.sqrt((unfitted**2 * self._parts[2]).sum() / self.displacements.size))
+        return float(np.sqrt((unfitted**2 * self.parts[2]).sum() / self.displacements.size))
 
     def by_cross_validation(self) -> float:
         """Return the ridge of least generalised cross-validation: squared residuals by degrees of freedom squared."""
         ridges = RIDGES * self.largest
         unfitted = self.unfitted(ridges)
-        squares = (unfitted**2 * self._parts[2]).sum(axis=1)
+        squares = (unfitted**2 * self.parts[2]).sum(axis=1)
         free = float(self.displacements.shape[1]) * unfitted.sum(axis=1) - self.fitted
         enough = free > LEAST_FREE * self.displacements.size
         scores = np.where(enough, squares / np.where(enough, free, 1.0) ** 2, np.inf)
@@ -110,12 +105,12 @@ class Linear:
 
     def precision(self, ridge: float) -> Array:
         """Return the inverse of covariance plus ridge, shape (n, n)."""
-        values, vectors, _ = self._parts
+        values, vectors, _ = self.parts
         return np.asarray((vectors / (values + max(ridge, EXACT * self.largest))) @ vectors.T)
 
     def continued(self, velocities: Array, before: float, after: float) -> Array:
         """Convert initial velocities of a nearly linear solution, shape (n, d), to another ridge."""
-        values, vectors, _ = self._parts
+        values, vectors, _ = self.parts
         return np.asarray(vectors @ (((values + before) / (values + after))[:, None] * (vectors.T @ velocities)))
 
 
@@ -137,7 +132,7 @@ class Freedom:
         whole = Linear.of(matching)
         linear = Linear(whole.covariance[np.ix_(kept, kept)], whole.displacements[kept], whole.fitted)
         changes = matching.alignment.tangent(matching.pairs.moving[kept])
-        along = np.einsum("nk,ndp->kdp", linear.vectors, changes)
+        along = np.einsum("nk,ndp->kdp", linear.parts[1], changes)
         return cls(linear, matching.pairs.dimension - (along**2).sum(axis=(1, 2)))
 
     def coordinates(self, ridge: float) -> float:
@@ -205,7 +200,7 @@ def chosen_alignment(pairs: LandmarkPairs, shape: Extent, **options: Any) -> Ali
         return AlignmentChoice(CANDIDATES[0], {})
     if len(pairs) > MOST:
         kept = np.zeros(len(pairs), dtype=bool)
-        # A random sample, always the same: every n-th landmark of a grid may be those of a few columns.
+        # A random sample, always the same: every n-th landmark of a grid may lie in a few columns.
         kept[np.random.default_rng(0).choice(len(pairs), MOST, replace=False)] = True
         pairs = pairs.chosen(kept)
     errors: dict[str, float] = {}

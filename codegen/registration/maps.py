@@ -1,7 +1,7 @@
 """Registrations: the maps from the moving to the fixed image, their inverses, and the number of steps.
 
 Pictures whose pixels are not square are registered on grids, as volumes are, and their maps are between pixels.
-Distances in such pixels are not isotropic: rotations, the disc, roughness and errors would be those of a stretched
+Distances in such pixels are not isotropic: rotations, the disc, roughness and errors would be measured in a stretched
 picture. Landmarks are therefore registered in coordinates whose unit is the side of a square with the area of a pixel.
 Areas, and so det J, are the same in both coordinates. For square pixels, and for files without a spacing, the
 coordinates are exactly pixels.
@@ -9,16 +9,15 @@ coordinates are exactly pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment
-from codegen.registration.grid import Extent, Frame, Grid, coarse_grid, grid_of, place_text, short
+from codegen.registration.grid import Extent, Grid, coarse_grid, grid_of, place_text, short
 from codegen.registration.images import Spacing
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
@@ -41,6 +40,11 @@ class Registration:
 
     The flow itself runs from the fixed image to the moving one; see `Matching`.
 
+    `pairs` are the landmarks, and `grid` and `fixed_grid` the grids of the images, which define the coordinates of all
+    points: pixels for pictures. `sides` are the sides of pixels of both images in the coordinates of the matching. They
+    are 1 unless the pixels of a picture are not square; then distances, sigma, the alignment and the frame are in sides
+    of a square of the area of a pixel.
+
     `misses` lead from the fixed landmarks to the carried moving ones, in pixels of the fixed image, shape (n, d).
     `error` estimates the distance from the map of infinitely many steps, in pixels; NaN for a given number of steps.
     `round_trip` is the largest error of the round trip of landmarks and of a coarse grid, in pixels. `rung` is the
@@ -57,13 +61,17 @@ class Registration:
     status: str
     rung: str
     message: str
+    pairs: LandmarkPairs
+    grid: Grid
+    fixed_grid: Grid
+    sides: tuple[NDArray[np.float64], NDArray[np.float64]]
     solves: int = 1
 
     def __repr__(self) -> str:
-        unit = short(self.matching.unit)
+        unit = short(self.matching.fixed_grid.unit)
         residuals = f"residuals at most {self.residuals.max(initial=0.0):.2g} {unit}"
         errors = f"{residuals}, round trip {self.round_trip:.2g} {unit}"
-        solution = f"{self.status} in {self.steps} steps of {self.scheme}"
+        solution = f"{self.status} in {self.steps} steps of {self.matching.scheme}"
         return f"<Registration of {len(self.pairs)} landmarks, moving to fixed: {solution}, {errors}>"
 
     @cached_property
@@ -72,44 +80,9 @@ class Registration:
         return np.asarray(np.linalg.norm(self.misses, axis=1))
 
     @property
-    def pairs(self) -> LandmarkPairs:
-        """The landmarks."""
-        return self.matching.pairs
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Height and width of the moving image, or slices, rows and columns."""
-        return self.matching.shape
-
-    @property
-    def fixed_shape(self) -> tuple[int, ...]:
-        """The shape of the fixed image."""
-        return self.matching.fixed_shape
-
-    @property
-    def grid(self) -> Grid:
-        """The grid of the moving image, which defines the coordinates of landmarks: pixels for a picture."""
-        return self.matching.grid
-
-    @property
-    def fixed_grid(self) -> Grid:
-        """The grid of the fixed image."""
-        return self.matching.fixed_grid
-
-    @property
-    def dimension(self) -> int:
-        """2 or 3."""
-        return self.pairs.dimension
-
-    @property
     def alignment(self) -> Alignment:
         """The similarity or affine map that comes before the flow."""
         return self.matching.alignment
-
-    @property
-    def frame(self) -> Frame:
-        """The disc in which the flow moves points."""
-        return self.matching.frame
 
     @property
     def sigma(self) -> float:
@@ -122,11 +95,6 @@ class Registration:
         return self.flow.velocities[self.matching.groups]
 
     @property
-    def scheme(self) -> str:
-        """The name of the scheme of the flow."""
-        return self.matching.scheme
-
-    @property
     def steps(self) -> int:
         """The number of steps of the flow."""
         return self.flow.steps
@@ -137,15 +105,15 @@ class Registration:
         pulls = (self.flow.velocities * self.flow.path[0, 1]).sum()
         return float(np.sqrt(max(0.0, pulls) * self.flow.case.duration))
 
-    def map_points(self, xy: Any) -> PointArray:
+    def map_points(self, xy: ArrayLike) -> PointArray:
         """Map points of the moving image, in pixels, shape (n, d), to the fixed image."""
         return self.positions(1.0, xy)
 
-    def map_points_inverse(self, xy: Any) -> PointArray:
+    def map_points_inverse(self, xy: ArrayLike) -> PointArray:
         """Map points of the fixed image, in pixels, shape (n, d), to the moving image."""
         return self.positions(1.0, xy, inverse=True)
 
-    def positions(self, time: float, xy: Any, inverse: bool = False) -> PointArray:
+    def positions(self, time: float, xy: ArrayLike, inverse: bool = False) -> PointArray:
         """Return the positions of points of the moving image at a time.
 
         Parameters
@@ -169,59 +137,62 @@ class Registration:
         """
         if not 0.0 <= time <= 1.0:
             raise LandmarkError(f"the time is {time!r}", "give a number from 0 to 1")
-        points, part = as_points(xy, self.dimension), self.alignment.part(time, self.matching.pairs.moving.mean(axis=0))
+        alignment, (moving, fixed) = self.alignment, self.sides
+        part = alignment.part(time, self.matching.pairs.moving.mean(axis=0))
+        sides = moving * (fixed / moving) ** time  # they change from one image to the other
         if inverse:
-            aligned = points if part is self.alignment else self.alignment.apply(part.apply_inverse(points))
-            return self.alignment.apply_inverse(self._carried(aligned, 1.0 - time, 1.0))
-        carried = self._carried(self.alignment.apply(points), 1.0, 1.0 - time)
-        return carried if part is self.alignment else part.apply(self.alignment.apply_inverse(carried))
+            points = as_points(xy, self.pairs.dimension) * sides
+            aligned = points if part is alignment else alignment.apply(part.apply_inverse(points))
+            return np.asarray(alignment.apply_inverse(self._carried(aligned, 1.0 - time, 1.0)) / moving)
+        carried = self._carried(alignment.apply(as_points(xy, self.pairs.dimension) * moving), 1.0, 1.0 - time)
+        return np.asarray((carried if part is alignment else part.apply(alignment.apply_inverse(carried))) / sides)
 
-    def jacobian(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
+    def jacobian(self, xy: ArrayLike, inverse: bool = False) -> NDArray[np.float64]:
         """Return the derivative of the map or of its inverse at points in pixels, shape (n, d, d), rows x, y, ..."""
-        points = as_points(xy, self.dimension)
-        if inverse:
-            jacobians = self.flow.carry_with_jacobian(self.frame.to_disc(points))[1]
-            return np.asarray(self.alignment.inverse_matrix @ jacobians)
-        aligned = self.frame.to_disc(self.alignment.apply(points))
-        return np.asarray(self.flow.carry_with_jacobian(aligned, 1.0, 0.0)[1] @ self.alignment.matrix)
+        moving, fixed = self.sides
+        ratio = fixed / moving[:, None] if inverse else moving / fixed[:, None]
+        return np.asarray(self._with_derivative(xy, inverse)[1] * ratio)
 
-    def determinant(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
+    def determinant(self, xy: ArrayLike, inverse: bool = False) -> NDArray[np.float64]:
         """Return the growth of areas by the map, or by its inverse, at points in pixels, shape (n,)."""
         return _determinant(self.jacobian(xy, inverse))
 
-    def arriving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
+    def arriving(self, xy: ArrayLike) -> tuple[PointArray, NDArray[np.float64]]:
         """Map points of the fixed image, in pixels, to the moving image, and return the growth of areas by the map.
 
-        The growth, shape (n,), is the reciprocal of that of the inverse map, which costs less than `determinant`.
+        The growth, shape (n,), is the reciprocal of the growth by the inverse map, which costs less than `determinant`.
         """
-        points = as_points(xy, self.dimension)
-        before = self.frame.to_disc(points)
-        after, jacobians = self.flow.carry_with_jacobian(before)
-        jacobians = self.alignment.inverse_matrix @ jacobians
+        places, jacobians = self._with_derivative(xy, inverse=True)
         with np.errstate(divide="ignore"):
-            factors = 1.0 / _determinant(jacobians)
-        return self.alignment.apply_inverse(self._moved(points, before, after)), factors
+            return places, 1.0 / _determinant(jacobians)
 
-    def leaving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
+    def leaving(self, xy: ArrayLike) -> tuple[PointArray, NDArray[np.float64]]:
         """Map points of the moving image, in pixels, to the fixed image, and return the growth of areas, shape (n,)."""
-        points = as_points(xy, self.dimension)
-        aligned = self.alignment.apply(points)
-        before = self.frame.to_disc(aligned)
-        after, jacobians = self.flow.carry_with_jacobian(before, 1.0, 0.0)
-        return self._moved(aligned, before, after), _determinant(jacobians @ self.alignment.matrix)
+        places, jacobians = self._with_derivative(xy, inverse=False)
+        return places, _determinant(jacobians)
 
-    def arriving_determinant(self, xy: Any) -> NDArray[np.float64]:
-        """Return the growth of areas of `arriving`, shape (n,)."""
-        return self.arriving(xy)[1]
+    def _with_derivative(self, xy: ArrayLike, inverse: bool) -> tuple[PointArray, NDArray[np.float64]]:
+        """Map points, and return the derivatives in the coordinates of the matching; areas are the same there."""
+        points, (moving, fixed), frame = as_points(xy, self.pairs.dimension), self.sides, self.matching.frame
+        if inverse:
+            points = points * fixed
+            before = frame.to_disc(points)
+            after, jacobians = self.flow.carry_with_jacobian(before)
+            places = self.alignment.apply_inverse(self._moved(points, before, after)) / moving
+            return places, self.alignment.inverse_matrix @ jacobians
+        aligned = self.alignment.apply(points * moving)
+        before = frame.to_disc(aligned)
+        after, jacobians = self.flow.carry_with_jacobian(before, 1.0, 0.0)
+        return self._moved(aligned, before, after) / fixed, jacobians @ self.alignment.matrix
 
     def _carried(self, points: PointArray, start: float, stop: float) -> PointArray:
         """Carry points in pixels of the fixed image by the flow."""
-        before = self.frame.to_disc(points)
+        before = self.matching.frame.to_disc(points)
         return self._moved(points, before, self.flow.carry(before, start, stop))
 
     def _moved(self, points: PointArray, before: PointArray, after: PointArray) -> PointArray:
         """Move points in pixels as in the disc, so that fixed points remain exactly unchanged."""
-        return points + self.frame.radius * (after - before)
+        return points + self.matching.frame.radius * (after - before)
 
 
 def _determinant(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -232,35 +203,28 @@ def _determinant(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
 
 
-def solved(
-    matching: Matching,
-    steps: int | None,
-    tolerance: float = TOLERANCE,
-    velocities: NDArray[np.float64] | None = None,
-    quick: bool = False,
-) -> Registration:
-    """Register in a given number of steps, or in as many as an error below `tolerance` pixels takes."""
-    return refined(matching, tolerance, velocities) if steps is None else in_steps(matching, steps, velocities, quick)
-
-
 def in_steps(
     matching: Matching, steps: int, velocities: NDArray[np.float64] | None = None, quick: bool = False
 ) -> Registration:
     """Register in a given number of steps; `velocities` and `quick` are arguments of `Matching.solve`."""
     flow, solution, rung = matching.solve(steps, velocities, quick)
     nothing = np.empty((0, matching.pairs.dimension))
-    result = Registration(matching, flow, nothing, np.nan, np.nan, solution.status, rung, solution.message)
+    ones = np.ones(matching.pairs.dimension)
+    result = Registration(
+        matching, flow, nothing, np.nan, np.nan, solution.status, rung, solution.message, matching.pairs,
+        matching.grid, matching.fixed_grid, (ones, ones),
+    )  # fmt: skip
     probe = _probe(matching)
     carried = result.map_points(probe)
     back = np.linalg.norm(result.map_points_inverse(carried) - probe, axis=1).max()
     result = replace(result, misses=carried[: len(matching.pairs)] - matching.pairs.fixed, round_trip=float(back))
     worst = int(np.argmax(result.residuals))
     residual = result.residuals[worst]
-    if matching.sigma > 0.0 or residual <= MISSED * matching.pixel:
+    if matching.sigma > 0.0 or residual <= MISSED * matching.fixed_grid.pixel:
         return result
     # The solver has met the landmarks by the inverse map, but the map itself misses them.
     place = place_text(matching.grid.said(matching.pairs.moving[worst]))
-    where = f"landmark {matching.pairs.names[worst]}, at {place}, by {residual:.2g} {matching.unit}"
+    where = f"landmark {matching.pairs.names[worst]}, at {place}, by {residual:.2g} {matching.fixed_grid.unit}"
     message = f"the map folds in {steps} steps and misses {where}; take more steps"
     return replace(result, status="folded", message=message)
 
@@ -270,14 +234,25 @@ def _probe(matching: Matching) -> PointArray:
     return np.vstack([matching.pairs.moving, coarse_grid(matching.grid, PROBED[matching.pairs.dimension])])
 
 
-def refined(
-    matching: Matching, tolerance: float, velocities: NDArray[np.float64] | None, first: int = FIRST_STEPS
+def solved(
+    matching: Matching,
+    steps: int | None,
+    tolerance: float = TOLERANCE,
+    velocities: NDArray[np.float64] | None = None,
+    quick: bool = False,
+    first: int = FIRST_STEPS,
 ) -> Registration:
-    """Double the number of steps until the error is below the tolerance; the smallest sufficient number is kept."""
+    """Register in a given number of steps, or in as many as an error below `tolerance` pixels takes.
+
+    Without a number of steps it is doubled from `first` until the error is small; the smallest sufficient one is kept.
+    """
+    if steps is not None:
+        return in_steps(matching, steps, velocities, quick)
     if not tolerance > 0.0:
         raise LandmarkError(f"the tolerance is {tolerance!r}", "give a number of pixels")
     coarse, steps, probe = None, first, _probe(matching)
-    least, back = tolerance * matching.pixel, ROUND_TRIP * matching.pixel
+    pixel = matching.fixed_grid.pixel
+    least, back = tolerance * pixel, ROUND_TRIP * pixel
     while True:
         try:
             fine = in_steps(matching, steps, velocities if coarse is None else coarse.velocities, quick=True)
@@ -291,10 +266,8 @@ def refined(
             # Richardson's estimate of the errors of both.
             change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
             gain = 2.0 ** float(fine.flow.module.metadata.order)
-            coarse, fine = (
-                replace(coarse, error=change * gain / (gain - 1.0)),
-                replace(fine, error=change / (gain - 1.0)),
-            )
+            coarse = replace(coarse, error=change * gain / (gain - 1.0))
+            fine = replace(fine, error=change / (gain - 1.0))
             for candidate in (coarse, fine):
                 if candidate.error <= least and candidate.round_trip <= back:
                     return candidate
@@ -324,63 +297,13 @@ def in_squares(pairs: LandmarkPairs, grid: Grid, fixed_grid: Grid) -> LandmarkPa
 
 def in_pixels(registration: Registration) -> Registration:
     """Convert the map of pictures that were registered on grids to pixels; maps of volumes are unchanged."""
-    if registration.dimension != 2 or (registration.grid.is_plain and registration.fixed_grid.is_plain):
+    grid, fixed_grid, pairs = registration.grid, registration.fixed_grid, registration.pairs
+    if pairs.dimension != 2 or (grid.is_plain and fixed_grid.is_plain):
         return registration
-    return PixelRegistration(**{part.name: getattr(registration, part.name) for part in fields(Registration)})
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class PixelRegistration(Registration):
-    """A map whose points are in pixels that are not square.
-
-    Distances, sigma, the alignment and the frame are in sides of a square of the area of a pixel. All else is as in
-    `Registration`, with shapes for grids.
-    """
-
-    @property
-    def pairs(self) -> LandmarkPairs:
-        """The landmarks in pixels."""
-        pairs = self.matching.pairs
-        moving = self.matching.grid.to_indices(pairs.moving)
-        return LandmarkPairs(moving, self.matching.fixed_grid.to_indices(pairs.fixed), pairs.names)
-
-    @property
-    def grid(self) -> Grid:
-        """The grid of the moving picture, in pixels."""
-        return Grid.plain(self.shape)
-
-    @property
-    def fixed_grid(self) -> Grid:
-        """The grid of the fixed picture, in pixels."""
-        return Grid.plain(self.fixed_shape)
-
-    @property
-    def _moving_sides(self) -> NDArray[np.float64]:
-        return np.array(self.matching.grid.spacing)
-
-    @property
-    def _fixed_sides(self) -> NDArray[np.float64]:
-        return np.array(self.matching.fixed_grid.spacing)
-
-    def positions(self, time: float, xy: Any, inverse: bool = False) -> PointArray:
-        """As `Registration.positions`; the sides of pixels change from those of one picture to those of the other."""
-        points, moving = as_points(xy), self._moving_sides
-        sides = moving * (self._fixed_sides / moving) ** time
-        before, after = (sides, moving) if inverse else (moving, sides)
-        return np.asarray(super().positions(time, points * before, inverse) / after)
-
-    def jacobian(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
-        """As `Registration.jacobian`."""
-        moving, fixed = self._moving_sides, self._fixed_sides
-        before, after = (fixed, moving) if inverse else (moving, fixed)
-        return np.asarray(super().jacobian(as_points(xy) * before, inverse) * (before / after[:, None]))
-
-    def arriving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
-        """As `Registration.arriving`."""
-        places, factors = super().arriving(as_points(xy) * self._fixed_sides)
-        return places / self._moving_sides, factors
-
-    def leaving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
-        """As `Registration.leaving`."""
-        places, factors = super().leaving(as_points(xy) * self._moving_sides)
-        return places / self._fixed_sides, factors
+    return replace(
+        registration,
+        pairs=LandmarkPairs(grid.to_indices(pairs.moving), fixed_grid.to_indices(pairs.fixed), pairs.names),
+        grid=grid_of(grid.shape),
+        fixed_grid=grid_of(fixed_grid.shape),
+        sides=(np.array(grid.spacing), np.array(fixed_grid.spacing)),
+    )

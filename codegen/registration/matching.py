@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,7 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment, Kind, align
 from codegen.registration.grid import MARGINS, Extent, Frame, Grid, corners, grid_of, place_text
 from codegen.registration.pairs import LandmarkPairs, PointArray
-from codegen.registration.solver import DEFAULT_SCHEME, Flow, FlowModule, registration_module
+from codegen.registration.solver import DEFAULT_SCHEME, Flow, FlowCase, FlowModule, FlowSolution, registration_module
 from codegen.solving.drivers.shared import quiet_single_thread
 
 ONE = 1e-4
@@ -56,7 +55,7 @@ FEWEST, MOST = 4, 1000
 MOST_TURNED = 200
 """Most landmarks for which rotations are tried."""
 BETTER = 0.25
-"""The largest ratio of the squared distances of other partners to those of the given ones."""
+"""The largest ratio of the squared distances of other partners to the squared distances of the given partners."""
 ROUNDS = 20
 NAMED = 5
 """Most landmarks in a message."""
@@ -133,7 +132,7 @@ def _squared_distances(pairs: LandmarkPairs, order: NDArray[np.intp]) -> float:
 TRUSTED = 0.5
 """The least weight of landmarks that determine the alignment."""
 FAR = 1.5
-"""The ratio of misses to those of the linear theory above which another solution is searched."""
+"""The ratio of misses to misses of the linear theory above which another solution is searched."""
 IN_ORDER = "give landmarks of both images in the same order"
 PATIENCE = 20
 """Most iterations of shooting from the first momenta."""
@@ -171,18 +170,10 @@ class Matching:
 
     @classmethod
     def of(
-        cls,
-        pairs: LandmarkPairs,
-        shape: Extent,
-        *,
-        fixed_shape: Extent | None = None,
-        align: Kind = "similarity",
-        sigma: float = 0.0,
-        scheme: str = DEFAULT_SCHEME,
-        margin: float | None = None,
-        strength: float = 1.0,
+        cls, pairs: LandmarkPairs, shape: Extent, *, fixed_shape: Extent | None = None, align: Kind = "similarity",
+        sigma: float = 0.0, scheme: str = DEFAULT_SCHEME, margin: float | None = None, strength: float = 1.0,
         weights: NDArray[np.float64] | None = None,
-    ) -> Matching:
+    ) -> Matching:  # fmt: skip
         """Align the landmarks and lay the frame around both images; LandmarkError for unusable arguments.
 
         `shape` and `fixed_shape`, by default the same, are shapes of pictures or grids. Only landmarks of a weight of
@@ -210,39 +201,13 @@ class Matching:
         )  # fmt: skip
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """The shape of the moving image: (height, width), or (slices, rows, columns)."""
-        return self.grid.shape
-
-    @property
-    def fixed_shape(self) -> tuple[int, ...]:
-        """The shape of the fixed image."""
-        return self.fixed_grid.shape
-
-    @property
-    def pixel(self) -> float:
-        """The finest spacing of the fixed image, the unit of tolerances: 1 for pictures."""
-        return self.fixed_grid.pixel
-
-    @property
-    def unit(self) -> str:
-        """The unit of distances: pixels for pictures."""
-        return self.fixed_grid.unit
-
-    @property
     def module(self) -> FlowModule:
         """The generated module whose flow carries the landmarks."""
         return registration_module(self.scheme, self.pairs.dimension)
 
     @property
     def ends(self) -> tuple[PointArray, PointArray]:
-        """Start and target of the flow in the disc: the fixed and the aligned moving landmarks, by groups."""
-        fixed, moving = self.pairs.fixed, self.alignment.apply(self.pairs.moving)
-        return self.frame.to_disc(self._grouped(fixed)), self.frame.to_disc(self._grouped(moving))
-
-    @property
-    def all_ends(self) -> tuple[PointArray, PointArray]:
-        """Start and target of every pair."""
+        """Start and target of the pairs in the disc: the fixed and the aligned moving landmarks."""
         return self.frame.to_disc(self.pairs.fixed), self.frame.to_disc(self.alignment.apply(self.pairs.moving))
 
     @cached_property
@@ -250,7 +215,7 @@ class Matching:
         """The Green's function at the starts of the pairs, shape (n, n)."""
         return self._covariance(self._case(1))[np.ix_(self.groups, self.groups)]
 
-    def _covariance(self, case: Any) -> NDArray[np.float64]:
+    def _covariance(self, case: FlowCase) -> NDArray[np.float64]:
         """The Green's function at the starts of the groups, shape (m, m)."""
         matrix = np.empty((len(case.start), len(case.start)))
         state = np.stack([case.start, np.zeros_like(case.start)])
@@ -266,15 +231,8 @@ class Matching:
         """Return the alignment of the same kind that fits the marked landmarks, shape (n,)."""
         return _aligned(self.pairs.chosen(trusted), self.align)
 
-    def weighted(self, weights: NDArray[np.float64]) -> Matching:
-        """Replace the weights, shape (n,), and align the trusted landmarks."""
-        return self._of(self.pairs, weights)
-
-    def without(self, k: int) -> Matching:
-        """Remove pair number k, and align the others in a new frame."""
-        return self._of(self.pairs.without(k), np.delete(self.weights, k))
-
-    def _of(self, pairs: LandmarkPairs, weights: NDArray[np.float64]) -> Matching:
+    def matched(self, pairs: LandmarkPairs, weights: NDArray[np.float64]) -> Matching:
+        """Replace the pairs and their weights, shape (n,), and align the trusted landmarks in a new frame."""
         return Matching.of(
             pairs, self.grid, fixed_shape=self.fixed_grid, align=self.align, sigma=self.sigma, scheme=self.scheme,
             margin=self.margin, strength=self.strength, weights=weights,
@@ -285,37 +243,44 @@ class Matching:
         if len(self.pairs) == self.groups.max() + 1:
             return values
         sums = [np.bincount(self.groups, self.weights * column) for column in values.T]
-        return np.stack(sums, axis=1) / self._group_weights[:, None]
-
-    @property
-    def _group_weights(self) -> NDArray[np.float64]:
-        return np.asarray(np.bincount(self.groups, self.weights))
+        return np.stack(sums, axis=1) / np.bincount(self.groups, self.weights)[:, None]
 
     def solve(
         self, steps: int, velocities: NDArray[np.float64] | None = None, quick: bool = False
-    ) -> tuple[Flow, Any, str]:
+    ) -> tuple[Flow, FlowSolution, str]:
         """Solve for the motion in a number of steps; return flow, generated solution and name of the attempt.
 
-        The solver starts from the initial `velocities` of the pairs, shape (n, d), if there are any, from those of
+        The solver starts from the initial `velocities` of the pairs, shape (n, d), if there are any, from
         straight lines, and from a path of least action. Unless `quick`, the generated solver makes further attempts.
         Raises RegistrationError, with the most difficult landmarks, if no attempt succeeds.
         """
         module, case = self.module, self._case(steps)
         with quiet_single_thread():
             best = self._cheapest(case, None if velocities is None else self._grouped(velocities))
-            if best is not None:
-                return self._flow(case, best[0]), *best
-            if not quick:
+            if best is None and not quick:
                 solution = module.solve_case(case)
                 if solution.status == "solved":
-                    return self._flow(case, solution), solution, solution.attempts[-1].split(":")[0]
+                    best = solution, solution.attempts[-1].split(":")[0]
+            if best is not None:
+                path = np.stack([best[0].q, best[0].p], axis=1)
+                return Flow(module, case, path, module.stages_of(case, path)), *best
         finding = f"no motion of {steps} steps of {self.scheme} was found that carries the landmarks to their places"
         if out_of_order := said_of_partners(self.pairs):
             raise RegistrationError(f"{finding}; {out_of_order}", IN_ORDER)
+        before, after = self.alignment.apply(self.pairs.moving), self.pairs.fixed
+        if len(before) > 1:
+            # The two landmarks whose distance changes most, relative to the smaller distance of both images.
+            i, j = np.triu_indices(len(before), 1)
+            apart = np.minimum(*(np.linalg.norm(points[i] - points[j], axis=1) for points in (before, after)))
+            changes = np.linalg.norm((after - before)[i] - (after - before)[j], axis=1) / apart
+            worst = int(np.argmax(np.where(self.groups[i] == self.groups[j], 0.0, changes)))
+            one, other = (self.pairs.names[k[worst]] for k in (i, j))
+            place = place_text(self.grid.said(self.pairs.moving[i[worst]]))
+            finding += f"; hardest are landmarks {one} and {other}, near {place}"
         remedy = "allow for a sigma, take more steps, or leave out landmarks that are close and move apart"
-        raise RegistrationError(finding + self._hardest(), remedy)
+        raise RegistrationError(finding, remedy)
 
-    def _cheapest(self, case: Any, velocities: NDArray[np.float64] | None) -> tuple[Any, str] | None:
+    def _cheapest(self, case: FlowCase, velocities: NDArray[np.float64] | None) -> tuple[FlowSolution, str] | None:
         """Return the solution of least cost with the name of its attempt; None if no attempt has a solution.
 
         With a sigma any stationary point of the cost solves the equations, for instance two landmarks that should
@@ -323,7 +288,7 @@ class Matching:
         compared with those from other momenta.
         """
         module, least = self.module, np.inf
-        best: tuple[Any, str] | None = None
+        best: tuple[FlowSolution, str] | None = None
         for name, momenta in self._first_momenta(case, velocities):
             solution = module.solve_case(case._replace(max_iterations=PATIENCE), momenta)
             if solution.status == "solved":
@@ -332,8 +297,8 @@ class Matching:
                     best, least = (solution, f"shooting from {name}"), penalised
                 if self.ridge == 0.0:
                     break
-                # The root mean square of misses, and that of the linear theory.
-                start, target = self.all_ends
+                # The root mean square of misses, and its prediction by the linear theory.
+                start, target = self.ends
                 ridges = self.ridge / self.weights
                 pulls = np.linalg.solve(self.covariance + np.diag(ridges), target - start)
                 expected = np.linalg.norm(np.sqrt(ridges)[:, None] * pulls)
@@ -342,17 +307,18 @@ class Matching:
                     break
         return best
 
-    def _case(self, steps: int) -> Any:
+    def _case(self, steps: int) -> FlowCase:
         """Make the problem of the generated module."""
-        start, target = self.ends
-        sigma = np.sqrt(self.ridge / self._group_weights)
+        fixed, moving = self._grouped(self.pairs.fixed), self._grouped(self.alignment.apply(self.pairs.moving))
+        start, target = self.frame.to_disc(fixed), self.frame.to_disc(moving)
+        sigma = np.sqrt(self.ridge / np.bincount(self.groups, self.weights))
         try:
             return self.module.make_case(start, target, steps, sigma=sigma)
         except ValueError as error:
             raise LandmarkError(str(error), "correct the landmarks, or the arguments") from error
 
     def _first_momenta(
-        self, case: Any, velocities: NDArray[np.float64] | None
+        self, case: FlowCase, velocities: NDArray[np.float64] | None
     ) -> Iterator[tuple[str, NDArray[np.float64]]]:
         """Yield names and momenta from which shooting starts, the cheapest first."""
         module = self.module
@@ -374,24 +340,6 @@ class Matching:
         They are NaN if there is no such path, or if there are too many landmarks.
         """
         return self.module.momenta_of_least_action(self._case(1))
-
-    def _flow(self, case: Any, solution: Any) -> Flow:
-        module = self.module
-        path = np.stack([solution.q, solution.p], axis=1)
-        return Flow(module, case, path, module.stages_of(case, path))
-
-    def _hardest(self) -> str:
-        """Name the two landmarks whose distance changes most, relative to the smaller distance of both images."""
-        before, after = self.alignment.apply(self.pairs.moving), self.pairs.fixed
-        if len(before) < 2:
-            return ""
-        i, j = np.triu_indices(len(before), 1)
-        apart = np.minimum(*(np.linalg.norm(points[i] - points[j], axis=1) for points in (before, after)))
-        changes = np.linalg.norm((after - before)[i] - (after - before)[j], axis=1) / apart
-        worst = int(np.argmax(np.where(self.groups[i] == self.groups[j], 0.0, changes)))
-        one, other = (self.pairs.names[k[worst]] for k in (i, j))
-        place = place_text(self.grid.said(self.pairs.moving[i[worst]]))
-        return f"; hardest are landmarks {one} and {other}, near {place}"
 
 
 _aligned = align  # a parameter of `Matching.of` has that name

@@ -136,10 +136,26 @@ def outliers_of(matching: Matching) -> Outliers:
         return Outliers(
             (), np.full(count, np.nan), f"fewer than {OUTLIERS_FEWEST} landmarks do not tell which is out of place"
         )
-    trusted = np.ones(count, dtype=bool)
+    pairs, whole, trusted = matching.pairs, matching.covariance, np.ones(count, dtype=bool)
     for _ in range(ROUNDS):
-        errors, deviations = _predicted(matching, trusted)
-        ratios = errors / deviations
+        # Errors of predictions from the other trusted landmarks, in pixels, and their standard deviations.
+        alignment = matching.realigned(trusted)
+        displacements = alignment.apply(pairs.moving) - pairs.fixed
+        linear = Linear(whole[np.ix_(trusted, trusted)], displacements[trusted], alignment.parameters)
+        ridge = linear.by_cross_validation()
+        precision = linear.precision(ridge)
+        errors, spread = np.empty(count), np.empty(count)
+        pulls, diagonal = precision @ displacements[trusted], np.diag(precision)
+        errors[trusted], spread[trusted] = np.linalg.norm(pulls, axis=1) / diagonal, diagonal**-0.5
+        across = whole[np.ix_(~trusted, trusted)]
+        errors[~trusted] = np.linalg.norm(displacements[~trusted] - across @ pulls, axis=1)
+        explained = np.einsum("ij,jk,ik->i", across, precision, across)
+        spread[~trusted] = np.sqrt(np.maximum(np.diag(whole)[~trusted] + ridge - explained, ridge))
+        ratios = errors[trusted] / spread[trusted]
+        wide = np.quantile(ratios, TAIL) / typical_distance(pairs.dimension, TAIL)
+        typical = float(np.median(ratios)) / typical_distance(pairs.dimension)
+        scale = max(typical, float(wide), LEAST_ERROR * matching.fixed_grid.pixel / float(np.median(spread)))
+        ratios = errors / (scale * spread)
         limit = max(FAR, float(np.sort(ratios[trusted])[-1 - int(MOST_AT_ONCE * count)]))
         following = ratios <= limit
         if (following == trusted).all():
@@ -150,28 +166,6 @@ def outliers_of(matching: Matching) -> Outliers:
         trusted = following
     order = np.argsort(-errors, kind="stable")
     return Outliers(tuple(int(k) for k in order if not trusted[k]), errors)
-
-
-def _predicted(matching: Matching, trusted: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return errors of predictions from the other trusted landmarks, in pixels, and their standard deviations."""
-    pairs, alignment, whole = matching.pairs, matching.realigned(trusted), matching.covariance
-    displacements = alignment.apply(pairs.moving) - pairs.fixed
-    linear = Linear(whole[np.ix_(trusted, trusted)], displacements[trusted], alignment.parameters)
-    ridge = linear.by_cross_validation()
-    precision = linear.precision(ridge)
-    errors, spread = np.empty(len(pairs)), np.empty(len(pairs))
-    pulls = precision @ displacements[trusted]
-    diagonal = np.diag(precision)
-    errors[trusted], spread[trusted] = np.linalg.norm(pulls, axis=1) / diagonal, diagonal**-0.5
-    across = whole[np.ix_(~trusted, trusted)]
-    errors[~trusted] = np.linalg.norm(displacements[~trusted] - across @ pulls, axis=1)
-    explained = np.einsum("ij,jk,ik->i", across, precision, across)
-    spread[~trusted] = np.sqrt(np.maximum(np.diag(whole)[~trusted] + ridge - explained, ridge))
-    ratios = errors[trusted] / spread[trusted]
-    wide = np.quantile(ratios, TAIL) / typical_distance(pairs.dimension, TAIL)
-    typical = float(np.median(ratios)) / typical_distance(pairs.dimension)
-    scale = max(typical, float(wide), LEAST_ERROR * matching.pixel / float(np.median(spread)))
-    return errors, scale * spread
 
 
 LONGEST, STEP = 4.0, np.sqrt(2.0)
@@ -201,65 +195,43 @@ class LikelySigma:
 
 def likely_sigma(places: Array, displacements: Array) -> LikelySigma:
     """Estimate the errors of displacements, shape (n, d) in pixels, at `places` of at least four landmarks."""
-    blocks = [_Block.of(places[k], displacements[k]) for k in _blocks(places)]
-    if max(float(np.abs(block.data).max()) for block in blocks) <= NOTHING * _radius(places):
+    blocks = []
+    for k in _blocks(places):
+        # The landmarks without their trend: data in an orthonormal basis of its complement.
+        trend = np.ones((len(k), 1))
+        if len(k) >= 2 * (places.shape[1] + 1):  # an affine map would follow the errors of fewer landmarks
+            trend = np.hstack([trend, places[k] - places[k].mean(axis=0)])
+        basis = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :]
+        blocks.append((squareform(pdist(places[k], "sqeuclidean")), basis, basis.T @ displacements[k]))
+    radius = float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    if max(float(np.abs(data).max()) for _, _, data in blocks) <= NOTHING * radius:
         return LikelySigma(0.0, 0.0, 0.0, True)
     count, dimension = places.shape
     # The distance of landmarks that fill a square or a cube of this radius.
-    distance = np.sqrt(12.0 / dimension) * _radius(places) / count ** (1.0 / dimension)
-    number = 1 + int(np.log(LONGEST * _radius(places) / distance) / np.log(STEP))
-    lengths = np.asarray(distance * STEP ** np.arange(number))
-    curves = np.array([_curve(blocks, length) for length in lengths])
-    sigmas, logarithms = curves[:, 0], curves[:, 1]
+    distance = np.sqrt(12.0 / dimension) * radius / count ** (1.0 / dimension)
+    number = 1 + int(np.log(LONGEST * radius / distance) / np.log(STEP))
+    lengths, curves = np.asarray(distance * STEP ** np.arange(number)), []
+    for length in lengths:
+        # Standard deviations of errors, and logarithms of their likelihoods, for one length of the field.
+        eigenvalues, squared = [], []
+        for squares, basis, data in blocks:
+            covariance = 1.0 / (1.0 + squares / (2.0 * length**2))
+            values, vectors = np.linalg.eigh(basis.T @ covariance @ basis)
+            eigenvalues.append(np.maximum(values, 0.0))
+            squared.append(((vectors.T @ data) ** 2).sum(axis=1))
+        values = np.concatenate(eigenvalues)
+        ratios = RATIOS * values.max()
+        coordinates, variances = dimension * len(values), values + ratios[:, None]
+        field = (np.concatenate(squared) / variances).sum(axis=1) / coordinates
+        likelihoods = -0.5 * (coordinates * np.log(field) + dimension * np.log(variances).sum(axis=1))
+        curves.append((np.sqrt(field * ratios), likelihoods))
+    sigmas, logarithms = (np.array(parts) for parts in zip(*curves, strict=True))
     weights = np.exp(logarithms - logarithms.max()) * np.gradient(sigmas, axis=1) * (lengths / lengths[0])[:, None]
     sigma = float(np.sqrt((weights * sigmas**2).sum() / weights.sum()))
     order, flat = np.argsort(sigmas, axis=None), weights.ravel()
     below = np.cumsum(flat[order]) - 0.5 * flat[order]
     low, high = map(float, np.interp([0.16, 0.84], below / flat.sum(), sigmas.ravel()[order]))
     return LikelySigma(sigma, low, high, bool(np.argmax(logarithms) % len(RATIOS) == 0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Block:
-    """Landmarks without their trend: an orthonormal basis of its complement, shape (n, m), and the data, (m, d).
-
-    `squares` are squared distances, shape (n, n).
-    """
-
-    squares: Array
-    basis: Array
-    data: Array
-
-    @classmethod
-    def of(cls, places: Array, displacements: Array) -> _Block:
-        count, dimension = places.shape
-        trend = np.ones((count, 1))
-        if count >= 2 * (dimension + 1):  # an affine map would follow the errors of fewer landmarks
-            trend = np.hstack([trend, places - places.mean(axis=0)])
-        basis = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :]
-        return cls(squareform(pdist(places, "sqeuclidean")), basis, basis.T @ displacements)
-
-    def parts(self, length: float) -> tuple[Array, Array]:
-        """Return eigenvalues of the field's covariance, and squares of the data along its eigenvectors, shape (m,)."""
-        covariance = 1.0 / (1.0 + self.squares / (2.0 * length**2))
-        values, vectors = np.linalg.eigh(self.basis.T @ covariance @ self.basis)
-        return np.maximum(values, 0.0), ((vectors.T @ self.data) ** 2).sum(axis=1)
-
-
-def _curve(blocks: list[_Block], length: float) -> tuple[Array, Array]:
-    """Return standard deviations of errors, and logarithms of their likelihoods, for one length of the field."""
-    values, squares = (np.concatenate(part) for part in zip(*(b.parts(length) for b in blocks), strict=True))
-    ratios = RATIOS * values.max()
-    dimension = blocks[0].data.shape[1]
-    count = dimension * len(values)
-    variances = values + ratios[:, None]
-    field = (squares / variances).sum(axis=1) / count
-    logarithms = -0.5 * (count * np.log(field) + dimension * np.log(variances).sum(axis=1))
-    return np.sqrt(field * ratios), logarithms
-
-
-def _radius(places: Array) -> float:
-    return float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def _blocks(places: Array) -> list[NDArray[np.intp]]:
@@ -325,7 +297,8 @@ def estimate_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> Sigma
     matching = Matching.of(pairs, shape, **options)
     if len(pairs) < FEWEST:
         raise LandmarkError(
-            f"{len(pairs)} landmarks do not tell how large their errors are", f"give a sigma in {matching.unit}"
+            f"{len(pairs)} landmarks do not tell how large their errors are",
+            f"give a sigma in {matching.fixed_grid.unit}",
         )
     outliers = outliers_of(matching)
     trusted = np.ones(len(pairs), dtype=bool)
@@ -333,7 +306,7 @@ def estimate_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> Sigma
     places = matching.realigned(trusted).apply(pairs.moving)[trusted]
     likely = likely_sigma(places, places - pairs.fixed[trusted])
     spread = float(np.sqrt(((pairs.fixed - pairs.fixed.mean(axis=0)) ** 2).mean()))
-    sigma, unit, warning = likely.sigma, matching.unit, ""
+    sigma, unit, warning = likely.sigma, matching.fixed_grid.unit, ""
     if sigma > LARGE * spread:
         finding = f"sigma of {sigma:.3g} {unit} is implausible: {sigma / spread:.0%} of the landmarks' spread"
         warning = f"{finding}; {outliers.message or 'look for landmarks out of place'}"

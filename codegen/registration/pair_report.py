@@ -1,4 +1,7 @@
-"""The outcome of one registration, and its report: an HTML page with pictures, certificate and landmarks."""
+"""The outcome of one registration, and its report: an HTML page with pictures, certificate and landmarks.
+
+The page of volumes has orthogonal slices of the volumes and of det J.
+"""
 
 from __future__ import annotations
 
@@ -7,29 +10,33 @@ import io
 import math
 import platform
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import matplotlib
 import numpy as np
 import scipy.ndimage
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LogNorm
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import Colormap, LogNorm
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from codegen import __version__
 from codegen.files import rendered, write_text
 from codegen.registration.certificate import Certificate
-from codegen.registration.grid import short
-from codegen.registration.images import Image
+from codegen.registration.grid import Grid, mesh, short
+from codegen.registration.images import Image, Pixels
 from codegen.registration.maps import Registration
 from codegen.registration.noise import Outliers
 from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.register import MOST_LEFT_OUT, LeaveOneOut, out_of_place
+from codegen.registration.volumes import Volume
 from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, RED
 
 LONGEST = 560
@@ -45,29 +52,36 @@ MOST_NAMES = 60
 """Landmarks whose names are shown in a picture."""
 MOST_ROWS = 2_000
 """Landmarks in the table; its last row counts the others."""
-RESIDUALS = (
+_RESIDUALS = (
     "Residual: how far a moving landmark arrives from the fixed one. Left out: how far it would arrive if the other "
     "landmarks alone made the map."
 )
-NOTE = f"Places and errors are in pixels, x to the right and y down from the centre of the top-left pixel. {RESIDUALS}"
+NOTE = f"Places and errors are in pixels, x to the right and y down from the centre of the top-left pixel. {_RESIDUALS}"
+VOLUME_NOTE = (
+    f"Places and errors are in the coordinates of the files, LPS as a rule, x to the left of the patient. {_RESIDUALS}"
+)
 
+Record: TypeAlias = dict[str, Any]
+"""The JSON record of a job; its entry `summary` has the findings."""
 Shape: TypeAlias = tuple[int, ...]
-Painter: TypeAlias = Callable[[Any], None]
+Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Outcome:
     """The outcome of a job, of pictures or of volumes.
 
-    `record` is the JSON record. The map and its certificate are None if no map exists.
+    The map and its certificate are None if no map exists, and `warped`, the samples of the warped image, if the map
+    folds.
     """
 
-    record: dict[str, Any]
+    record: Record
     pairs: LandmarkPairs
     registration: Registration | None = None
     certificate: Certificate | None = None
     left_out: LeaveOneOut | None = None
     outliers: Outliers | None = None
+    warped: Pixels | None = None
 
     @property
     def out_of_place(self) -> tuple[int, ...]:
@@ -79,14 +93,10 @@ class Outcome:
         """True if the image was warped by a map that does not fold."""
         return bool(self.record["status"] == "solved")
 
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Result(Outcome):
-    """The outcome of a job of pictures, with the images of its report."""
-
-    moving: Image
-    fixed: Image | None
-    warped: Any = None
+    @property
+    def inverse(self) -> bool:
+        """True if the fixed image is brought into the frame of the moving one."""
+        return bool(self.record["direction"] == "fixed to moving")
 
 
 @dataclass(frozen=True)
@@ -96,19 +106,6 @@ class Picture:
     title: str
     caption: str
     data: str
-
-
-@dataclass(frozen=True)
-class Row:
-    """The cells of a landmark; `outlier` highlights the row."""
-
-    cells: tuple[str, ...]
-    outlier: bool
-
-
-def write_report(path: Path, result: Result) -> None:
-    """Write the page of a pair of pictures; FileError if the file system refuses."""
-    write_page(path, result, _pictures(result), NOTE)
 
 
 def write_page(path: Path, result: Outcome, pictures: list[Picture], note: str) -> None:
@@ -133,9 +130,9 @@ def write_page(path: Path, result: Outcome, pictures: list[Picture], note: str) 
     for k in range(min(len(pairs), MOST_ROWS)):
         points = [f"{value:.2f}" for value in (*pairs.moving[k], *pairs.fixed[k])]
         cells = (pairs.names[k], *points, *(number(error[k]) for error in errors), "outlier" if k in outliers else "")
-        table.append(Row(cells, k in outliers))
+        table.append((cells, k in outliers))
     if len(pairs) > MOST_ROWS:
-        table.append(Row((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(table[0].cells) - 1)), False))
+        table.append(((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(table[0][0]) - 1)), False))
     message = record["message"]
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba"))
     seconds = ", ".join(f"{name} {value:.3g} s" for name, value in record["seconds"].items())
@@ -149,7 +146,7 @@ def write_page(path: Path, result: Outcome, pictures: list[Picture], note: str) 
     write_text(path, page)
 
 
-def facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+def facts(record: Record) -> list[tuple[str, str]]:
     """Names and values of the findings; distances in pixels, and in the unit of a picture if its file has one."""
     summary = record["summary"]
     found = [("landmarks", str(summary["landmarks"]))]
@@ -200,105 +197,90 @@ def number(value: float | None) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.4g}"
 
 
-def as_png(title: str, caption: str, figure: Figure) -> Picture:
-    """Draw a figure."""
-    file = io.BytesIO()
-    figure.savefig(file, format="png", metadata={"Software": None})
-    return Picture(title, caption, base64.b64encode(file.getvalue()).decode("ascii"))
-
-
-def determinant_scale(values: NDArray[np.float64]) -> dict[str, Any]:
-    """Colours of determinants by their logarithms; values that are not positive have their own colour."""
-    positive = values[values > 0.0]
-    reach = max(1.05, float(np.exp(np.abs(np.log(positive)).max()))) if positive.size else 2.0
-    colours = matplotlib.colormaps["RdBu_r"].with_extremes(bad=AMBER)
-    return {"cmap": colours, "norm": LogNorm(1.0 / reach, reach)}
-
-
-def style_bar(bar: Any, name: str) -> None:
-    """Label a colour bar, in small letters and without minor ticks."""
-    bar.ax.minorticks_off()
-    bar.ax.tick_params(labelsize=8, length=2)
-    bar.set_label(name, fontsize=9)
-
-
 def _median(errors: list[float | None]) -> str:
     finite = [error for error in errors if error is not None]
     return number(statistics.median(finite)) if finite else "–"
 
 
-def _pictures(result: Result) -> list[Picture]:
-    """All pictures of a result: the images alone if no map exists."""
-    pairs, registration = result.pairs, result.registration
-    pictures = [_input("Moving", result.moving.pixels, pairs.moving, pairs.names, RED)]
-    if result.fixed is not None:
-        pictures.append(_input("Fixed", result.fixed.pixels, pairs.fixed, pairs.names, BLUE))
-    if registration is None:
+def pictures_of(result: Outcome, moving: Image, fixed: Image | None) -> list[Picture]:
+    """Draw all pictures of a pair of pictures: the images alone if no map exists."""
+    pairs, registration, pictures = result.pairs, result.registration, []
+    for title, image, points, colour in (("Moving", moving, pairs.moving, RED), ("Fixed", fixed, pairs.fixed, BLUE)):
+        if image is not None:
+            axes = _axes(image.shape)
+            _show(axes, image.pixels)
+            _mark(axes, points, colour)
+            for (x, y), name in zip(points[:MOST_NAMES], pairs.names):
+                axes.annotate(name[:12], (x, y), (3, 3), textcoords="offset points", fontsize=7, color=colour, zorder=3)
+            pictures.append(_picture(title, f"With its {len(points)} landmarks.", axes, image.shape))
+    if registration is None or result.certificate is None:
         return pictures
+    target = moving if result.inverse else fixed
     if result.warped is not None:
-        pictures += _comparison(result, registration, result.warped)
-    return [*pictures, _deformed_grid(result, registration), _determinants(result, registration)]
+        pictures += _comparison(result, registration, result.warped, target)
+    pictures.append(_deformed_grid(result, registration))
+    # The growth of areas on the fixed image; a colour of its own where det J is not positive.
+    shape, least = registration.fixed_grid.shape, result.certificate.det_min_at
+    height, width = shape
+    step = max(1.0, max(height, width) / 220.0)
+    y, x = np.mgrid[
+        0 : height - 1 : complex(0, max(2, round(height / step))),
+        0 : width - 1 : complex(0, max(2, round(width / step))),
+    ]
+    values = registration.arriving(np.column_stack([x.ravel(), y.ravel()]))[1].reshape(x.shape)
+    colours, reach = _determinant_scale(values)
+    axes, masked = _axes(shape, bar=True), np.ma.masked_less_equal(values, 0.0)
+    norm = LogNorm(1.0 / reach, reach)
+    shown = axes.imshow(masked, extent=_extent(shape), interpolation="bilinear", cmap=colours, norm=norm)
+    _mark(axes, pairs.fixed, "#303030")
+    axes.plot(*least, marker="x", color=AMBER, markersize=7, markeredgewidth=2)
+    _bar(axes, shown, "det J", [reach**share for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
+    place = f"({least[0]:g}, {least[1]:g})"
+    caption = f"Where areas have shrunk (blue) and grown (red) towards the fixed image; least at {place}, the cross."
+    return [*pictures, _picture("Map of det J", caption, axes, shape)]
 
 
-def _input(title: str, pixels: Any, points: PointArray, names: tuple[str, ...], colour: str) -> Picture:
-    def paint(axes: Any) -> None:
-        _show(axes, pixels)
-        _mark(axes, points, colour)
-        for (x, y), name in zip(points[:MOST_NAMES], names):
-            axes.annotate(name[:12], (x, y), (3, 3), textcoords="offset points", fontsize=7, color=colour, zorder=3)
-
-    return _picture(title, f"With its {len(points)} landmarks.", pixels.shape, paint)
-
-
-def _comparison(result: Result, registration: Registration, warped: Any) -> list[Picture]:
-    """The warped image and, with the image of the same frame, a checkerboard and the difference."""
-    inverse = result.record["direction"] == "fixed to moving"
-    landmarks = result.pairs.moving if inverse else result.pairs.fixed
+def _comparison(result: Outcome, registration: Registration, warped: Pixels, target: Image | None) -> list[Picture]:
+    """Draw the warped image and, with the image of the same frame, a checkerboard and the difference."""
+    inverse, shape = result.inverse, warped.shape
     source, frame = ("fixed", "moving") if inverse else ("moving", "fixed")
-    other = result.moving if inverse else result.fixed
-
-    def paint(axes: Any) -> None:
-        _show(axes, warped)
-        _mark(axes, landmarks, RED if inverse else BLUE)
-
+    axes = _axes(shape)
+    _show(axes, warped)
+    _mark(axes, result.pairs.moving if inverse else result.pairs.fixed, RED if inverse else BLUE)
     caption = f"The {source} image in the frame of the {frame} one, with the landmarks of the latter."
-    pictures = [_picture("Warped", caption, warped.shape, paint)]
-    if other is None:
+    pictures = [_picture("Warped", caption, axes, shape)]
+    if target is None:
         return pictures
-    one, two = (_shown(_thinned(pixels)) for pixels in (warped, other.pixels))
+    one, two = (_shown(_thinned(pixels)) for pixels in (warped, target.pixels))
     if one.ndim != two.ndim:
         one, two = _grey(one), _grey(two)
     y, x = np.indices(one.shape[:2])
     cell = max(one.shape) / FIELDS
     is_first = (x // cell + y // cell) % 2 == 0
+    axes = _axes(shape)
+    _show(axes, np.where(is_first if one.ndim == 2 else is_first[..., None], one, two), shape)
+    caption = f"Fields of the warped and of the {frame} image in turn."
+    pictures.append(_picture("Checkerboard", caption, axes, shape))
     # Pixels from inside the source image, by interpolation of their sources on a coarse grid.
-    rows, columns = (np.linspace(0.0, length - 1.0, COARSE) for length in warped.shape[:2])
+    rows, columns = (np.linspace(0.0, length - 1.0, COARSE) for length in shape[:2])
     nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     carry = registration.map_points if inverse else registration.map_points_inverse
     sources = carry(nodes).reshape(COARSE, COARSE, 2)
     fine = np.meshgrid(*(np.linspace(0.0, COARSE - 1.0, length) for length in one.shape[:2]), indexing="ij")
     u, v = (scipy.ndimage.map_coordinates(sources[..., k], fine, order=1) for k in (0, 1))
-    height, width = registration.fixed_shape if inverse else registration.shape
+    height, width = (registration.fixed_grid if inverse else registration.grid).shape
     inside = (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)
-
-    def checkered(axes: Any) -> None:
-        _show(axes, np.where(is_first if one.ndim == 2 else is_first[..., None], one, two), warped.shape)
-
-    def difference(axes: Any) -> None:
-        values = np.where(inside, _grey(one) - _grey(two), np.nan)
-        shown = axes.imshow(values, extent=_extent(warped.shape), cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-        _bar(axes, shown, f"warped − {frame}", (-1.0, -0.5, 0.0, 0.5, 1.0))
-
-    caption = f"Fields of the warped and of the {frame} image in turn."
-    pictures.append(_picture("Checkerboard", caption, warped.shape, checkered))
+    values = np.where(inside, _grey(one) - _grey(two), np.nan)
+    axes = _axes(shape, bar=True)
+    shown = axes.imshow(values, extent=_extent(shape), cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    _bar(axes, shown, f"warped − {frame}", (-1.0, -0.5, 0.0, 0.5, 1.0))
     caption = f"Warped minus {frame}, as shares of the range of grey."
-    return [*pictures, _picture("Difference", caption, warped.shape, difference, True)]
+    return [*pictures, _picture("Difference", caption, axes, shape)]
 
 
-def _deformed_grid(result: Result, registration: Registration) -> Picture:
-    """Lines of equal x and y of the source image, carried by the map."""
-    inverse = result.record["direction"] == "fixed to moving"
-    source, target = registration.shape, registration.fixed_shape
+def _deformed_grid(result: Outcome, registration: Registration) -> Picture:
+    """Draw lines of equal x and y of the source image, carried by the map."""
+    inverse, source, target = result.inverse, registration.grid.shape, registration.fixed_grid.shape
     if inverse:
         source, target = target, source
     height, width = source
@@ -308,43 +290,16 @@ def _deformed_grid(result: Result, registration: Registration) -> Picture:
     lines += [np.column_stack([across, np.full(LINE_POINTS, y)]) for y in np.arange(0, height, cell)]
     carry = registration.map_points_inverse if inverse else registration.map_points
     carried = carry(np.vstack(lines)).reshape(len(lines), LINE_POINTS, 2)
-
-    def paint(axes: Any) -> None:
-        if result.warped is not None:
-            _show(axes, 0.5 + 0.5 * _grey(_shown(_thinned(result.warped))), target)
-        axes.add_collection(matplotlib.collections.LineCollection(list(carried), colors=CRIMSON, linewidths=0.6))
-        _frame(axes, target)
-
+    axes = _axes(target)
+    if result.warped is not None:
+        _show(axes, 0.5 + 0.5 * _grey(_shown(_thinned(result.warped))), target)
+    axes.add_collection(matplotlib.collections.LineCollection(list(carried), colors=CRIMSON, linewidths=0.6))
     caption = f"A square grid of {cell:.3g} px on the {'fixed' if inverse else 'moving'} image, carried by the map."
-    return _picture("Deformed grid", caption, target, paint)
+    return _picture("Deformed grid", caption, axes, target)
 
 
-def _determinants(result: Result, registration: Registration) -> Picture:
-    """The growth of areas on the fixed image; a colour of its own where det J is not positive."""
-    height, width = registration.fixed_shape
-    step = max(1.0, max(height, width) / 220.0)
-    y, x = np.mgrid[
-        0 : height - 1 : complex(0, max(2, round(height / step))),
-        0 : width - 1 : complex(0, max(2, round(width / step))),
-    ]
-    values = registration.arriving_determinant(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
-    assert result.certificate is not None
-    scale, least = determinant_scale(values), result.certificate.det_min_at
-
-    def paint(axes: Any) -> None:
-        masked, extent = np.ma.masked_less_equal(values, 0.0), _extent(registration.fixed_shape)
-        shown = axes.imshow(masked, extent=extent, interpolation="bilinear", **scale)
-        _mark(axes, result.pairs.fixed, "#303030")
-        axes.plot(*least, marker="x", color=AMBER, markersize=7, markeredgewidth=2)
-        _bar(axes, shown, "det J", [scale["norm"].vmax ** share for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
-
-    place = f"({least[0]:g}, {least[1]:g})"
-    caption = f"Where areas have shrunk (blue) and grown (red) towards the fixed image; least at {place}, the cross."
-    return _picture("Map of det J", caption, registration.fixed_shape, paint, True)
-
-
-def _picture(title: str, caption: str, shape: Shape, paint: Painter, bar: bool = False) -> Picture:
-    """Draw a picture by `paint` on axes in pixels of an image."""
+def _axes(shape: Shape, bar: bool = False) -> Axes:
+    """Return axes for an image, in its pixels, on a figure of its own, with space for a colour bar."""
     height, width = shape[:2]
     share = min(2.5, max(0.3, height / width))
     size = (INCHES, INCHES * share) if share <= 1.3 else (INCHES * 1.3 / share, INCHES * 1.3)
@@ -352,48 +307,71 @@ def _picture(title: str, caption: str, shape: Shape, paint: Painter, bar: bool =
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.set_axis_off()
-    paint(axes)
-    _frame(axes, shape)
-    return as_png(title, caption, figure)
+    return axes
 
 
-def _frame(axes: Any, shape: Shape) -> None:
+def _picture(title: str, caption: str, axes: Axes, shape: Shape) -> Picture:
+    """Draw the figure of axes of `_axes`, within an image of the given shape."""
     left, right, bottom, top = _extent(shape)
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
     axes.set_aspect("equal")
+    return _as_png(title, caption, axes.get_figure(root=True))
+
+
+def _as_png(title: str, caption: str, figure: Figure | None) -> Picture:
+    assert figure is not None
+    file = io.BytesIO()
+    figure.savefig(file, format="png", metadata={"Software": None})
+    return Picture(title, caption, base64.b64encode(file.getvalue()).decode("ascii"))
+
+
+def _determinant_scale(values: Array) -> tuple[Colormap, float]:
+    """Return colours for the logarithms of determinants, and the largest determinant or reciprocal of one.
+
+    Values that are not positive have a colour of their own.
+    """
+    positive = values[values > 0.0]
+    reach = max(1.05, float(np.exp(np.abs(np.log(positive)).max()))) if positive.size else 2.0
+    return matplotlib.colormaps["RdBu_r"].with_extremes(bad=AMBER), reach
+
+
+def _style_bar(bar: Colorbar, name: str) -> None:
+    """Label a colour bar, in small letters and without minor ticks."""
+    bar.ax.minorticks_off()
+    bar.ax.tick_params(labelsize=8, length=2)
+    bar.set_label(name, fontsize=9)
 
 
 def _extent(shape: Shape) -> tuple[float, float, float, float]:
     return -0.5, shape[1] - 0.5, shape[0] - 0.5, -0.5
 
 
-def _show(axes: Any, pixels: Any, shape: Shape | None = None) -> None:
+def _show(axes: Axes, pixels: Pixels, shape: Shape | None = None) -> None:
     """Show an image in its own pixels, or in the pixels of an image of another shape."""
     thin = pixels if pixels.dtype == float and pixels.max(initial=0.0) <= 1.0 else _shown(_thinned(pixels))
-    axes.imshow(
-        thin, extent=_extent(shape or pixels.shape), cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased"
-    )
+    extent = _extent(shape or pixels.shape)
+    axes.imshow(thin, extent=extent, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
 
 
-def _mark(axes: Any, points: PointArray, colour: str) -> None:
+def _mark(axes: Axes, points: PointArray, colour: str) -> None:
     size = 14 if len(points) <= MOST_NAMES else 4
-    axes.scatter(*points.T, s=size, c=colour, edgecolors="white", linewidths=0.6, zorder=2)
+    axes.scatter(points[:, 0], points[:, 1], s=size, c=colour, edgecolors="white", linewidths=0.6, zorder=2)
 
 
-def _bar(axes: Any, shown: Any, name: str, ticks: Sequence[float]) -> None:
+def _bar(axes: Axes, shown: AxesImage, name: str, ticks: Sequence[float]) -> None:
     bar = axes.figure.colorbar(shown, ax=axes, fraction=0.045, pad=0.02, ticks=ticks, format="%.3g")
-    style_bar(bar, name)
+    _style_bar(bar, name)
     bar.outline.set_visible(False)
 
 
-def _thinned(pixels: NDArray[Any]) -> NDArray[Any]:
+def _thinned(pixels: Pixels) -> Pixels:
     """Take every n-th pixel of an image that is larger than a picture."""
     stride = max(1, -(-max(pixels.shape[:2]) // LONGEST))
     return pixels[::stride, ::stride]
 
 
-def _shown(pixels: NDArray[Any]) -> NDArray[np.float64]:
+def _shown(pixels: Pixels) -> Array:
     """Scale samples to 0 to 1, as grey or RGB over white; samples of more than 8 bits by their range."""
     values = pixels.astype(float)
     low, high = 0.0, 255.0
@@ -407,5 +385,153 @@ def _shown(pixels: NDArray[Any]) -> NDArray[np.float64]:
     return values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
 
 
-def _grey(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _grey(values: Array) -> Array:
     return values @ np.array([0.299, 0.587, 0.114]) if values.ndim == 3 else values
+
+
+SLICE_LONGEST = 240
+"""Voxels of the longer side of a slice that are shown."""
+SLICE_COARSE = 72
+"""Points along the longer side of a slice at which det J is evaluated."""
+NEAR = 3.0
+"""Voxels from a slice within which landmarks are marked on it."""
+NAMES = ("sagittal", "coronal", "axial")
+SLICE_DPI = 110
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A slice of a grid: the axis normal to it, 0 to 2 for columns, rows and slices, and its index on this axis."""
+
+    grid: Grid
+    axis: int
+    index: int
+
+    @property
+    def axes(self) -> tuple[int, int]:
+        """The horizontal and the vertical axis of the picture."""
+        across, up = (axis for axis in range(3) if axis != self.axis)
+        return across, up
+
+    @property
+    def name(self) -> str:
+        """The patient's plane nearest to the slice, and the number of the slice."""
+        across = np.abs(np.array(self.grid.direction)[:, self.axis])
+        return f"{NAMES[int(across.argmax())]}, {('column', 'row', 'slice')[self.axis]} {self.index}"
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Left, right, bottom and top of the picture, in units of length from the edge of the first voxel.
+
+        Axial slices have the back of the patient at the bottom.
+        """
+        width, height = (self.grid.size[axis] * self.grid.spacing[axis] for axis in self.axes)
+        return (0.0, width, height, 0.0) if self.axis == 2 else (0.0, width, 0.0, height)
+
+    def lines(self, most: int) -> tuple[Array, Array]:
+        """Return the indices along both axes of the picture, at most `most` of each."""
+        across, up = (np.arange(0.0, self.grid.size[a], max(1, -(-self.grid.size[a] // most))) for a in self.axes)
+        return across, up
+
+    def places(self, most: int) -> tuple[PointArray, tuple[int, int]]:
+        """Return the points of the picture, and its shape."""
+        across, up = self.lines(most)
+        lines = [np.array([float(self.index)])] * 3
+        lines[self.axes[0]], lines[self.axes[1]] = across, up
+        return self.grid.to_places(mesh(lines)), (len(up), len(across))
+
+    def shown(self, samples: Pixels) -> Array:
+        """Return the slice of an array of samples, shape (up, across)."""
+        across, up = (line.astype(int) for line in self.lines(SLICE_LONGEST))
+        cut = np.take(samples, self.index, axis=2 - self.axis)
+        return np.asarray(cut[np.ix_(up, across)], dtype=float)
+
+
+def volume_pictures(result: Outcome, moving: Volume, fixed: Volume | None) -> list[Picture]:
+    """Draw all pictures of a pair of volumes: the volumes alone if no map exists."""
+    inverse, registration = result.inverse, result.registration
+    source, target = (fixed, moving) if inverse and fixed is not None else (moving, fixed)
+    source_name, frame = ("fixed", "moving") if inverse else ("moving", "fixed")
+    grid = (moving if target is None else target).grid
+    marks = result.pairs.moving if inverse else result.pairs.fixed
+    # Axial, coronal and sagittal slices through the median landmark.
+    middle = np.median(grid.to_indices(marks), axis=0)
+    planes = [Plane(grid, a, int(np.clip(round(middle[a]), 0, grid.size[a] - 1))) for a in (2, 1, 0)]
+    before, after, growth = [], [], []
+    for plane in planes:
+        places, shape = plane.places(SLICE_LONGEST)
+        indices = source.grid.to_indices(places)[:, ::-1].T
+        values = scipy.ndimage.map_coordinates(source.samples, indices, order=1, output=np.float64, mode="nearest")
+        before.append(np.where(source.grid.contains(places), values, np.nan).reshape(shape))
+        if registration is not None and result.warped is not None:
+            carried = (registration.map_points if inverse else registration.map_points_inverse)(places)
+            inside = source.grid.contains(carried).reshape(shape)
+            after.append(np.where(inside, plane.shown(result.warped), np.nan))
+            places, shape = plane.places(SLICE_COARSE)
+            growth.append((registration.leaving if inverse else registration.arriving)(places)[1].reshape(shape))
+    targets = [] if target is None else [plane.shown(target.samples) for plane in planes]
+    pictures = []
+    shown = [(frame.capitalize(), "In its own frame, with the landmarks near each slice.", targets)]
+    shown += [("Before", f"The {source_name} volume at the same places, before registration.", before)]
+    shown += [("Warped", f"The {source_name} volume in the frame of the {frame} one.", after)]
+    for title, caption, images in shown:
+        if images:
+            low, high = _range(images)
+            pictures.append(_slices(title, caption, planes, images, marks, cmap="gray", vmin=low, vmax=high))
+    if not after:
+        return pictures
+    if targets:
+        for title, images in (("Difference before", before), ("Difference after", after)):
+            caption = f"{title.split()[1].capitalize()} registration, minus {frame}, as shares of the range of grey."
+            (low, high), (least, most) = _range(images), _range(targets)
+            pairs = zip(images, targets, strict=True)
+            differences = [(one - low) / (high - low) - (two - least) / (most - least) for one, two in pairs]
+            picture = _slices(
+                title, caption, planes, differences, None, "difference", cmap="RdBu_r", vmin=-1.0, vmax=1.0
+            )
+            pictures.append(picture)
+    caption = "Where volumes have shrunk (blue) and grown (red) towards the fixed volume."
+    colours, reach = _determinant_scale(np.concatenate([image.ravel() for image in growth]))
+    masked = [np.ma.masked_less_equal(image, 0.0) for image in growth]
+    picture = _slices(
+        "Map of det J", caption, planes, masked, None, "det J",
+        interpolation="bilinear", cmap=colours, norm=LogNorm(1.0 / reach, reach),
+    )  # fmt: skip
+    return [*pictures, picture]
+
+
+def _range(images: Sequence[Array]) -> tuple[float, float]:
+    """Return the range of grey of all slices, without the rarest values at both ends."""
+    values = np.concatenate([image[np.isfinite(image)] for image in images])
+    low, high = np.percentile(values, (0.5, 99.5)) if values.size else (0.0, 1.0)
+    return (float(low), float(high)) if high > low else (float(low), float(low) + 1.0)
+
+
+def _slices(
+    title: str, caption: str, planes: list[Plane], images: Sequence[Array], marks: PointArray | None = None,
+    bar: str = "", **style: Any,
+) -> Picture:  # fmt: skip
+    """Draw three slices one below the other, with the landmarks near them; `style` has arguments of `imshow`."""
+    heights = [abs(plane.extent[3] - plane.extent[2]) / plane.extent[1] for plane in planes]
+    size = 4.6 if bar else 4.0, min(15.0, 4.0 * sum(heights) + 0.9)
+    figure = Figure(figsize=size, dpi=SLICE_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    rows = figure.subplots(3, 1, gridspec_kw={"height_ratios": heights})
+    for axes, plane, image in zip(rows, planes, images, strict=True):
+        axes.set_axis_off()
+        origin: Literal["upper", "lower"] = "upper" if plane.axis == 2 else "lower"
+        shown = axes.imshow(image, extent=plane.extent, origin=origin, **style)
+        if marks is not None:
+            indices = plane.grid.to_indices(marks)
+            close, both = np.abs(indices[:, plane.axis] - plane.index) <= NEAR, list(plane.axes)
+            near = (indices[close][:, both] + 0.5) * np.array(plane.grid.spacing)[both]
+            axes.scatter(
+                near[:, 0], near[:, 1], s=12, c=RED if title == "Before" else BLUE, edgecolors="white", linewidths=0.6
+            )
+        axes.set_xlim(plane.extent[:2])
+        axes.set_ylim(plane.extent[2:])
+        axes.set_aspect("equal")
+        axes.set_title(plane.name, fontsize=8)
+    if bar:
+        _style_bar(figure.colorbar(shown, ax=list(rows), fraction=0.045, pad=0.02, format="%.3g"), bar)
+    return _as_png(title, caption, figure)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from codegen.errors import LandmarkError
 
@@ -71,7 +71,7 @@ class LandmarkPairs:
 
     @property
     def dimension(self) -> int:
-        """2 for landmarks of pictures, 3 for those of volumes."""
+        """2 for landmarks of pictures, 3 for landmarks of volumes."""
         return int(self.moving.shape[1])
 
     def without(self, k: int) -> LandmarkPairs:
@@ -93,7 +93,7 @@ def flipped(pairs: LandmarkPairs, width: int) -> LandmarkPairs:
     return LandmarkPairs(pairs.moving * [-1.0, 1.0] + [width - 1.0, 0.0], pairs.fixed, pairs.names)
 
 
-def as_points(values: Any, dimension: int = 2, what: str = "") -> PointArray:
+def as_points(values: ArrayLike, dimension: int = 2, what: str = "") -> PointArray:
     """Convert values to an array of points, shape (n, dimension); LandmarkError if that is impossible."""
     axes = "x, y" if dimension == 2 else "x, y, z"
     try:

@@ -25,7 +25,7 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Kind
 from codegen.registration.grid import Extent
 from codegen.registration.linear import Freedom, Linear, chosen_alignment
-from codegen.registration.maps import TOLERANCE, Registration, in_steps, refined, solved
+from codegen.registration.maps import TOLERANCE, Registration, in_steps, solved
 from codegen.registration.matching import IN_ORDER, Matching, said_of_partners
 from codegen.registration.noise import Loss, Outliers, choose_sigma, outliers_of, scale_of, weights_of
 from codegen.registration.pairs import LandmarkPairs
@@ -132,7 +132,7 @@ def register(
         return solved(matching, steps, tolerance, velocities, quick)
     if loss != "linear":
         distances = np.nan_to_num(outliers_of(matching).errors) / sigma
-        matching = matching.weighted(weights_of(loss, distances, pairs.dimension))
+        matching = matching.matched(pairs, weights_of(loss, distances, pairs.dimension))
     if start is not None and velocities is not None and start.sigma == sigma and loss == "linear":
         matching = replace(matching, strength=start.matching.strength)
         if quick and steps is not None:
@@ -145,8 +145,8 @@ def register(
 
 
 def _first_velocities(matching: Matching, start: Registration) -> NDArray[np.float64]:
-    """Initial velocities from those of similar landmarks: differences move along straight lines."""
-    (first, target), (start_first, start_target) = matching.all_ends, start.matching.all_ends
+    """Initial velocities from a registration of similar landmarks: differences move along straight lines."""
+    (first, target), (start_first, start_target) = matching.ends, start.matching.ends
     return np.asarray(start.velocities + (target - first) - (start_target - start_first))
 
 
@@ -159,7 +159,7 @@ def _smoothest(
     progress: Progress | None,
 ) -> Registration:
     """Search for the strength, and for a robust loss the weights, whose residuals have the size of sigma."""
-    sigma, unit = matching.sigma, matching.unit
+    sigma, unit, pairs = matching.sigma, matching.fixed_grid.unit, matching.pairs
     solves = 0
     while True:  # the first strength with a solution
         solves += 1
@@ -176,7 +176,7 @@ def _smoothest(
     following: Registration | None = current
     while solves < MOST_SOLVES and following is not None:
         current, following = following, None
-        scale = scale_of(loss, current.residuals, current.dimension)
+        scale = scale_of(loss, current.residuals, pairs.dimension)
         logarithm, excess = float(np.log(current.matching.strength)), float(np.log(scale / target))
         if progress is not None:
             progress(f"solve {solves}: residuals of {scale:.3g} {unit} for a sigma of {sigma:g}")
@@ -189,15 +189,21 @@ def _smoothest(
         recent = [excess for _, excess in tried[-STALLED:]]
         if len(recent) == STALLED and min(recent) > CLOSE and min(recent[1:]) > recent[0] - CLOSE:
             break
-        wanted = _better(tried, low, high)
+        # A secant between the bounds; residuals grow about as the square root of the strength.
+        slope = 0.5
+        if len(tried) > 1 and tried[-2][0] != logarithm:
+            slope = float(np.clip((excess - tried[-2][1]) / (logarithm - tried[-2][0]), 0.1, 2.0))
+        wanted = logarithm - float(np.clip(excess / slope, -4.0, 4.0))
+        wanted = wanted if low < wanted < high else 0.5 * (low + high)
         matching = current.matching
         if loss != "linear":
-            matching = matching.weighted(weights_of(loss, current.residuals / sigma, current.dimension))
+            weights = weights_of(loss, current.residuals / sigma, pairs.dimension)
+            matching = matching.matched(pairs, weights)
         largest = ALIGNED * Linear.of(matching).largest / replace(matching, strength=1.0).ridge
         for _ in range(3):
             solves += 1
             changed = replace(matching, strength=float(min(np.exp(wanted), largest)))
-            if changed.frame != current.frame:
+            if changed.frame != current.matching.frame:
                 guess = _first_velocities(changed, current)
             else:
                 guess = Linear.of(changed).continued(current.velocities, current.matching.ridge, changed.ridge)
@@ -207,26 +213,16 @@ def _smoothest(
             except RegistrationError:
                 wanted = 0.5 * (wanted + logarithm)
     current = current if following is None else following
-    scale = scale_of(loss, current.residuals, current.dimension)
+    scale = scale_of(loss, current.residuals, pairs.dimension)
     if scale > 1.25 * sigma:
         finding = f"residuals are {scale:.3g} {unit} where sigma is {sigma:g}"
         if out_of_order := said_of_partners(matching.pairs):
             raise RegistrationError(f"{finding}, and no map comes nearer; {out_of_order}", IN_ORDER)
         remedy = "give a larger sigma, or look for landmarks out of place"
         raise RegistrationError(f"{finding}, and no map was found that comes nearer", remedy)
-    if steps is None and not (current.error <= tolerance * matching.pixel):
-        current = refined(current.matching, tolerance, current.velocities, current.steps)
+    if steps is None and not (current.error <= tolerance * matching.fixed_grid.pixel):
+        current = solved(current.matching, None, tolerance, current.velocities, first=current.steps)
     return replace(current, solves=solves)
-
-
-def _better(tried: list[tuple[float, float]], low: float, high: float) -> float:
-    """The logarithm of the next strength, by a secant between the bounds; residuals grow about as its square root."""
-    logarithm, excess = tried[-1]
-    slope = 0.5
-    if len(tried) > 1 and tried[-2][0] != logarithm:
-        slope = float(np.clip((excess - tried[-2][1]) / (logarithm - tried[-2][0]), 0.1, 2.0))
-    wanted = logarithm - float(np.clip(excess / slope, -4.0, 4.0))
-    return wanted if low < wanted < high else 0.5 * (low + high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +282,8 @@ def leave_one_out(
         for k in range(count):
             try:
                 guess = np.delete(velocities, k, axis=0)
-                predicting = in_steps(full.matching.without(k), full.steps, guess, quick=True)
+                others = full.matching.matched(pairs.without(k), np.delete(full.matching.weights, k))
+                predicting = in_steps(others, full.steps, guess, quick=True)
             except (LandmarkError, RegistrationError):
                 continue
             misses[k] = predicting.map_points(pairs.moving[k : k + 1])[0] - pairs.fixed[k]
@@ -302,7 +299,7 @@ def leave_one_out(
 
 
 def out_of_place(outliers: Outliers | None, left_out: LeaveOneOut | None) -> tuple[int, ...]:
-    """Return the numbers of the outliers; of few landmarks those of leave-one-out."""
+    """Return the numbers of the outliers; of few landmarks the outliers of leave-one-out."""
     if outliers is not None and not np.isnan(outliers.errors).all():
         return outliers.numbers
     return left_out.outliers if left_out is not None else ()

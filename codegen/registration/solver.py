@@ -16,48 +16,70 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ModuleError, NumericsError, SchemeError
 from codegen.registration.pairs import PointArray
-from codegen.runtime.record import ConnectRecord, Task
-from codegen.solving.loading import load
+from codegen.solving.loading import ConnectModule, GeneratedModule, is_connect, load
 
 _THREADS: ContextVar[int] = ContextVar("threads", default=os.cpu_count() or 1)
 THREADED = 400_000
 """Evaluations of the kernel of a landmark and a point above which several threads are used."""
 
 
-class FlowModule(Protocol):
-    """The interface of a generated module that carries tracer points; a case is the result of `make_case`."""
+class FlowCase(Protocol):
+    """The problem of a generated module, the named tuple of `make_case`; start and target have shape (m, d)."""
 
-    metadata: ConnectRecord
+    start: PointArray
+    target: PointArray
+    sigma: NDArray[np.float64]
+    duration: float
+    own: NDArray[np.float64]
+    parameters: NDArray[np.float64]
+    _replace: Callable[..., FlowCase]
 
-    solve_case: Callable[..., Any]
-    make_case: Callable[..., Any]
+
+class FlowSolution(Protocol):
+    """The solution of a case; positions and momenta have shape (N + 1, m, d)."""
+
+    status: str
+    message: str
+    attempts: Sequence[str]
+    cost: float
+    q: NDArray[np.float64]
+    p: NDArray[np.float64]
+
+
+class FlowModule(ConnectModule, Protocol):
+    """A generated module that carries tracer points; modules of implicit schemes lack the last three functions."""
+
+    __file__: str
+    solve_case: Callable[..., FlowSolution]
+    make_case: Callable[..., FlowCase]
     momenta_of: Callable[..., NDArray[np.float64]]
-    momenta_of_least_action: Callable[[Any], NDArray[np.float64]]
-    momentum_matrix: Callable[..., None]
-    penalised: Callable[[Any, float, NDArray[np.float64]], float]
-    stages_of: Callable[[Any, Any], NDArray[np.float64]]
-    carry: Callable[..., tuple[PointArray, Any]]
-    POINTS: int
+    momenta_of_least_action: Callable[[FlowCase], NDArray[np.float64]]
+    penalised: Callable[[FlowCase, float, NDArray[np.float64]], float]
+    stages_of: Callable[[FlowCase, NDArray[np.float64]], NDArray[np.float64]]
+    carry: Callable[..., tuple[PointArray, NDArray[np.float64]]]
     BLOCK: int
+    ROWS: Sequence[Sequence[float]]
+    WEIGHTS: Sequence[float]
+    tracer_gradient: Callable[..., None]
 
 
-def require_tracers(module: Any) -> FlowModule:
+def require_tracers(module: GeneratedModule) -> FlowModule:
     """Return the module if it carries tracer points; ModuleError otherwise."""
-    if module.metadata.task != Task.CONNECT or not module.metadata.passive:
+    if not is_connect(module) or not module.metadata.passive:
         raise ModuleError("the module carries no points", "build it with --set passive=True")
     return cast(FlowModule, module)
 
@@ -81,7 +103,7 @@ class Flow:
     """
 
     module: FlowModule
-    case: Any
+    case: FlowCase
     path: NDArray[np.float64]
     points: NDArray[np.float64]
     threads: int = field(default_factory=_THREADS.get)
@@ -100,24 +122,22 @@ class Flow:
         return np.asarray(matrix @ momenta)
 
     def carry(self, points: PointArray, start: float = 0.0, stop: float = 1.0) -> PointArray:
+        """Carry points of the disc as `carry_with_jacobian`, without derivatives."""
+        return self.carry_with_jacobian(points, start, stop, derive=False)[0]
+
+    def carry_with_jacobian(
+        self, points: PointArray, start: float = 0.0, stop: float = 1.0, derive: bool = True
+    ) -> tuple[PointArray, NDArray[np.float64]]:
         """Carry points of the disc, shape (n, d), from time `start` to time `stop`.
 
+        Returns final positions and, unless `derive` is False, their derivatives by initial positions, shape (n, d, d).
         Points on the rim and outside do not move. A point becomes NaN if a step is too long to have a solution there.
         Raises NumericsError for unusable points or times.
         """
-        return self._carried(points, start, stop, False)[0]
-
-    def carry_with_jacobian(
-        self, points: PointArray, start: float = 0.0, stop: float = 1.0
-    ) -> tuple[PointArray, NDArray[np.float64]]:
-        """Carry points, and return the derivatives of final by initial positions, shape (n, d, d), too."""
-        return self._carried(points, start, stop, True)
-
-    def _carried(self, points: PointArray, start: float, stop: float, derive: bool) -> tuple[PointArray, Any]:
         points = np.ascontiguousarray(points, dtype=float)
         first, last = start * self.steps, stop * self.steps
 
-        def part(some: PointArray) -> tuple[PointArray, Any]:
+        def part(some: PointArray) -> tuple[PointArray, NDArray[np.float64]]:
             return self.module.carry(self.case, self.points, some, first, last, derive)
 
         work = len(points) * abs(last - first) * self.module.POINTS * self.points.shape[2]
@@ -133,12 +153,12 @@ class Flow:
         except ValueError as error:
             raise NumericsError(str(error), "give points, one a row, and times between 0 and 1") from error
         places = np.concatenate([places for places, _ in parts])
-        return places, np.concatenate([jacobians for _, jacobians in parts]) if derive else None
+        return places, np.concatenate([jacobians for _, jacobians in parts]) if derive else parts[0][1]
 
 
 def of_steps(flow: Flow, gradients: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return bounds of |D Phi - I| of each step, from bounds of the gradients at all stages, shape (N POINTS,)."""
-    module: Any = flow.module
+    module = flow.module
     h, bounds = flow.case.duration / flow.steps, np.zeros(flow.steps)
     for k, stages in enumerate(gradients.reshape(flow.steps, module.POINTS)):
         rates: list[float] = []

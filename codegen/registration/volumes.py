@@ -20,31 +20,42 @@ spacing allows. Only one slab of positions is in memory at a time.
 from __future__ import annotations
 
 import gzip
-import importlib
 import os
 import threading
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import binary_dilation, maximum_filter
 
-from codegen.errors import ArgumentError, CodegenError, ExtraError, ImageError
-from codegen.registration.grid import Grid, mesh, slabs
-from codegen.registration.images import SAMPLES, VOLUMES, rational, tifffile
+from codegen.errors import ArgumentError, CodegenError, ImageError
+from codegen.registration.grid import Grid, mesh
+from codegen.registration.images import SAMPLES, VOLUMES, Pixels, SampleType, library, rational, tifffile
 from codegen.registration.pairs import PointArray
-from codegen.registration.warp import HALVING, ORDERS, Map, basis, replacing_volume, sample_band, spline_of
+from codegen.registration.warp import (
+    HALVING,
+    ORDERS,
+    Map,
+    replacing_volume,
+    sample_band,
+    spline_at,
+    spline_coefficients,
+    spline_of,
+    spline_on_grid,
+)
 
 Array: TypeAlias = NDArray[np.float64]
 
+ITK = "SimpleITK", "which reads and writes volumes,", "volumes"
+"""Arguments of `library`."""
 TIFF = (".tif", ".tiff")
 WRITTEN = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
 _UNCOMPRESSED = (".nii", ".mhd")
@@ -75,8 +86,18 @@ BLOCKS_PORTION = 1 << 19
 class Volume:
     """Samples, shape (slices, rows, columns), and their grid."""
 
-    samples: NDArray[Any]
+    samples: Pixels
     grid: Grid
+
+
+class VolumeReader(Protocol):
+    """The functions of SimpleITK's ImageFileReader that describe a file."""
+
+    GetSize: Callable[[], tuple[int, ...]]
+    GetDimension: Callable[[], int]
+    GetSpacing: Callable[[], tuple[float, ...]]
+    GetDirection: Callable[[], tuple[float, ...]]
+    GetMetaData: Callable[[str], str]
 
 
 def suffix_of(path: Path, suffixes: tuple[str, ...]) -> str | None:
@@ -109,7 +130,7 @@ def read_volume(path: Path, most: int = MOST_VOXELS) -> Volume:
         raise ImageError(f"{path}: unknown kind of volume", f"give {', '.join((*VOLUMES, *TIFF))}")
     if not path.is_file():
         raise ImageError(f"{path} cannot be read (no such file)", "give a volume")
-    itk = library("SimpleITK")
+    itk = library(*ITK)
     with library_errors(path), silent():
         reader = itk.ImageFileReader()
         reader.SetFileName(str(path))
@@ -166,7 +187,7 @@ def _read_stack(path: Path, most: int) -> Volume:
     return Volume(samples.astype(samples.dtype.newbyteorder("="), copy=False), grid)
 
 
-def require_whole(path: Path, reader: Any, name: str = "") -> None:
+def require_whole(path: Path, reader: VolumeReader, name: str = "") -> None:
     """Refuse truncated NIfTI files, which SimpleITK completes with zeros; errors call them `name`."""
     kind = suffix_of(path, VOLUMES)
     if kind not in (".nii", ".nii.gz"):
@@ -216,26 +237,17 @@ def silent() -> Iterator[None]:
             os.close(nowhere)
 
 
-def library(name: str) -> Any:
-    """Import SimpleITK or tifffile; ExtraError with the command that installs it."""
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        remedy = "install the extra: pip install 'variational-codegen[volumes]'"
-        raise ExtraError(f"{name}, which reads and writes volumes, is not installed", remedy) from error
-
-
-def require_written(path: Path, dtype: np.dtype[Any] | None = None) -> None:
+def require_written(path: Path, dtype: SampleType | None = None) -> None:
     """Refuse names of volumes, and samples, that cannot be written; ExtraError if the library is missing."""
     kind = suffix_of(path, (*WRITTEN, *TIFF))
     if kind is None or (kind in WRITTEN and not path.name.endswith(kind)):  # SimpleITK accepts no capitals
         raise ImageError(f"{path}: volumes are not written so", f"let it end in {', '.join((*WRITTEN, '.tif'))}")
-    library("tifffile" if kind in TIFF else "SimpleITK")
+    library("tifffile" if kind in TIFF else "SimpleITK", *ITK[1:])
     if dtype is not None and kind in TIFF and dtype not in SAMPLES:
         raise ImageError(f"{path}: samples of {dtype} cannot be written", "write NIfTI, MetaImage or NRRD")
 
 
-def write_volume(path: Path, samples: NDArray[Any], grid: Grid) -> None:
+def write_volume(path: Path, samples: Pixels, grid: Grid) -> None:
     """Write samples, shape (slices, rows, columns), on a grid in the format of the suffix.
 
     On failure an existing file stays unchanged. Raises ImageError for an unknown suffix or type of samples, and
@@ -261,7 +273,7 @@ def require_field(path: Path) -> None:
     if not path.name.endswith(WRITTEN):  # SimpleITK accepts no capitals
         finding = f"--field {path}: displacements of volumes are not written so"
         raise ArgumentError(finding, f"let it end in {', '.join(WRITTEN)}")
-    library("SimpleITK")
+    library(*ITK)
 
 
 def write_field(path: Path, field: NDArray[np.float32], grid: Grid, direction: str = "") -> None:
@@ -271,9 +283,9 @@ def write_field(path: Path, field: NDArray[np.float32], grid: Grid, direction: s
         _write_by_itk(temporary, np.asarray(field), grid, f"displacement {direction}".strip())
 
 
-def _write_by_itk(path: Path, samples: NDArray[Any], grid: Grid, note: str = "") -> None:
+def _write_by_itk(path: Path, samples: Pixels, grid: Grid, note: str = "") -> None:
     """Write samples, shape (slices, rows, columns), or vectors along a fourth axis."""
-    itk, kind = library("SimpleITK"), suffix_of(path, VOLUMES)
+    itk, kind = library(*ITK), suffix_of(path, VOLUMES)
     image = itk.GetImageFromArray(samples, isVector=samples.ndim == 4)
     image.SetSpacing(grid.spacing)
     image.SetOrigin(grid.origin)
@@ -358,11 +370,7 @@ class Nodes:
         centres = ((cells + 0.5) * steps)[:, ::-1]
         places, values = self.grid.to_places(centres), []
         for k in range(0, len(centres), NODES_PORTION):
-            part = centres[k : k + NODES_PORTION]
-            z, y, x = (basis(line, at) for line, at in zip(self.lines, part.T[::-1], strict=True))
-            flat = (z @ self._coefficients.reshape(len(self.lines[0]), -1)).reshape(len(part), *self.shifts.shape[1:])
-            rows = np.einsum("nyxc,ny->nxc", flat, y.toarray())
-            values.append(np.einsum("nxc,nx->nc", rows, x.toarray()))
+            values.append(spline_at(self.lines, self._coefficients, centres[k : k + NODES_PORTION, ::-1]))
         errors = np.linalg.norm(np.concatenate(values) - (self.function(places) - places), axis=1)
         doubtful = self.doubtful.copy()
         doubtful[tuple(cells[~(errors <= bound)].T)] = True
@@ -379,20 +387,12 @@ class Nodes:
 
     @cached_property
     def _coefficients(self) -> Array:
-        coefficients = self.shifts
-        for axis, line in enumerate(self.lines):
-            spline = make_interp_spline(line, np.moveaxis(coefficients, axis, 0), k=3)
-            coefficients = np.moveaxis(spline.c, 0, axis)
-        return coefficients
+        return spline_coefficients(self.lines, self.shifts)
 
     def slab(self, part: slice) -> Array:
         """Return the displacements of some slices, shape (slices, rows, columns, 3)."""
-        shifts = self._coefficients
         indices = [np.arange(part.start, part.stop), *(np.arange(length) for length in self.grid.shape[1:])]
-        for axis, (line, at) in enumerate(zip(self.lines, indices, strict=True)):
-            first = np.moveaxis(shifts, axis, 0)
-            values = basis(line, at) @ first.reshape(len(first), -1)
-            shifts = np.moveaxis(values.reshape(-1, *first.shape[1:]), 0, axis)
+        shifts = spline_on_grid(self.lines, self._coefficients, [at.astype(float) for at in indices])
         cells = [np.minimum(at // step, len(line) - 2) for at, step, line in zip(indices, self.steps[::-1], self.lines)]
         exact = np.nonzero(self.doubtful[np.ix_(*cells)])
         if exact[0].size:
@@ -409,7 +409,7 @@ class Warped:
     positions in the source at which their values are read.
     """
 
-    samples: NDArray[Any]
+    samples: Pixels
     outside: int
     field: NDArray[np.float32] | None
 
@@ -421,17 +421,17 @@ def warped(source: Volume, nodes: Nodes, interpolation: str, with_field: bool = 
     displacement field.
     """
     grid, order = nodes.grid, ORDERS[interpolation]
-    columns, rows, slices = grid.size
+    columns, rows, _ = grid.size
     samples = np.empty(grid.shape, source.samples.dtype)
     field = np.empty((*grid.shape, 3), np.float32) if with_field else None
-    layer, outside = spline_of(source.samples, order), 0
+    layer, outside, done = spline_of(source.samples, order), 0, 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for part in slabs(slices, max(1, BLOCKS_PORTION // (columns * rows))):
-            shifts = nodes.slab(part)
+        thickness = max(1, BLOCKS_PORTION // (columns * rows))
+        for _, places in grid.portions(thickness * columns * rows):
+            part = slice(done, done + len(places) // (columns * rows))
+            shifts, done = nodes.slab(part), part.stop
             if field is not None:
                 field[part] = shifts
-            lines = [np.arange(float(columns)), np.arange(float(rows)), np.arange(float(part.start), float(part.stop))]
-            places = grid.to_places(mesh(lines))
             indices = source.grid.to_indices(places + shifts.reshape(places.shape)).reshape(shifts.shape)
 
             def one(k: int, first: int = part.start, indices: Array = indices) -> int:

@@ -15,7 +15,7 @@ the spline is compared with the map at the centres of the worst cells.
 Displacement fields: a field on the fixed frame, made with `inverse=True`, is the input of resampling programs such as
 ITK. Added to the position of a fixed pixel, it gives the position in the moving image. NIfTI, MetaImage and NRRD files
 have one voxel of size 1 per pixel, the origin at the centre of the top-left pixel, and vectors (x, y) in pixels. Axes
-are those of ITK: x to the left of the patient and y to the back. So no sign changes between the array and ITK.
+are the axes of ITK: x to the left of the patient and y to the back. So no sign changes between the array and ITK.
 
 MetaImage in two files consists of a header, `.mhd`, and the file of samples that the header names. Written headers
 name `stem.raw`, which holds numbers without compression, so that any program can read them.
@@ -24,24 +24,25 @@ name `stem.raw`, which holds numbers without compression, so that any program ca
 from __future__ import annotations
 
 import gzip
-import importlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 import scipy.ndimage
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import binary_dilation, maximum_filter
+from scipy.sparse import csr_array
 
-from codegen.errors import ArgumentError, ExtraError, ImageError
+from codegen.errors import ArgumentError, ImageError
 from codegen.files import replacing
-from codegen.registration.grid import pixel_grid
+from codegen.registration.grid import grid_of, pixel_grid
+from codegen.registration.images import Pixels, SampleType, library
 from codegen.registration.maps import Registration
 from codegen.registration.pairs import PointArray
 
@@ -69,6 +70,7 @@ SPLINE_PADDING = 12
 """Pixels by which an image is continued before a spline is fitted, as in scipy.ndimage for this boundary mode."""
 
 FIELD_KINDS = (".npz", ".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
+_FIELDS = "which writes this kind of file,", "fields"
 _NIFTI_VECTOR = "vector"  # the intent whose components ITK takes without a change of sign
 _META_HEADER, _META_SAMPLES, _META_KEY = ".mhd", ".raw", "ElementDataFile"
 _SAMPLE_KEYS = {_META_HEADER: ("=", (_META_KEY,)), ".nhdr": (":", ("data file", "datafile"))}
@@ -107,7 +109,7 @@ class WarpReport:
 
 
 def warp(
-    pixels: Any,
+    pixels: ArrayLike,
     registration: Registration,
     *,
     interpolation: Interpolation = "linear",
@@ -118,7 +120,7 @@ def warp(
     fill: float = 0.0,
     time: float = 1.0,
     positions: Positions | None = None,
-) -> NDArray[Any]:
+) -> Pixels:
     """Warp the moving image to the frame of the fixed image.
 
     Parameters
@@ -132,7 +134,7 @@ def warp(
     inverse : bool
         Warp the fixed image to the frame of the moving image.
     shape : sequence of int, optional
-        Height and width of the result; by default those of the other image.
+        Height and width of the result; by default of the other image.
     spacing : int or "auto", optional
         Pixels between the nodes of a coarse grid from which positions are interpolated; by default none are.
     bound : float
@@ -163,18 +165,10 @@ def warp(
 
 
 def warp_reported(
-    pixels: Any,
-    registration: Registration,
-    *,
-    interpolation: Interpolation = "linear",
-    inverse: bool = False,
-    shape: Sequence[int] | None = None,
-    spacing: Spacing = None,
-    bound: float = BOUND,
-    fill: float = 0.0,
-    time: float = 1.0,
-    positions: Positions | None = None,
-) -> tuple[NDArray[Any], WarpReport]:
+    pixels: ArrayLike, registration: Registration, *, interpolation: Interpolation = "linear", inverse: bool = False,
+    shape: Sequence[int] | None = None, spacing: Spacing = None, bound: float = BOUND, fill: float = 0.0,
+    time: float = 1.0, positions: Positions | None = None,
+) -> tuple[Pixels, WarpReport]:  # fmt: skip
     """Warp an image as `warp` does, and report the accuracy."""
     image = np.asarray(pixels)
     if interpolation not in ORDERS:
@@ -184,7 +178,7 @@ def warp_reported(
     if image.dtype.kind not in "uif":
         raise ImageError(f"the image's values are of type {image.dtype}", "give integers or floating-point numbers")
     if positions is None:
-        default = registration.shape if inverse else registration.fixed_shape
+        default = (registration.grid if inverse else registration.fixed_grid).shape
         positions = sources(registration, default if shape is None else shape, inverse, spacing, bound, time)
     places, order = positions.places, ORDERS[interpolation]
     layers = [spline_of(image[(..., *channel)], order) for channel in np.ndindex(image.shape[2:])]
@@ -219,11 +213,7 @@ def sources(
 
 
 def displacement_field(
-    registration: Registration,
-    shape: Sequence[int] | None = None,
-    inverse: bool = False,
-    *,
-    spacing: Spacing = None,
+    registration: Registration, shape: Sequence[int] | None = None, inverse: bool = False, *, spacing: Spacing = None
 ) -> Array:
     """Return the displacements of all pixels of the moving image.
 
@@ -232,7 +222,7 @@ def displacement_field(
     registration : Registration
         The map.
     shape : sequence of int, optional
-        Height and width; by default those of the image.
+        Height and width; by default of the image.
     inverse : bool
         Return the displacements of the inverse map at the pixels of the fixed image.
     spacing : int or "auto", optional
@@ -243,7 +233,7 @@ def displacement_field(
     array, shape (h, w, 2)
         (dx, dy) in pixels.
     """
-    default = registration.fixed_shape if inverse else registration.shape
+    default = (registration.fixed_grid if inverse else registration.grid).shape
     height, width = (int(length) for length in tuple(default if shape is None else shape)[:2])
     function = registration.map_points_inverse if inverse else registration.map_points
     singular = registration.pairs.fixed if inverse else registration.pairs.moving
@@ -288,27 +278,19 @@ def write_field(path: Path | str, field: Array, direction: str = "") -> None:
         if kind == ".npz":
             np.savez_compressed(temporary, displacement=values, direction=np.array(direction))
         elif kind in (".nii", ".nii.gz"):
-            # Axes x, y, z, t, component; x and y of NIfTI are opposite to those of ITK.
+            # Axes x, y, z, t, component; x and y of NIfTI are opposite to x and y of ITK.
             data = np.ascontiguousarray(values.transpose(1, 0, 2)[:, :, None, None, :])
-            nifti = _library("nibabel").Nifti1Image(data, np.diag([-1.0, -1.0, 1.0, 1.0]))
+            nifti = library("nibabel", *_FIELDS).Nifti1Image(data, np.diag([-1.0, -1.0, 1.0, 1.0]))
             nifti.header.set_intent(_NIFTI_VECTOR)
             nifti.header["descrip"] = f"displacement {direction}".strip().encode()[:79]
             content = nifti.to_bytes()
             temporary.write_bytes(gzip.compress(content, 6) if temporary.suffix.lower() == ".gz" else content)
         else:
-            itk = _library("SimpleITK")
+            itk = library("SimpleITK", *_FIELDS)
             image = itk.GetImageFromArray(np.ascontiguousarray(values), isVector=True)
             if direction:
                 image.SetMetaData("Comment", f"displacement {direction}")
             itk.WriteImage(image, str(temporary), useCompression=written_with(temporary) is None)
-
-
-def _library(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        remedy = "install the extra: pip install 'variational-codegen[fields]'"
-        raise ExtraError(f"{name}, which writes this kind of file, is not installed", remedy) from error
 
 
 def written_with(path: Path) -> Path | None:
@@ -366,22 +348,21 @@ def map_grid(
         largest //= 2
     if spacing is None or 6 * largest > min(height, width):
         places = np.empty((height * width, 2))
-        for begin in range(0, len(places), PORTION):
-            rows, columns = np.divmod(np.arange(begin, min(begin + PORTION, len(places))), width)
-            places[begin : begin + PORTION] = function(np.stack([columns, rows], axis=1).astype(float))
+        for part, pixels in grid_of((height, width)).portions(PORTION):
+            places[part] = function(pixels)
         return Positions(places.reshape(height, width, 2))
     if spacing == "auto":
         # Halve the spacing while the pixels to be mapped exactly are more than the nodes that halving would add.
-        grid = _Grid.exact(function, (height, width), largest)
+        grid = _Grid.of(function, (height, width), largest)
         while grid.spacing > SMALLEST:
             doubtful = grid.doubtful(grid.errors(), singular, bound)
             if doubtful.sum() * grid.spacing**2 <= 3 * grid.shifts[..., 0].size:
                 break
-            grid = grid.refined(function)
+            grid = _Grid.of(function, grid.shape, grid.spacing // 2, grid)
         return grid.completed(function, singular, bound)
     if spacing not in (2, 4, 8, 16, 32):
         raise ArgumentError(f"the spacing is {spacing!r}", "give 2, 4, 8, 16, 32 or auto")
-    return _Grid.exact(function, (height, width), min(spacing, largest)).completed(function, singular, bound)
+    return _Grid.of(function, (height, width), min(spacing, largest)).completed(function, singular, bound)
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,28 +379,23 @@ class _Grid:
     shifts: Array
 
     @classmethod
-    def exact(cls, function: Map, shape: tuple[int, int], spacing: int) -> _Grid:
-        """Map all nodes."""
-        y, x = (_nodes(length, spacing) for length in shape)
-        nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        return cls(shape, spacing, x, y, (function(nodes) - nodes).reshape(y.size, x.size, 2))
-
-    def refined(self, function: Map) -> _Grid:
-        """Halve the spacing; only new nodes are mapped."""
-        shape, spacing = self.shape, self.spacing // 2
-        y, x = (_nodes(length, spacing) for length in shape)
+    def of(cls, function: Map, shape: tuple[int, int], spacing: int, coarser: _Grid | None = None) -> _Grid:
+        """Map all nodes, apart from the nodes of a coarser grid of twice the spacing."""
+        y, x = (spacing * np.arange(2 * -(-length // (2 * spacing)) + 1.0) for length in shape)
         shifts = np.full((y.size, x.size, 2), np.nan)
-        rows, columns = min(self.y.size, (y.size + 1) // 2), min(self.x.size, (x.size + 1) // 2)
-        shifts[: 2 * rows : 2, : 2 * columns : 2] = self.shifts[:rows, :columns]
+        if coarser is not None:
+            rows, columns = min(coarser.y.size, (y.size + 1) // 2), min(coarser.x.size, (x.size + 1) // 2)
+            shifts[: 2 * rows : 2, : 2 * columns : 2] = coarser.shifts[:rows, :columns]
         new = np.isnan(shifts[..., 0])
         nodes = np.stack(np.meshgrid(x, y), axis=-1)
         shifts[new] = function(nodes[new]) - nodes[new]
-        return _Grid(shape, spacing, x, y, shifts)
+        return cls(shape, spacing, x, y, shifts)
 
     def errors(self) -> Array:
         """Estimate the error of the spline at each node, shape (rows, columns), in pixels."""
-        coefficients = _coefficients(self.y[::2], self.x[::2], self.shifts[::2, ::2])
-        coarse = _spline(self.y[::2], self.x[::2], coefficients, self.y, self.x)
+        every_second = self.y[::2], self.x[::2]
+        coefficients = spline_coefficients(every_second, self.shifts[::2, ::2])
+        coarse = spline_on_grid(every_second, coefficients, (self.y, self.x))
         return np.asarray(np.linalg.norm(coarse - self.shifts, axis=-1) / HALVING)
 
     def doubtful(self, errors: Array, singular: PointArray, bound: float) -> NDArray[np.bool_]:
@@ -435,9 +411,10 @@ class _Grid:
     def completed(self, function: Map, singular: PointArray, bound: float) -> Positions:
         """Interpolate all pixels, and map the pixels of doubtful cells exactly."""
         height, width = self.shape
-        errors, coefficients = self.errors(), _coefficients(self.y, self.x, self.shifts)
+        errors, lines = self.errors(), (self.y, self.x)
+        coefficients = spline_coefficients(lines, self.shifts)
         doubtful = self.doubtful(errors, singular, bound)
-        places = _spline(self.y, self.x, coefficients, np.arange(height), np.arange(width))
+        places = spline_on_grid(lines, coefficients, (np.arange(float(height)), np.arange(float(width))))
         places[..., 0] += np.arange(width)
         places[..., 1] += np.arange(height)[:, None]
         pixels = np.repeat(np.repeat(doubtful, self.spacing, axis=0), self.spacing, axis=1)[:height, :width]
@@ -451,10 +428,8 @@ class _Grid:
         worst = worst[remaining.ravel()[worst] > 0.0]
         if worst.size:
             rows, columns = np.unravel_index(worst, remaining.shape)
-            x, y = (columns + 0.5) * self.spacing, (rows + 0.5) * self.spacing
-            centres = np.stack([x, y], axis=1)
-            in_rows = (basis(self.y, y) @ coefficients.reshape(self.y.size, -1)).reshape(len(x), self.x.size, 2)
-            interpolated = np.einsum("nmc,nm->nc", in_rows, basis(self.x, x).toarray())
+            centres = np.asarray((np.stack([columns, rows], axis=1) + 0.5) * self.spacing, dtype=float)
+            interpolated = spline_at(lines, coefficients, centres[:, ::-1])
             checked = float(np.linalg.norm(interpolated - (function(centres) - centres), axis=1).max())
         return Positions(places, self.spacing, exact, max(float(remaining.max()), checked))
 
@@ -463,33 +438,42 @@ def _at_cells(errors: Array) -> Array:
     return np.asarray(maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1])
 
 
-def _nodes(length: int, spacing: int) -> Array:
-    cells = 2 * -(-length // (2 * spacing))
-    return spacing * np.arange(cells + 1.0)
+def spline_coefficients(lines: Sequence[Array], values: Array) -> Array:
+    """Fit the cubic spline ("not a knot" at its ends) through values on a grid, shape (*lengths of lines, c)."""
+    for axis, line in enumerate(lines):
+        values = np.moveaxis(make_interp_spline(line, np.moveaxis(values, axis, 0), k=3).c, 0, axis)
+    return values
 
 
-def _coefficients(y: Array, x: Array, values: Array) -> Any:
-    """Fit the cubic spline ("not a knot" at its ends) through values on a grid, shape (rows, columns, 2)."""
-    by_rows = make_interp_spline(y, values, k=3, axis=0).c
-    return np.moveaxis(make_interp_spline(x, np.moveaxis(by_rows, 1, 0), k=3, axis=0).c, 0, 1)
-
-
-def _spline(y: Array, x: Array, coefficients: Any, to_y: Any, to_x: Any) -> Array:
-    """Evaluate a spline at every y of every x of another grid."""
-    along, across = basis(y, to_y), basis(x, to_x)
-    out = np.empty((len(to_y), len(to_x), 2))
-    for component in range(2):
-        out[..., component] = (across @ (along @ coefficients[..., component]).T).T
+def spline_on_grid(lines: Sequence[Array], coefficients: Array, points: Sequence[Array]) -> Array:
+    """Evaluate a spline on another grid, whose coordinates along each axis are `points`."""
+    bases = [basis(line, at) for line, at in zip(lines, points, strict=True)]
+    out = np.empty((*map(len, points), coefficients.shape[-1]))
+    for component in range(out.shape[-1]):
+        values = coefficients[..., component]
+        for axis, matrix in enumerate(bases):
+            first = np.moveaxis(values, axis, 0)
+            values = np.moveaxis((matrix @ first.reshape(len(first), -1)).reshape(-1, *first.shape[1:]), 0, axis)
+        out[..., component] = values
     return out
 
 
-def basis(nodes: Array, at: Any) -> Any:
+def spline_at(lines: Sequence[Array], coefficients: Array, points: Array) -> Array:
+    """Evaluate a spline at points in the order of the lines, shape (n, d)."""
+    (line, *others), (at, *rest) = lines, points.T
+    values = (basis(line, at) @ coefficients.reshape(len(line), -1)).reshape(len(points), *coefficients.shape[1:])
+    for line, at in zip(others, rest, strict=True):
+        values = np.einsum("nk...,nk->n...", values, basis(line, at).toarray())
+    return np.asarray(values)
+
+
+def basis(nodes: Array, at: Array) -> csr_array:
     """Evaluate the cubic B-splines of nodes at points: a sparse matrix."""
     knots = np.concatenate([[nodes[0]] * 4, nodes[2:-2], [nodes[-1]] * 4])
-    return BSpline.design_matrix(np.asarray(at, dtype=float), knots, 3).tocsr()
+    return BSpline.design_matrix(at, knots, 3).tocsr()
 
 
-def spline_of(layer: NDArray[Any], order: int) -> NDArray[Any]:
+def spline_of(layer: Pixels, order: int) -> Pixels:
     """Return the values, or the coefficients of the cubic spline through the continued values."""
     if order < 2:
         return layer
@@ -498,7 +482,7 @@ def spline_of(layer: NDArray[Any], order: int) -> NDArray[Any]:
 
 
 def sample_band(
-    layers: Sequence[NDArray[Any]], sources: Array, shape: Sequence[int], order: int, fill: float, warped: NDArray[Any]
+    layers: Sequence[Pixels], sources: Array, shape: Sequence[int], order: int, fill: float, warped: Pixels
 ) -> int:
     """Fill rows of the result, or of a slice, from positions (x, y, ...); return the number of pixels from outside.
 
@@ -519,11 +503,11 @@ def sample_band(
         )  # fmt: skip
         warped[(..., *channel)] = _as_type(values, warped.dtype)
     if outside.any():
-        warped[outside] = _as_type(np.float64(fill), warped.dtype)
+        warped[outside] = _as_type(np.array(fill, dtype=float), warped.dtype)
     return int(outside.sum())
 
 
-def _as_type(values: Any, dtype: np.dtype[Any]) -> Any:
+def _as_type(values: Pixels, dtype: SampleType) -> Pixels:
     """Convert values: for integers round to nearest and clip to the range of the type."""
     if values.dtype == dtype or not np.issubdtype(dtype, np.integer):
         return values.astype(dtype, copy=False)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from small_pictures import picture, two_pictures
 
 from codegen.errors import LandmarkError
-from codegen.registration.app.session import MOST_PAIRS, History, Settings
+from codegen.registration.app.session import MOST_PAIRS, History, Settings, Work
 from codegen.registration.pairs import LandmarkPairs
 
 
@@ -37,7 +37,7 @@ def test_undo_and_redo_restore_every_state_in_order(session):
     first = session.work.pairs[0].identity
     for x in (11.0, 12.0, 13.0):
         session.move(first, "moving", (x, 20.0), settled=False)
-    session.settle()
+    session.history.settle()
     session.move(first, "moving", (14.0, 20.0))
     session.set(Settings(sigma=2.0))
     session.remove(first)
@@ -113,6 +113,6 @@ def test_another_image_keeps_the_pairs_that_fit_into_it(session):
     session.open("moving", picture((40, 30)))
     assert places(session, "moving") == [(10.0, 20.0)]
     assert not session.history.can_undo
-    session.open_alone(picture((20, 20)))
+    session.replace(picture((20, 20)), None, Work(settings=session.work.settings))
     assert session.work.pairs == ()
     assert session.picture("fixed") is session.moving

@@ -110,7 +110,7 @@ def test_the_picture_on_the_screen_is_close_to_the_exact_one(solved):
     assert np.abs(np.stack([x, y], axis=-1) - exact).max() < 1.0
     assert shown.seen["tab"].image.shape == (50, 70, 4)
     corner = shown.registration.map_points_inverse([[-0.5, -0.5], [69.5, 49.5]])
-    np.testing.assert_allclose(shown.chart.fixed[[0, -1], [0, -1]], corner, atol=1e-9)
+    np.testing.assert_allclose(shown.chart["fixed"][[0, -1], [0, -1]], corner, atol=1e-9)
     again = solving.shown(solving.Wanted(solved.task(), hasty=True), looks, shown.registration)
     assert again.chart is None
     assert again.registration.steps <= shown.registration.steps
@@ -154,7 +154,8 @@ def test_of_a_map_that_is_not_certified_neither_image_nor_field_is_handed_out(so
 
 def test_without_pairs_nothing_moves_and_nothing_can_be_downloaded(session):
     task = Session(session.moving).task()
-    looks = {"tab": solving.Look(solving.whole(session.moving))}
+    height, width = session.moving.shape
+    looks = {"tab": solving.Look(solving.Window(0.0, 0.0, width, height, width, height))}
     shown = solving.shown(solving.Wanted(task), looks, None)
     np.testing.assert_array_equal(shown.seen["tab"].image[..., :3], session.moving.pixels)
     for make in (solving.warped_image, solving.field, solving.animation):

@@ -24,7 +24,7 @@ from codegen.registration.batch_pairs import (
 )
 from codegen.registration.images import write_image
 from codegen.registration.job import Options
-from codegen.registration.pair_report import Result
+from codegen.registration.pair_report import Outcome
 
 HEADER = "moving_x,moving_y,fixed_x,fixed_y\n"
 
@@ -55,7 +55,7 @@ def stand_in(job, options, record=None):
     files = {"moving": str(job.moving), "fixed": None, "landmarks": [str(path) for path in job.landmarks]}
     found = {"status": status, "message": "as told", "summary": {"landmarks": 1}, "seconds": {}}
     record = {**files, "out": str(job.out), **found}
-    return Result(record=record, pairs=None, moving=None, fixed=None)
+    return Outcome(record=record, pairs=None)
 
 
 def done(jobs, options, summary, run_one=stand_in, **request):

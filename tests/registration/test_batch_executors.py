@@ -23,7 +23,7 @@ from codegen.batch.executors.processes import TRIES
 from codegen.errors import ClusterError
 from codegen.registration.batch_pairs import BatchWork, Pair, Places, SharedFile, jobs_in_folder, read_summary
 from codegen.registration.job import Options
-from codegen.registration.job import run_pictures as run_pair
+from codegen.registration.job import run as run_pair
 
 pytestmark = pytest.mark.usefixtures("solver")
 

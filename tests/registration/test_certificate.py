@@ -9,7 +9,7 @@ from registered_images import SHAPE
 from codegen.errors import LandmarkError
 from codegen.registration import leave_one_out, register
 from codegen.registration.certificate import bound_of_steps, certify, certify_with_positions
-from codegen.registration.grid import Grid, pixel_grid
+from codegen.registration.grid import grid_of, pixel_grid
 from codegen.registration.noise import choose_sigma
 from codegen.registration.pairs import LandmarkPairs
 
@@ -17,7 +17,7 @@ from codegen.registration.pairs import LandmarkPairs
 def known_map(determinant, back=lambda p: p):
     """Something that has what `certify` asks for."""
     return SimpleNamespace(
-        status="solved", message="", fixed_grid=Grid.plain((9, 11)), dimension=2, residuals=np.array([0.25, 0.5]),
+        status="solved", message="", fixed_grid=grid_of((9, 11)), residuals=np.array([0.25, 0.5]),
         pairs=LandmarkPairs([[1, 1]], [[2, 2]]), arriving=lambda p: (p, determinant(p)), map_points=lambda p: p,
         map_points_inverse=back, alignment=SimpleNamespace(determinant=1.0),
         flow=SimpleNamespace(module=None),  # which carries no bounds

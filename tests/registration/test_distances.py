@@ -39,7 +39,7 @@ def specimens():
 def test_the_distance_of_one_landmark_is_the_hyperbolic_one():
     """With G(q, q) = (1 - |q|^2)^2 / 2 the metric is 2 |dq|^2 / (1 - |q|^2)^2: sqrt(2) artanh of a radius."""
     found = register(LandmarkPairs([[49.5, 49.5]], [[79.5, 49.5]]), (100, 100), align="none", steps=64)
-    radius = 30.0 / found.frame.radius
+    radius = 30.0 / found.matching.frame.radius
     assert found.distance == pytest.approx(np.sqrt(2.0) * np.arctanh(radius), rel=1e-9)
 
 

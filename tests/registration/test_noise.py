@@ -23,7 +23,7 @@ SHAPE = (SIDE, SIDE)
 
 def deviation(found):
     """The standard deviation of a coordinate's residual in pixels."""
-    return np.sqrt((found.residuals**2).mean() / found.dimension)
+    return np.sqrt((found.residuals**2).mean() / found.pairs.dimension)
 
 
 def coordinates_left(matching):

@@ -59,7 +59,7 @@ def test_landmarks_arrive_and_points_return(registration):
 
 def test_the_map_is_the_one_that_an_adaptive_integrator_finds(pairs):
     fine = register(pairs, SHAPE, steps=160)
-    carried = fine.frame.to_pixels(integrated(fine, fine.frame.to_disc(PROBE)))
+    carried = fine.matching.frame.to_pixels(integrated(fine, fine.matching.frame.to_disc(PROBE)))
     np.testing.assert_allclose(fine.map_points_inverse(PROBE), fine.alignment.apply_inverse(carried), atol=1e-7)
 
 
@@ -104,7 +104,9 @@ def test_a_similarity_is_not_charged_to_the_flow(pairs):
 
 
 def test_pixels_outside_the_disc_only_follow_the_alignment(registration):
-    far = registration.alignment.apply_inverse(registration.frame.to_pixels(np.array([[1.001, 0.0], [0.0, -3.0]])))
+    far = registration.alignment.apply_inverse(
+        registration.matching.frame.to_pixels(np.array([[1.001, 0.0], [0.0, -3.0]]))
+    )
     np.testing.assert_array_equal(registration.map_points(far), registration.alignment.apply(far))
 
 
@@ -121,7 +123,7 @@ def test_dragging_a_landmark_finds_what_a_fresh_start_finds(registration, pairs)
 def test_a_sigma_lets_landmarks_miss_by_so_much(registration, pairs, sigma):
     loose = register(pairs, SHAPE, sigma=sigma, steps=registration.steps)
     assert np.sqrt((loose.residuals**2).mean() / 2.0) == pytest.approx(0.8 * sigma, rel=0.06)  # of eight landmarks
-    scale = loose.frame.radius
+    scale = loose.matching.frame.radius
     misses = loose.alignment.apply(loose.map_points_inverse(pairs.fixed)) - loose.alignment.apply(pairs.moving)
     # The end condition q + strength sigma^2 p = target, in pixels of the fixed image.
     weight = loose.matching.strength * (sigma / scale) ** 2

@@ -147,7 +147,7 @@ def test_the_map_does_not_depend_on_how_volumes_lie_nor_on_the_unit():
     grid = Grid(GRID.size, tuple(size * shift), tuple(size * s for s in GRID.spacing), tuple(map(tuple, turn)), "m")
     other = register(LandmarkPairs(placed(pairs.moving), placed(pairs.fixed)), grid, align="none")
     np.testing.assert_allclose(other.map_points(placed(points)), placed(found.map_points(points)), atol=1e-9 * size)
-    assert (other.steps, other.matching.unit) == (found.steps, "m")
+    assert (other.steps, other.matching.fixed_grid.unit) == (found.steps, "m")
 
 
 def test_landmarks_in_the_plane_do_not_go_with_volumes():

@@ -7,7 +7,7 @@ import pytest
 from volume_samples import FIXED, MOVING, OBLIQUE, asked, filled, pairs_of, refused, run, table, volume
 
 from codegen.registration import register
-from codegen.registration.grid import Grid
+from codegen.registration.grid import Grid, corners
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.volumes import Nodes, read_volume, write_volume
 
@@ -157,7 +157,7 @@ def test_memory_is_used_in_slabs_and_the_result_does_not_depend_on_them(files, m
 
 
 def test_slices_are_named_by_the_axes_of_the_patient():
-    from codegen.registration.volume_pictures import Plane
+    from codegen.registration.pair_report import Plane
 
     lying = Grid(
         (9, 8, 7), (0.0, 0.0, 0.0), (1.0, 1.0, 2.0), ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)), "mm"
@@ -178,7 +178,7 @@ def test_slices_are_named_by_the_axes_of_the_patient():
 @pytest.mark.parametrize("size", [(40, 36, 33), (70, 64, 5), (3, 50, 50)])
 def test_splines_between_nodes_are_as_near_as_they_say(size):
     grid = Grid(size, (3.0, -2.0, 1.0), (0.7, 0.7, 0.7 * 70 / size[2] / 2), OBLIQUE)
-    middle = grid.corners().mean(axis=0)
+    middle = corners(grid).mean(axis=0)
 
     def kinked(places):
         shift = 0.4 * np.exp(-np.linalg.norm(places - middle, axis=1)[:, None] / 6.0)

@@ -11,17 +11,14 @@ import os
 import re
 import secrets
 import tempfile
-from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from codegen.errors import CodegenError, ImageError
+from codegen.errors import CodegenError
 from codegen.files import refused, replacing
 from codegen.registration.app.reading import picture_from
 from codegen.registration.app.session import Picture, Work, as_record, from_record
-from codegen.registration.app.worker import Deliver, Worker, saving
 
 MOST_WORKS = 50
 """Works that are kept; older ones are deleted."""
@@ -88,7 +85,11 @@ class Store:
             return saved
         with suppress(OSError):  # writing a file reports a missing folder
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if (there := self._edition(path)) and there != saved.edition:
+        try:
+            edition = str(json.loads(path.read_text())["edition"])
+        except (OSError, ValueError, KeyError, TypeError):  # there is no file, or it is not readable
+            edition = ""
+        if edition and edition != saved.edition:
             finding = "another codegen app has changed this work meanwhile"
             raise OtherWriterError(finding, "both states are kept, this one under a new address")
         labels: list[dict[str, str] | None] = []
@@ -101,7 +102,14 @@ class Store:
         images = {"moving": labels[0], "fixed": labels[1], "heard": saved.heard, "edition": written.edition}
         with replacing(path) as temporary:
             temporary.write_text(json.dumps(as_record(saved.work) | images))
-        self._tidy()
+        # Delete the oldest works, and images without a work.
+        with suppress(OSError, ValueError):
+            works = sorted(self.folder.glob("*.json"), key=lambda path: path.stat().st_mtime, reverse=True)
+            if len(works) > MOST_WORKS:
+                texts = "".join(path.read_text() for path in works[:MOST_WORKS])
+                images_of_none = [p for p in self.folder.iterdir() if DIGEST.fullmatch(p.name) and p.name not in texts]
+                for path in (*works[MOST_WORKS:], *images_of_none):
+                    path.unlink(missing_ok=True)
         return written
 
     def load(self, token: str) -> Saved | None:
@@ -111,98 +119,19 @@ class Store:
             return None
         try:
             record = json.loads(path.read_text())
-            moving = self._picture(record["moving"])
-            fixed = None if record["fixed"] is None else self._picture(record["fixed"])
+            pictures: list[Picture | None] = []
+            for label in (record["moving"], record["fixed"]):
+                if label is not None and not DIGEST.fullmatch(str(label["digest"])):
+                    return None
+                data = None if label is None else (self.folder / str(label["digest"])).read_bytes()
+                pictures.append(None if data is None else picture_from(data, str(label["name"])))
+            moving, fixed = pictures
+            if moving is None:
+                return None
             heard = {str(client): int(number) for client, number in record["heard"].items()}
             return Saved(moving, fixed, from_record(record), heard, str(record["edition"]))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, CodegenError):
             return None
 
-    def _edition(self, path: Path) -> str:
-        """Return the edition of the file; empty if the file is not readable."""
-        try:
-            return str(json.loads(path.read_text())["edition"])
-        except (OSError, ValueError, KeyError, TypeError):
-            return ""
-
     def _path(self, token: str) -> Path | None:
         return self.folder / f"{token}.json" if TOKEN.fullmatch(token) else None
-
-    def _picture(self, label: dict[str, Any]) -> Picture:
-        digest = str(label["digest"])
-        if not DIGEST.fullmatch(digest):
-            raise ImageError("the saved work names no image", "open the image again")
-        return picture_from((self.folder / digest).read_bytes(), str(label["name"]))
-
-    def _tidy(self) -> None:
-        """Delete the oldest works, and images without a work."""
-        with suppress(OSError, ValueError):
-            works = sorted(self.folder.glob("*.json"), key=lambda path: path.stat().st_mtime, reverse=True)
-            if len(works) <= MOST_WORKS:
-                return
-            texts = "".join(path.read_text() for path in works[:MOST_WORKS])
-            for path in works[MOST_WORKS:]:
-                path.unlink(missing_ok=True)
-            for path in self.folder.iterdir():
-                if DIGEST.fullmatch(path.name) and path.name not in texts:
-                    path.unlink(missing_ok=True)
-
-
-class Keeper:
-    """Saves a work under `token`, in the background; without a store nothing is saved.
-
-    `read` is the saved state at the start. `safe` has the last saved edit of every page, and `problem` is the reason of
-    a failed attempt. `told` is called after every attempt, and `renamed` with the reason of another name of the work.
-    """
-
-    def __init__(
-        self,
-        deliver: Deliver,
-        store: Store | None,
-        token: str,
-        read: Saved | None,
-        told: Callable[[], None],
-        renamed: Callable[[str], None],
-    ) -> None:
-        self.token = token
-        self.safe: Mapping[str, int] = dict(read.heard) if read else {}
-        self.problem: str | None = None
-        self._store, self._edition = store, read.edition if read else ""
-        self._told, self._renamed = told, renamed
-        self._worker = Worker(deliver, ("save",), saving)
-
-    @property
-    def busy(self) -> bool:
-        """True if a save is in progress or has failed."""
-        return self._worker.busy or self.problem is not None
-
-    def save(self, state: Saved) -> None:
-        """Save a state in the background; of several waiting states only the newest."""
-        store, token = self._store, self.token
-        if store is None:
-            self.safe = state.heard
-            self._told()
-            return
-
-        def job() -> tuple[str, Saved, str]:
-            # The edition of the last write, which may be newer than the request.
-            newest = replace(state, edition=self._edition)
-            try:
-                return token, store.save(token, newest), ""
-            except OtherWriterError as error:
-                other = new_token()
-                return other, store.save(other, newest), str(error)
-
-        self._worker.ask("save", job, self._saved, self._failed)
-
-    def _saved(self, result: tuple[str, Saved, str]) -> None:
-        token, saved, said = result
-        self._edition, self.safe, self.problem = saved.edition, saved.heard, None
-        if token != self.token:
-            self.token = token
-            self._renamed(said)
-        self._told()
-
-    def _failed(self, error: Exception) -> None:
-        self.problem = str(error) if isinstance(error, CodegenError) else type(error).__name__
-        self._told()

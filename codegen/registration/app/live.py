@@ -1,4 +1,4 @@
-"""An open work: its session, its tabs, and the solving, drawing and saving for them.
+"""An open work: its session, its tabs, their messages as JSON, and the solving, drawing and saving for them.
 
 All tabs of a work share one session. Each edit of a page has a number, is applied once, and is kept by the page until
 it has been saved. So neither a second tab nor the end of the server loses an edit.
@@ -7,27 +7,203 @@ it has been saved. So neither a second tab nor the end of the server loses an ed
 from __future__ import annotations
 
 import json
+import math
+import struct
 import traceback
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import Any
+from typing import Any, Protocol, TypeAlias
 
-from codegen.errors import CodegenError, RegistrationError
-from codegen.registration.app import messages, solving, worker
-from codegen.registration.app.autosave import TOKEN, Keeper, Saved, Store, new_token
-from codegen.registration.app.messages import Line, Tab, operate
-from codegen.registration.app.session import Session, Work
-from codegen.registration.app.solving import Certified, Look, Shown, Wanted
-from codegen.registration.app.worker import Deliver, Worker, delivered, slow
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.errors import CodegenError, LandmarkError, RegistrationError
+from codegen.registration.alignment import KINDS
+from codegen.registration.app import solving, worker
+from codegen.registration.app.autosave import TOKEN, OtherWriterError, Saved, Store, new_token
+from codegen.registration.app.reading import LIMITS, MOST_LANDMARK_BYTES
+from codegen.registration.app.session import MOST_PAIRS, SIDE, Session, Settings, Side, Work
+from codegen.registration.app.solving import Certified, Look, Seen, Shown, Wanted
+from codegen.registration.app.worker import Deliver, Worker, delivered, saving, slow
+from codegen.registration.formats import FORMATS
 from codegen.registration.maps import Registration
 from codegen.registration.noise import SigmaEstimate
 
+Message: TypeAlias = Mapping[str, Any]
+Values: TypeAlias = dict[str, Any]
+
+SCHEMES = {"rk4": "fourth order", "midpoint": "second order", "explicit-euler": "first order"}
+"""Schemes in the page, with their orders."""
+ALIGNMENTS = ("auto", *KINDS)
+INTERPOLATIONS = ("linear", "cubic", "nearest")
+COLOURS = ((0, 90, 170), (247, 247, 247), (200, 85, 0))
+"""Blue for smaller, white, orange for larger areas: distinct for the colour-blind."""
+_REMEDY = "load the page again"
 MOST_CLIENTS = 50
 """Pages whose last edits are remembered."""
 MOST_PIXELS = 1 << 23
 """Most pixels of a window."""
+
+
+def operate(session: Session, message: Message) -> int | None:
+    """Apply an edit; return the identity of the pair that it adds or completes.
+
+    Raises LandmarkError for an invalid edit, and the errors of the session; the session is then unchanged.
+    """
+    action = str(message.get("do"))
+    try:
+        match action:
+            case "add":
+                awaiting = message.get("awaiting")
+                side, place = _side(message), _place(message)
+                return session.add(side, place, None if awaiting is None else int(awaiting)).identity
+            case "move":
+                session.move(int(message["id"]), _side(message), _place(message), bool(message["settled"]))
+            case "rename":
+                session.rename(int(message["id"]), str(message["name"]))
+            case "activate":
+                session.activate(_identities(message), bool(message["active"]))
+            case "remove":
+                session.remove(*_identities(message))
+            case "set":
+                values = message["settings"]
+                settings = Settings(**{f.name: type(f.default)(values[f.name]) for f in fields(Settings)})  # type: ignore[misc]
+                choices = {"align": ALIGNMENTS, "scheme": SCHEMES, "interpolation": INTERPOLATIONS}
+                for name, allowed in choices.items():
+                    if getattr(settings, name) not in allowed:
+                        raise ValueError(name)
+                session.set(settings)
+            case "undo":
+                session.undo()
+            case "redo":
+                session.redo()
+            case "settle":
+                session.history.settle()
+            case _:
+                raise LandmarkError(f"{action[:40]!r} is no edit", _REMEDY)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise LandmarkError(f"the edit {action!r} cannot be read", _REMEDY) from error
+    return None
+
+
+def _side(message: Message) -> Side:
+    if message["side"] not in ("moving", "fixed"):
+        raise ValueError("side")
+    return "moving" if message["side"] == "moving" else "fixed"
+
+
+def _place(message: Message) -> tuple[float, float]:
+    x, y = message["place"]
+    return float(x), float(y)
+
+
+def _identities(message: Message) -> list[int]:
+    return [int(identity) for identity in list(message["ids"])[:MOST_PAIRS]]
+
+
+def images_message(session: Session) -> Values:
+    """Return the images of a session; `alone` is True for a single one."""
+    values: Values = {"type": "images", "alone": session.fixed is None}
+    for side, picture in (("moving", session.moving), ("fixed", session.picture("fixed"))):
+        height, width = picture.shape
+        spacing = picture.spacing
+        values[side] = {
+            "name": picture.name, "width": width, "height": height, "digest": picture.digest,
+            "levels": [level.shape[1::-1] for level in picture.levels],
+            "spacing": None if spacing is None else {"x": spacing.x, "y": spacing.y, "unit": spacing.unit},
+            "edges": picture.edges,
+        }  # fmt: skip
+    return values
+
+
+def work_message(session: Session, before: Work | None) -> Values:
+    """Return the pairs that changed since `before`, or all pairs if it is None, as rows, and the state of undo."""
+    now = session.work
+    earlier = {} if before is None else {pair.identity: pair for pair in before.pairs}
+    changed = [pair.row for pair in now.pairs if earlier.get(pair.identity) != pair]
+    order = [pair.identity for pair in now.pairs]
+    same_order = before is not None and order == [pair.identity for pair in before.pairs]
+    return {
+        "type": "work", "revision": session.revision, "all": before is None, "changed": changed,
+        "order": None if same_order else order, "settings": dict(vars(now.settings)),
+        "undo": session.history.can_undo, "redo": session.history.can_redo,
+    }  # fmt: skip
+
+
+def solved_message(shown: Shown) -> Values:
+    """Return the numbers of a registration: residuals by identity, and a chart of points in the other image."""
+    registration, task = shown.registration, shown.wanted.task
+    values: Values = {"type": "solved", "revision": task.revision, "hasty": shown.wanted.hasty, "found": False}
+    if registration is None:
+        return values
+    identities = [pair.identity for pair in task.work.active]
+    values |= {
+        "found": True, "steps": registration.steps, "met": registration.status == "solved",
+        "residuals": _by_identity(identities, registration.residuals), "alignment": registration.alignment.kind,
+    }  # fmt: skip
+    if task.fixed.spacing is not None:
+        values["residual_lengths"] = _by_identity(identities, task.fixed.spacing.lengths(registration.misses))
+    if shown.chart is not None:
+        values["chart"] = {side: np.round(places, 3).tolist() for side, places in shown.chart.items()}
+    return values
+
+
+def _by_identity(identities: list[int], values: NDArray[np.float64]) -> dict[str, float | None]:
+    return {str(identity): _number(float(value)) for identity, value in zip(identities, values, strict=True)}
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _packed(header: Message, image: NDArray[np.uint8]) -> bytes:
+    """A binary message: the length of the header, the header, and RGBA."""
+    height, width = image.shape[:2]
+    text = json.dumps({**header, "width": width, "height": height}, allow_nan=False).encode()
+    return struct.pack("<I", len(text)) + text + image.tobytes()
+
+
+class Line(Protocol):
+    """The connection to a tab of a browser."""
+
+    def send(self, message: Message | bytes) -> None:
+        """Send values or a packed picture; closed connections are ignored."""
+
+
+class Tab:
+    """A tab that receives one picture at a time; of several waiting pictures only the newest is sent."""
+
+    def __init__(self, line: Line) -> None:
+        self.line = line
+        self.look = Look()
+        self._number = 0
+        self._busy = False
+        self._next: tuple[Seen, int] | None = None
+
+    def show(self, picture: Seen, revision: int) -> None:
+        """Send a picture, now or when the tab has drawn the previous one."""
+        if self._busy:
+            self._next = (picture, revision)
+            return
+        self._busy = True
+        self._number += 1
+        look, window = picture.look, picture.look.window
+        header: Values = {
+            "type": "frame", "number": self._number, "revision": revision, "time": look.time,
+            "window": None if window is None else [window.left, window.top, window.right, window.bottom],
+            "grid": [[np.round(line[:, axis], 2).tolist() for line in picture.grid] for axis in (0, 1)],
+            "carried": np.round(picture.carried, 2).tolist(),
+        }  # fmt: skip
+        self.line.send(_packed(header, picture.image))
+
+    def drawn(self) -> None:
+        """Send the waiting picture: the tab has drawn the previous one."""
+        self._busy = False
+        if self._next is not None:
+            following, self._next = self._next, None
+            self.show(*following)
 
 
 class LiveWork:
@@ -56,26 +232,32 @@ class LiveWork:
         self._told: Work | None = None  # the work in all tabs
         self._worker = Worker(deliver, ("draw",))
         self._slow = Worker(deliver, ("sigma", "certify"), slow)
-        self._keeper = Keeper(deliver, store, token, saved, self._tell_saved, self._renamed)
-        self._awaited: Future[None] | None = None  # the solver that is being compiled
-
-    @property
-    def token(self) -> str:
+        self.token = token
         """The name of the saved work."""
-        return self._keeper.token
+        self._store, self._edition = store, saved.edition if saved else ""
+        self._saving = Worker(deliver, ("save",), saving)
+        self._safe = dict(self._heard)  # the last saved edit of every page
+        self._problem: str | None = None  # the reason why the last attempt to save failed
+        self._awaited: Future[None] | None = None  # the solver that is being compiled
 
     def join(self, client: str, line: Line) -> None:
         """Add a tab, whose name is `client`."""
         self.tabs[client] = Tab(line)
-        hello = {"type": "hello", "token": self.token, "heard": self._heard.get(client, 0), **messages.offers()}
+        hello = {
+            "type": "hello", "token": self.token, "heard": self._heard.get(client, 0),
+            "limits": {"image": LIMITS.bytes, "landmarks": MOST_LANDMARK_BYTES, "pairs": MOST_PAIRS}, "tile": SIDE,
+            "alignments": ALIGNMENTS, "schemes": SCHEMES, "interpolations": INTERPOLATIONS,
+            "formats": {name: form.title for name, form in FORMATS.items()},
+            "suffixes": sorted({suffix for form in FORMATS.values() for suffix in form.suffixes}),
+        }  # fmt: skip
         line.send(hello)
         line.send(self._is_safe(client))  # the page may have missed the message
-        line.send(messages.images(self.session))
-        line.send(messages.work(self.session, None))
+        line.send(images_message(self.session))
+        line.send(work_message(self.session, None))
         if self._told is None:
             self._told = self.session.work
         if self.shown is not None:
-            line.send(messages.solved(self.shown))
+            line.send(solved_message(self.shown))
         if self.certified is not None and self.shown is not None:
             self._send_certified(self.tabs[client], self.certified, self.shown)
         self.draw()
@@ -85,12 +267,12 @@ class LiveWork:
         if client in self.tabs and self.tabs[client].line is line:
             del self.tabs[client]
 
-    def tell(self, message: Mapping[str, Any] | bytes) -> None:
+    def tell(self, message: Message | bytes) -> None:
         """Send a message to every tab."""
         for tab in self.tabs.values():
             tab.line.send(message)
 
-    def hear(self, client: str, message: Any) -> None:
+    def hear(self, client: str, message: object) -> None:
         """Handle a message of a tab; errors become a message to this tab."""
         tab = self.tabs.get(client)
         if tab is None or not isinstance(message, dict):
@@ -114,9 +296,9 @@ class LiveWork:
     @property
     def busy(self) -> bool:
         """True if a computation or a save is in progress, or if the last save failed."""
-        return self._worker.busy or self._slow.busy or self._keeper.busy
+        return self._worker.busy or self._slow.busy or self._saving.busy or self._problem is not None
 
-    def _edit(self, client: str, tab: Tab, message: Mapping[str, Any]) -> None:
+    def _edit(self, client: str, tab: Tab, message: Message) -> None:
         number = int(message["number"])
         added = None
         if number > self._heard.get(client, 0):
@@ -137,19 +319,19 @@ class LiveWork:
         if not hasty:
             self.save()
 
-    def change(self, act: Callable[[], Any], images: bool = False) -> None:
+    def change(self, act: Callable[[], object], images: bool = False) -> None:
         """Change the session, and show and save the result; errors of `act` are raised."""
         act()
         if images:
             self.shown = self.certified = None
             self._told = None
-            self.tell(messages.images(self.session))
+            self.tell(images_message(self.session))
         self._tell_work()
         self.draw()
         self.save()
 
     def _tell_work(self) -> None:
-        self.tell(messages.work(self.session, self._told))
+        self.tell(work_message(self.session, self._told))
         self._told = self.session.work
 
     def draw(self, hasty: bool = False, only: str | None = None) -> None:
@@ -182,7 +364,7 @@ class LiveWork:
         self.shown = shown
         self.session.registration = shown.registration
         if is_new or shown.registration is None:
-            self.tell(messages.solved(shown))
+            self.tell(solved_message(shown))
         for client, seen in shown.seen.items():
             if client in self.tabs:
                 self.tabs[client].show(seen, shown.wanted.task.revision)
@@ -207,9 +389,31 @@ class LiveWork:
         self._slow.ask("certify", job, certify, self._failed)
 
     def _send_certified(self, tab: Tab, certified: Certified, shown: Shown) -> None:
-        if certified.revision == shown.wanted.task.revision:
-            tab.line.send(messages.certified(certified, shown.wanted.task))
-            tab.line.send(messages.areas(certified))
+        """Send the certificate with leave-one-out errors and outliers, and the map of det J as a picture."""
+        task = shown.wanted.task
+        if certified.revision != task.revision:
+            return
+        identities = [pair.identity for pair in task.work.active]
+        values: Values = {
+            "type": "certified", "revision": certified.revision, "least": _number(certified.det_min),
+            "most": _number(certified.det_max), "folded": certified.folded,
+            "round_trip": _number(certified.round_trip), "left_out": None, "extreme": certified.extreme,
+            "outliers": [identities[k] for k in certified.outliers],
+        }  # fmt: skip
+        if certified.left_out is not None:
+            values["left_out"] = _by_identity(identities, certified.left_out.errors)
+            if task.fixed.spacing is not None:
+                lengths = task.fixed.spacing.lengths(certified.left_out.misses)
+                values["left_out_lengths"] = _by_identity(identities, lengths)
+        elif len(identities) > solving.MOST_LEFT_OUT:
+            values["note"] = f"of more than {solving.MOST_LEFT_OUT} pairs, none is left out in turn"
+        tab.line.send(values)
+        # A logarithmic scale that is symmetric in growth and shrinking.
+        shares = np.log2(np.clip(certified.areas, 1e-6, 1e6)) / certified.extreme
+        image = np.full((*shares.shape, 4), 255, np.uint8)
+        for channel in range(3):
+            image[..., channel] = np.interp(shares, [-1.0, 0.0, 1.0], [end[channel] for end in COLOURS]).round()
+        tab.line.send(_packed({"type": "areas", "extreme": certified.extreme}, image))
 
     def _ready(self) -> bool:
         """Return True if the solver of the scheme is ready or not needed; otherwise all is drawn when it is ready."""
@@ -252,23 +456,49 @@ class LiveWork:
         self._slow.ask("sigma", partial(solving.estimated_sigma, self.session.task()), take, self._failed)
 
     def save(self) -> None:
-        """Save the work in the background, and tell every tab which of its edits are saved."""
-        session = self.session
-        self._keeper.save(Saved(session.moving, session.fixed, session.work, dict(self._heard), ""))
+        """Save the work in the background, and tell every tab which of its edits are saved.
+
+        Of several waiting states only the newest is saved; without a store nothing is.
+        """
+        session, store, token = self.session, self._store, self.token
+        state = Saved(session.moving, session.fixed, session.work, dict(self._heard), "")
+        if store is None:
+            self._safe = state.heard
+            self._tell_saved()
+            return
+
+        def job() -> tuple[str, Saved, str]:
+            # The edition of the last write, which may be newer than the request.
+            newest = replace(state, edition=self._edition)
+            try:
+                return token, store.save(token, newest), ""
+            except OtherWriterError as error:
+                other = new_token()
+                return other, store.save(other, newest), str(error)
+
+        def done(result: tuple[str, Saved, str]) -> None:
+            name, saved, reason = result
+            self._edition, self._safe, self._problem = saved.edition, saved.heard, None
+            if name != self.token:  # another server has changed the saved work of the old name
+                self.token = name
+                self.renamed(self)
+                self.tell({"type": "moved", "token": name})
+                self._say(reason)
+            self._tell_saved()
+
+        def failed(error: Exception) -> None:
+            self._problem = str(error) if isinstance(error, CodegenError) else type(error).__name__
+            self._tell_saved()
+
+        self._saving.ask("save", job, done, failed)
 
     def _tell_saved(self) -> None:
         for client, tab in self.tabs.items():
             tab.line.send(self._is_safe(client))
 
-    def _is_safe(self, client: str) -> dict[str, Any]:
+    def _is_safe(self, client: str) -> Values:
         """Return the number of the last saved edit of a page, up to which the page may forget its edits."""
-        return {"type": "saved", "number": self._keeper.safe.get(client, 0), "problem": self._keeper.problem}
-
-    def _renamed(self, reason: str) -> None:
-        """Tell the tabs another name of the work: another server has changed the saved work of the old name."""
-        self.renamed(self)
-        self.tell({"type": "moved", "token": self.token})
-        self._say(reason)
+        return {"type": "saved", "number": self._safe.get(client, 0), "problem": self._problem}
 
     def _tell_status(self, doing: str) -> None:
         self.tell({"type": "status", "doing": worker.COMPILING if self._awaited is not None else doing})
@@ -288,11 +518,11 @@ class LiveWork:
             self._say(f"Something unexpected went wrong ({type(error).__name__}); your landmarks are safe")
 
 
-def _message(text: str, wrong: bool = True) -> dict[str, Any]:
+def _message(text: str, wrong: bool = True) -> Values:
     return {"type": "message", "text": text, "wrong": wrong}
 
 
-def _look(message: Mapping[str, Any]) -> Look:
+def _look(message: Message) -> Look:
     """Return the view of a tab; ValueError for an invalid window."""
     time = min(max(float(message["time"]), 0.0), 1.0)
     values = message["window"]
@@ -306,10 +536,11 @@ def _look(message: Mapping[str, Any]) -> Look:
     return Look(solving.Window(left, top, right, bottom, max(1, width), max(1, height)), time, bool(message["grid"]))
 
 
-def parsed(text: str | bytes) -> Any:
+def parsed(text: str | bytes) -> object:
     """Parse a message of a page; None for invalid JSON."""
     try:
-        return json.loads(text)
+        message: object = json.loads(text)
+        return message
     except (ValueError, RecursionError):
         return None
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path, PurePath
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from codegen.errors import ArgumentError, ImageError, PointsError
 from codegen.registration.app.session import NAME_LENGTH, Edges, Picture, Session, Work, pairs_of
 from codegen.registration.formats import FORMATS, parse_landmarks
-from codegen.registration.images import SAMPLES, Limits, Spacing, read_image, unit_name
-from codegen.registration.volumes import library, library_errors, require_whole, silent
+from codegen.registration.images import SAMPLES, Limits, Spacing, library, read_image, unit_name
+from codegen.registration.volumes import ITK, VolumeReader, library_errors, require_whole, silent
 
 Files: TypeAlias = list[tuple[str, bytes]]
 """Names and contents of files."""
@@ -92,7 +92,7 @@ def example() -> Session:
 def in_order(files: Files) -> tuple[Files, list[str]]:
     """Sort landmark files, the moving one first, and return remarks for the visitor.
 
-    Names decide if one of them has a word for its image; otherwise the order stays. PointsError if one file of a pair
+    Names decide if a name has a word for its image; otherwise the order stays. PointsError if one file of a pair
     is missing.
     """
     if len(files) == 1:
@@ -104,7 +104,11 @@ def in_order(files: Files) -> tuple[Files, list[str]]:
             raise PointsError(f"{name} has the points of one image only", remedy)
     if len(files) != 2:
         return files, []
-    first, second = (_side_in(name) for name, _ in files)
+    mentioned = []  # the image that each name mentions; empty for none or both
+    for name, _ in files:
+        sides = [side for side, words in _SIDES.items() if any(word in name.lower() for word in words)]
+        mentioned.append(sides[0] if len(sides) == 1 else "")
+    first, second = mentioned
     decided = first != second
     ordered = files[::-1] if decided and (first == "fixed" or second == "moving") else files
     moving, fixed = (name for name, _ in ordered)
@@ -112,12 +116,6 @@ def in_order(files: Files) -> tuple[Files, list[str]]:
     if decided:
         why = "as their names say"
     return ordered, [f"{moving} was taken for the moving image and {fixed} for the fixed one, {why}"]
-
-
-def _side_in(name: str) -> str:
-    """The image that a file name mentions; empty for none or both."""
-    sides = [side for side, words in _SIDES.items() if any(word in name.lower() for word in words)]
-    return sides[0] if len(sides) == 1 else ""
 
 
 def _volume_suffix(data: bytes) -> str | None:
@@ -149,7 +147,7 @@ def _read_slice(data: bytes, suffix: str, name: str) -> Picture:
         is_complete = suffix != ".nrrd" or _NRRD_OTHER_FILE.search(_nrrd_header(data)) is None
     if not is_complete:
         raise ImageError(f"{name} names another file for its samples", "save it as one file: .nrrd, .mha or .nii")
-    itk = library("SimpleITK")
+    itk = library(*ITK)
     with tempfile.TemporaryDirectory(prefix="codegen-") as folder:
         path = Path(folder) / f"image{suffix}"
         path.write_bytes(data)
@@ -185,7 +183,7 @@ def _nrrd_header(data: bytes) -> bytes:
     return re.split(rb"\r?\n\r?\n", data, maxsplit=1)[0]
 
 
-def _edges(data: bytes, suffix: str, reader: Any, column: int, row: int) -> Edges | None:
+def _edges(data: bytes, suffix: str, reader: VolumeReader, column: int, row: int) -> Edges | None:
     """The sides of the patient of the left, right, upper and lower edge; None if the file has no orientation."""
     dimension = reader.GetDimension()
     # SimpleITK supplies an orientation if the file has none.
@@ -209,7 +207,7 @@ def _patient_side(direction: NDArray[np.float64]) -> str:
     return "".join(letters[k][int(direction[k] > 0.0)] for k in order if abs(direction[k]) >= OBLIQUE)
 
 
-def _spacing(data: bytes, suffix: str, reader: Any, column: int, row: int) -> Spacing | None:
+def _spacing(data: bytes, suffix: str, reader: VolumeReader, column: int, row: int) -> Spacing | None:
     """The size of a pixel; None for 1 by 1 without a unit, which programs write if they know no size."""
     x, y = (float(reader.GetSpacing()[axis]) for axis in (column, row))
     unit = ""

@@ -17,7 +17,7 @@ from functools import partial
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import quote, urlsplit
 
 from tornado.httpserver import HTTPServer
@@ -30,7 +30,7 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 from codegen.errors import ArgumentError, CodegenError
 from codegen.registration.app import solving
 from codegen.registration.app.autosave import Store, default_folder
-from codegen.registration.app.live import LiveWork, Works, parsed
+from codegen.registration.app.live import LiveWork, Message, Works, parsed
 from codegen.registration.app.reading import (
     LIMITS,
     MOST_LANDMARK_BYTES,
@@ -40,10 +40,12 @@ from codegen.registration.app.reading import (
     picture_from,
     session_of,
 )
-from codegen.registration.app.session import Session, tile
+from codegen.registration.app.session import Session, Work, tile
+from codegen.registration.app.solving import Download
 from codegen.registration.formats import FORMATS, parse_landmarks
 from codegen.registration.formats.base import Frames
 
+T = TypeVar("T")
 HOST = "localhost"
 HOSTS = ("localhost", "127.0.0.1", "[::1]")
 """Names of this machine. Other names may be foreign ones that resolve to it (DNS rebinding)."""
@@ -157,12 +159,10 @@ class Upload(Guarded):
         self._body += chunk
 
     def on_finish(self) -> None:
-        """Count the end of an upload."""
+        """Count the end, or the interruption, of an upload."""
         _receiving.discard(id(self))
 
-    def on_connection_close(self) -> None:
-        """Count the interruption of an upload."""
-        _receiving.discard(id(self))
+    on_connection_close = on_finish
 
     def files(self) -> Files:
         """Return names and contents; 400 for a form without files."""
@@ -170,7 +170,7 @@ class Upload(Guarded):
         arguments: dict[str, list[bytes]] = {}
         parse_body_arguments(self.request.headers.get("Content-Type", ""), bytes(self._body), arguments, by_field)
         self._body.clear()
-        received: list[Any] = [file for files in by_field.values() for file in files]
+        received = [file for files in by_field.values() for file in files]
         if not 0 < len(received) <= MOST_FILES:
             raise HTTPError(400, reason="One or two files are expected")
         return [(file.filename, file.body) for file in received]
@@ -202,13 +202,9 @@ class OfWork(Guarded):
             raise HTTPError(404)
         return work
 
-    def refuse(self, error: CodegenError) -> None:
-        """Answer with an error."""
-        self.set_status(422)
-        self.answer({"error": str(error)})
-
-    def answer(self, values: Mapping[str, Any]) -> None:
+    def answer(self, values: Mapping[str, str], status: int = 200) -> None:
         """Answer with values for the page."""
+        self.set_status(status)
         self.set_header("Content-Type", "application/json")
         self.finish(json.dumps(values))
 
@@ -244,11 +240,11 @@ class OpenImage(Upload, OfWork):
             await _aside(lambda: (picture.levels, picture.digest))
             session = work.session
             if which == "alone":
-                work.change(partial(session.open_alone, picture), images=True)
+                work.change(partial(session.replace, picture, None, Work(settings=session.work.settings)), images=True)
             else:
                 work.change(partial(session.open, "moving" if which == "moving" else "fixed", picture), images=True)
         except CodegenError as error:
-            self.refuse(error)
+            self.answer({"error": str(error)}, 422)
         else:
             self.answer({})
 
@@ -267,7 +263,7 @@ class OpenLandmarks(Upload, OfWork):
             landmarks = await _aside(lambda: parse_landmarks(ordered, frames=frames))
             work.change(partial(work.session.load, landmarks))
         except CodegenError as error:
-            self.refuse(error)
+            self.answer({"error": str(error)}, 422)
         else:
             self.answer({"remark": " ".join(remarks)})
 
@@ -293,7 +289,7 @@ class Export(OfWork):
         task = work.session.task()
         if form not in FORMATS or part not in ("0", "1"):
             raise HTTPError(400)
-        jobs: dict[str, Callable[[], Any]] = {
+        jobs: dict[str, Callable[[], Download | tuple[Download, ...]]] = {
             "image": partial(solving.warped_image, task), "field": partial(solving.field, task),
             "landmarks": lambda: solving.landmarks(task, form), "animation": partial(solving.animation, task, grid),
         }  # fmt: skip
@@ -302,7 +298,7 @@ class Export(OfWork):
                 work.require_solver()
             result = await _aside(jobs[kind])
         except CodegenError as error:
-            self.refuse(error)
+            self.answer({"error": str(error)}, 422)
             return
         parts = result if isinstance(result, tuple) else (result,)
         download = parts[min(int(part), len(parts) - 1)]
@@ -340,7 +336,7 @@ class Socket(OfWork, WebSocketHandler):
             self.live.leave(self.client, self)
             self.works.left(self.live)
 
-    def send(self, message: Mapping[str, Any] | bytes) -> None:
+    def send(self, message: Message | bytes) -> None:
         """Send values or a packed picture; a closed connection is ignored."""
         try:
             if isinstance(message, bytes):
@@ -351,7 +347,7 @@ class Socket(OfWork, WebSocketHandler):
             pass
 
 
-async def _aside(job: Callable[[], Any]) -> Any:
+async def _aside(job: Callable[[], T]) -> T:
     return await IOLoop.current().run_in_executor(aside, job)
 
 

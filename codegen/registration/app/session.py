@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from codegen.errors import LandmarkError
-from codegen.registration.images import Spacing
+from codegen.registration.images import Pixels, Spacing
 from codegen.registration.maps import Registration
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.solver import DEFAULT_SCHEME
@@ -50,11 +50,6 @@ SIDE = 512
 """Pixels along each side of a tile; tiles at the right and at the lower edge may be smaller."""
 
 
-def other(side: Side) -> Side:
-    """Return the other image."""
-    return "fixed" if side == "moving" else "moving"
-
-
 @dataclass(frozen=True)
 class Pair:
     """One feature in both images, in pixels; `identity` is unique and constant.
@@ -81,7 +76,7 @@ class Pair:
         return replace(self, fixed=place, guessed=guessed)
 
     @property
-    def row(self) -> list[Any]:
+    def row(self) -> list[object]:
         """The pair in JSON: identity, moving x and y, fixed x and y, name, guessed, active."""
         return [self.identity, *self.moving, *self.fixed, self.name, self.guessed, self.active]
 
@@ -147,7 +142,7 @@ def pairs_of(landmarks: LandmarkPairs, first_identity: int) -> tuple[Pair, ...]:
     )
 
 
-def as_record(work: Work) -> dict[str, Any]:
+def as_record(work: Work) -> dict[str, object]:
     """Convert a work to values for JSON."""
     return {"pairs": [pair.row for pair in work.pairs], "settings": dict(vars(work.settings))}
 
@@ -180,7 +175,7 @@ class Picture:
     size of a pixel. `edges` are the sides of a patient at the left, right, upper and lower edge.
     """
 
-    pixels: NDArray[Any]
+    pixels: Pixels
     name: str = "image"
     source: bytes = field(default=b"", repr=False)
     kind: str = "PNG"
@@ -244,7 +239,7 @@ class Picture:
         return (x + 0.5) * self.reduction - 0.5, (y + 0.5) * self.reduction - 0.5
 
 
-def _eight_bits(pixels: NDArray[Any]) -> NDArray[np.uint8]:
+def _eight_bits(pixels: Pixels) -> NDArray[np.uint8]:
     if pixels.dtype == np.uint8:
         return np.ascontiguousarray(pixels)
     stride = max(1, int(np.sqrt(pixels.size / SAMPLED)))
@@ -260,15 +255,6 @@ def _eight_bits(pixels: NDArray[Any]) -> NDArray[np.uint8]:
     for k in range(0, len(pixels), ROWS):
         values = np.nan_to_num(pixels[k : k + ROWS].astype(np.float64), nan=low, posinf=high, neginf=low)
         result[k : k + ROWS] = np.rint(np.clip((values - low) * scale, 0.0, 255.0))
-    return result
-
-
-def rgba(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Convert an image of 8 bits to four channels."""
-    if image.ndim == 3 and image.shape[2] == 4:
-        return image
-    result = np.full((*image.shape[:2], 4), 255, np.uint8)
-    result[..., :3] = image if image.ndim == 3 else image[..., None]
     return result
 
 
@@ -386,11 +372,6 @@ class Session:
         outside = [p.identity for p in self.work.pairs if not all(self.picture(s).contains(p.at(s)) for s in sides)]
         self._restart(self.work.without(outside))
 
-    def open_alone(self, picture: Picture) -> None:
-        """Show a single image, whose points are dragged."""
-        self.moving, self.fixed = picture, None
-        self._restart(Work(settings=self.work.settings))
-
     def replace(self, moving: Picture, fixed: Picture | None, work: Work) -> None:
         """Start again with other images and pairs."""
         self.moving, self.fixed = moving, fixed
@@ -416,7 +397,7 @@ class Session:
             if len(self.work.pairs) >= MOST_PAIRS:
                 raise LandmarkError(f"there are {MOST_PAIRS} pairs already", "delete some, or use codegen warp")
             self._last_identity += 1
-            away = other(side)
+            away: Side = "fixed" if side == "moving" else "moving"
             if self.registration is not None:
                 registration, points = self.registration, np.array([place])
                 carry = registration.map_points if side == "moving" else registration.map_points_inverse
@@ -457,7 +438,7 @@ class Session:
         self._change(self.work.without(identities))
 
     def load(self, landmarks: LandmarkPairs) -> None:
-        """Replace all pairs by those of a landmark file, which can be undone; LandmarkError if there are too many."""
+        """Load the pairs of a landmark file instead of all pairs; LandmarkError if there are too many."""
         pairs = pairs_of(landmarks, self._last_identity + 1)
         self._last_identity += len(pairs)
         self._change(replace(self.work, pairs=pairs))
@@ -470,17 +451,13 @@ class Session:
 
     def undo(self) -> bool:
         """Undo the last step; False if there is none."""
-        return self._count(self.history.undo())
+        changed = self.history.undo()
+        self.revision += changed
+        return changed
 
     def redo(self) -> bool:
         """Repeat the step that was undone; False if there is none."""
-        return self._count(self.history.redo())
-
-    def settle(self) -> None:
-        """End a drag: the mouse button was released."""
-        self.history.settle()
-
-    def _count(self, changed: bool) -> bool:
+        changed = self.history.redo()
         self.revision += changed
         return changed
 

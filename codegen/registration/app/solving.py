@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import sleep
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import map_coordinates
 
 from codegen.errors import LandmarkError, RegistrationError
-from codegen.registration.app.session import Picture, Task, rgba
+from codegen.registration.app.session import Picture, Side, Task
 from codegen.registration.certificate import certify_with_positions
 from codegen.registration.formats import FORMATS, landmark_texts
 from codegen.registration.formats.base import Frames
@@ -49,13 +49,6 @@ FRAMES, FRAME_MILLISECONDS = 21, 70
 PAPER = (255, 255, 255, 255)
 
 Array = NDArray[np.float64]
-
-
-class Lines(NamedTuple):
-    """Lines of a grid."""
-
-    x: list[Array]
-    y: list[Array]
 
 
 @dataclass(frozen=True)
@@ -93,38 +86,39 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A picture for a tab: `image` is RGBA, (h, w, 4); `carried` are the landmarks before time 1, (n, 2)."""
+    """A picture for a tab: `image` is RGBA, (h, w, 4); `carried` are the landmarks before time 1, and lines of
+    the grid have shape (points, 2).
+    """
 
     look: Look
     image: NDArray[np.uint8]
-    grid: Lines
+    grid: list[Array]
     carried: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Chart:
-    """Points of each image in the other one, shape (CHART, CHART, 2) each, rows from the top."""
-
-    moving: Array
-    fixed: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Shown:
-    """The pictures of all tabs: `registration` is None without pairs or solver, `chart` while a point is dragged."""
+    """The pictures of all tabs: `registration` is None without pairs or solver.
+
+    `chart` has points of each image in the other one, shape (CHART, CHART, 2), rows from the top; None in a drag.
+    """
 
     wanted: Wanted
     registration: Registration | None
     seen: dict[str, Seen]
-    chart: Chart | None
+    chart: dict[Side, Array] | None
 
 
 @dataclass(frozen=True, eq=False)
 class Certified:
-    """Results of longer computations: growth of areas on a coarse grid over the fixed image, errors of landmarks."""
+    """Results of longer computations: growth of areas on a coarse grid over the fixed image, errors of landmarks.
+
+    `extreme` is the largest |log2 det J| on the grid, at least 0.1.
+    """
 
     revision: int
     areas: Array
+    extreme: float
     det_min: float
     det_max: float
     folded: int
@@ -175,7 +169,7 @@ def shown(
     registration = known if known is not None else found(wanted, previous)
     seen = {}
     for tab, look in looks.items():
-        image, lines, carried = np.zeros((1, 1, 4), np.uint8), Lines([], []), np.empty((0, 2))
+        image, lines, carried = np.zeros((1, 1, 4), np.uint8), list[Array](), np.empty((0, 2))
         if look.window is not None:
             image = frame(wanted.task, registration, look.time, look.window, smooth=not wanted.hasty)
         if look.grid:
@@ -184,18 +178,12 @@ def shown(
         if registration is not None and look.time < 1.0:
             carried = registration.positions(look.time, registration.pairs.moving)
         seen[tab] = Seen(look, image, lines, carried)
-    chart = None
+    chart: dict[Side, Array] | None = None
     if not wanted.hasty and registration is not None:
-        to_fixed = registration.map_points(coarse_grid(registration.shape, CHART))
-        to_moving = registration.map_points_inverse(coarse_grid(registration.fixed_shape, CHART))
-        chart = Chart(to_fixed.reshape(CHART, CHART, 2), to_moving.reshape(CHART, CHART, 2))
+        to_fixed = registration.map_points(coarse_grid(registration.grid, CHART))
+        to_moving = registration.map_points_inverse(coarse_grid(registration.fixed_grid, CHART))
+        chart = {"moving": to_fixed.reshape(CHART, CHART, 2), "fixed": to_moving.reshape(CHART, CHART, 2)}
     return Shown(wanted, registration, seen, chart)
-
-
-def whole(picture: Picture) -> Window:
-    """Return the window of the preview of a picture."""
-    height, width = picture.preview.shape[:2]
-    return Window(0.0, 0.0, width * picture.reduction, height * picture.reduction, width, height)
 
 
 def frame(
@@ -240,7 +228,7 @@ def _weights(coarse: Array, fine: Array) -> Array:
 def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.uint8]:
     """Sample a picture at points in pixels of its image, as RGBA; transparent outside.
 
-    The samples are those of the reduced copy whose pixels are as far apart as the points, or a little closer.
+    The samples come from the reduced copy whose pixels are as far apart as the points, or a little closer.
     """
     apart = [np.hypot(np.diff(x, axis=k), np.diff(y, axis=k)) for k in (0, 1)]
     typical = [float(np.median(distances)) for distances in apart if distances.size]
@@ -254,7 +242,9 @@ def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.ui
         return result
     u, v = np.clip(u, 0, width - 1), np.clip(v, 0, height - 1)
     left, top = int(u[inside].min()), int(v[inside].min())
-    part = rgba(source[top : int(v[inside].max()) + 2, left : int(u[inside].max()) + 2])
+    stored = source[top : int(v[inside].max()) + 2, left : int(u[inside].max()) + 2]
+    part = np.full((*stored.shape[:2], 4), 255, np.uint8)
+    part[..., : stored.shape[2] if stored.ndim == 3 else 3] = stored if stored.ndim == 3 else stored[..., None]
     u, v = np.clip(u - left, 0, part.shape[1] - 1), np.clip(v - top, 0, part.shape[0] - 1)
     if smooth:
         places = np.stack([v, u])
@@ -267,7 +257,7 @@ def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.ui
     return result
 
 
-def grid(picture: Picture, registration: Registration | None, time: float, points: int = LINE_POINTS) -> Lines:
+def grid(picture: Picture, registration: Registration | None, time: float, points: int = LINE_POINTS) -> list[Array]:
     """Draw a square grid on the moving image, carried by the flow up to a time."""
     height, width = picture.shape
     size = max(height, width) / GRID_LINES
@@ -277,9 +267,8 @@ def grid(picture: Picture, registration: Registration | None, time: float, point
     lines = [np.column_stack([np.full(points, at), down]) for at in u]
     lines += [np.column_stack([along, np.full(points, at)]) for at in v]
     if registration is not None:
-        carried = registration.positions(time, np.vstack(lines))
-        lines = np.split(carried, len(lines))
-    return Lines([line[:, 0] for line in lines], [line[:, 1] for line in lines])
+        lines = np.split(registration.positions(time, np.vstack(lines)), len(lines))
+    return lines
 
 
 def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bool]) -> Certified | None:
@@ -289,29 +278,24 @@ def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bo
     """
     fixed, landmarks = wanted.task.fixed, registration.pairs
     x, y = fixed.preview_places(COARSE)
-    areas = registration.arriving_determinant(_points(x, y)).reshape(len(y), len(x))
+    areas = registration.arriving(_points(x, y))[1].reshape(len(y), len(x))
     x, y = fixed.preview_places()
     parts = []
     for points in np.array_split(_points(x, y), PORTIONS):
         sleep(PAUSE)
         if stale():
             return None
-        parts.append(registration.arriving_determinant(points))
+        parts.append(registration.arriving(points)[1])
     determinants, left_out = np.concatenate(parts), None
     if 3 <= len(landmarks) <= MOST_LEFT_OUT:
         given, method = arguments(wanted.task)
         left_out = leave_one_out(**given, **method, start=registration)
     outliers = None if len(landmarks) > MOST_JUDGED else outliers_of(registration.matching)
     return Certified(
-        wanted.task.revision,
-        areas,
-        float(determinants.min()),
-        float(determinants.max()),
-        int((~(determinants > 0.0)).sum()),
-        registration.round_trip,
-        left_out,
-        out_of_place(outliers, left_out),
-    )
+        wanted.task.revision, areas, max(0.1, float(np.abs(np.log2(np.clip(areas, 1e-6, 1e6))).max())),
+        float(determinants.min()), float(determinants.max()), int((~(determinants > 0.0)).sum()),
+        registration.round_trip, left_out, out_of_place(outliers, left_out),
+    )  # fmt: skip
 
 
 def _points(x: Array, y: Array) -> Array:
@@ -373,15 +357,16 @@ def landmarks(task: Task, form: str) -> tuple[Download, ...]:
 def animation(task: Task, with_grid: bool = False) -> Download:
     """Animate the flow of the preview from the moving image to the warped one and back, as a GIF that repeats."""
     registration, _ = certified_task(task)
-    frames = []
+    (height, width), side = task.fixed.preview.shape[:2], task.fixed.reduction
+    window, frames = Window(0.0, 0.0, width * side, height * side, width, height), []
     for time in np.linspace(0.0, 1.0, FRAMES):
-        pixels = frame(task, registration, time, whole(task.fixed))
+        pixels = frame(task, registration, time, window)
         picture = Image.new("RGBA", (pixels.shape[1], pixels.shape[0]), PAPER)
         picture.alpha_composite(Image.fromarray(pixels))
         if with_grid:
             pen = ImageDraw.Draw(picture)
-            for x, y in zip(*grid(task.moving, registration, time), strict=True):
-                places = (np.column_stack([x, y]) + 0.5) / task.fixed.reduction - 0.5
+            for line in grid(task.moving, registration, time):
+                places = (line + 0.5) / task.fixed.reduction - 0.5
                 pen.line([(float(a), float(b)) for a, b in places], fill=(60, 60, 60, 255))
         frames.append(picture.convert("RGB"))
     palette = frames[-1].quantize(255)

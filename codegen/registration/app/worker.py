@@ -11,14 +11,14 @@ import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cache
-from typing import Any, TypeAlias
+from functools import partial
+from typing import TypeAlias, TypeVar
 
 from codegen.errors import CodegenError, ModuleError
 from codegen.registration.solver import is_compiled, registration_module
 
-Job: TypeAlias = Callable[[], Any]
-Deliver: TypeAlias = Callable[[Callable[[], Any]], None]
+Deliver: TypeAlias = Callable[[Callable[[], None]], object]
+T = TypeVar("T")
 
 # Sessions take turns, one job each. Long jobs have their own thread, so that dragged points need not wait.
 quick = ThreadPoolExecutor(1, thread_name_prefix="registration-quick")
@@ -38,14 +38,24 @@ class Worker:
         self._pool = pool
         self._deliver = deliver
         self._order = order
-        self._waiting: dict[str, tuple[Job, Callable[[Any], None], Callable[[Exception], None]]] = {}
+        self._waiting: dict[str, Callable[[], Callable[[], None]]] = {}
         self._running = False
         self._lock = threading.Lock()
 
-    def ask(self, kind: str, job: Job, done: Callable[[Any], None], failed: Callable[[Exception], None]) -> None:
+    def ask(
+        self, kind: str, job: Callable[[], T], done: Callable[[T], None], failed: Callable[[Exception], None]
+    ) -> None:
         """Do a job as soon as possible; `done` receives its result, `failed` its exception."""
+
+        def attempt() -> Callable[[], None]:
+            try:
+                result = job()
+            except Exception as error:  # the error is shown, and the session goes on
+                return partial(failed, error)
+            return lambda: done(result)
+
         with self._lock:
-            self._waiting[kind] = (job, done, failed)
+            self._waiting[kind] = attempt
             if self._running:
                 return
             self._running = True
@@ -67,19 +77,11 @@ class Worker:
             if kind is None:
                 self._running = False
                 return
-            job, done, failed = self._waiting.pop(kind)
-        try:
-            result = job()
-        except Exception as error:  # the error is shown, and the session goes on
-            caught = error  # the name `error` ends with this block
-            self._finish(lambda: failed(caught))
-            return
-        self._finish(lambda: done(result))
-
-    def _finish(self, report: Callable[[], None]) -> None:
-        """Report in the thread of the session, and only then start the next job, so that results never pile up."""
+            attempt = self._waiting.pop(kind)
+        report = attempt()
 
         def then() -> None:
+            """Report in the thread of the session, and only then start the next job, so that results never pile up."""
             try:
                 report()
             finally:
@@ -91,7 +93,7 @@ class Worker:
                 self._running = False
 
 
-def delivered(deliver: Deliver, act: Callable[[], Any]) -> bool:
+def delivered(deliver: Deliver, act: Callable[[], None]) -> bool:
     """Pass a function to the thread of a session; False if the session is closed."""
     try:
         deliver(act)
@@ -103,6 +105,7 @@ def delivered(deliver: Deliver, act: Callable[[], Any]) -> bool:
 COMPILING = "The solver is being compiled, once on this machine (up to half a minute)"
 MODULE = "codegen.registration.app.worker"
 _LOCK = threading.Lock()
+_solvers: dict[str, Future[None]] = {}
 
 
 def prepared(scheme: str) -> Future[None]:
@@ -110,12 +113,6 @@ def prepared(scheme: str) -> Future[None]:
 
     The future fails with a CodegenError if the solver cannot be derived or compiled.
     """
-    with _LOCK:
-        return _started(scheme)
-
-
-@cache
-def _started(scheme: str) -> Future[None]:
     future: Future[None] = Future()
 
     def prepare() -> None:
@@ -128,8 +125,11 @@ def _started(scheme: str) -> Future[None]:
         else:
             future.set_result(None)
 
-    threading.Thread(target=prepare, name=f"registration-{scheme}", daemon=True).start()
-    return future
+    with _LOCK:
+        if scheme not in _solvers:
+            _solvers[scheme] = future
+            threading.Thread(target=prepare, name=f"registration-{scheme}", daemon=True).start()
+        return _solvers[scheme]
 
 
 def compile_elsewhere(scheme: str) -> None:

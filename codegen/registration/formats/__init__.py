@@ -58,8 +58,31 @@ def parse_landmarks(
     for file, data in contents:
         if len(data) > MOST_BYTES:
             raise PointsError(f"{file} is larger than {MOST_BYTES >> 20} MB", "give a file of landmarks alone")
-    form = _format(name) if name is not None else _guessed(*contents[0], (frames or Frames()).axes)
-    sources = [Source(file, _decoded(file, data, form)) for file, data in contents]
+    if name is not None:
+        form = _format(name)
+    else:
+        # The format of the suffix and of the beginning of the text, or the only format of the suffix.
+        file, data = contents[0]
+        candidates = _of_suffix(file)
+        if not data.strip():
+            raise PointsError(f"{file} is empty", "give at least one landmark")
+        begin = data[:2000].decode("utf-8-sig", errors="replace")
+        recognised = [form for form in candidates if form.recognises(begin)]
+        if not recognised and len(candidates) > 1:
+            titles = " nor ".join(form.title for form in candidates)
+            remedy = f"name the columns {','.join(plain.columns((frames or Frames()).axes))} in the first line"
+            raise PointsError(f"{file}:1: it begins neither like {titles}", remedy)
+        form = (recognised or candidates)[0]
+    sources = []
+    for file, data in contents:
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            if form.encoding is None or b"\0" in data:
+                line = data[: error.start].count(b"\n") + 1
+                raise PointsError(f"{file}:{line} is no text in UTF-8", "save it as text in UTF-8") from error
+            text = data.decode(form.encoding)
+        sources.append(Source(file, text))
     if len(sources) != form.files:
         finding, remedy = "is complete", f"give one file of {form.title}"
         if form.files == 2:
@@ -100,27 +123,3 @@ def _of_suffix(file: str) -> list[Format]:
         known = ", ".join(sorted({suffix for form in FORMATS.values() for suffix in form.suffixes}))
         raise PointsError(f"{file}: unknown kind of landmark file", f"let its name end in one of {known}")
     return forms
-
-
-def _guessed(file: str, data: bytes, axes: str) -> Format:
-    """Return the format of the suffix and of the beginning of the text, or the only format of the suffix."""
-    candidates = _of_suffix(file)
-    if not data.strip():
-        raise PointsError(f"{file} is empty", "give at least one landmark")
-    begin = data[:2000].decode("utf-8-sig", errors="replace")
-    recognised = [form for form in candidates if form.recognises(begin)]
-    if not recognised and len(candidates) > 1:
-        titles = " nor ".join(form.title for form in candidates)
-        remedy = f"name the columns {','.join(plain.columns(axes))} in the first line"
-        raise PointsError(f"{file}:1: it begins neither like {titles}", remedy)
-    return (recognised or candidates)[0]
-
-
-def _decoded(file: str, data: bytes, form: Format) -> str:
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        if form.encoding is not None and b"\0" not in data:
-            return data.decode(form.encoding)
-        line = data[: error.start].count(b"\n") + 1
-        raise PointsError(f"{file}:{line} is no text in UTF-8", "save it as text in UTF-8") from error

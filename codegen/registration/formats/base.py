@@ -38,8 +38,8 @@ class Source:
 class Frames:
     """The images of the landmarks, as far as known: shapes (height, width, ...) and file names.
 
-    With the `grids` of a moving and a fixed volume, landmarks have three coordinates, which are converted to those of
-    the grids: usually LPS in millimetres.
+    With the `grids` of a moving and a fixed volume, landmarks have three coordinates. They are converted to the
+    coordinates of the grids: usually LPS in millimetres.
     """
 
     moving_shape: tuple[int, ...] | None = None
@@ -60,14 +60,14 @@ class Format:
 
     `parse` takes one text, or the moving and the fixed one if `files` is 2; `compose` returns as many. Both raise
     PointsError, naming the file and the line. `recognises` distinguishes formats with the same suffix by the beginning
-    of a text. `encoding` is that of texts that are not UTF-8.
+    of a text: the result is true. `encoding` is the encoding of texts that are not UTF-8.
     """
 
     name: str
     title: str
     suffixes: tuple[str, ...]
     files: int
-    recognises: Callable[[str], bool]
+    recognises: Callable[[str], object]
     parse: Callable[[Sequence[Source], Frames], LandmarkPairs]
     compose: Callable[[LandmarkPairs, Frames], tuple[str, ...]]
     encoding: str | None = None

@@ -8,6 +8,7 @@ before elastix 3.5. Sources: elastix manual, section 4.2 (option -def), and elas
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,15 +25,9 @@ from codegen.registration.formats.base import (
     require_order,
     text_of,
 )
-from codegen.registration.pairs import LandmarkPairs, PointArray
+from codegen.registration.pairs import LandmarkPairs
 
 REMEDY = "give point or index, the number of points, then two coordinates in each line, or three for volumes"
-
-
-def recognises(text: str) -> bool:
-    """Return True if the first word is point, index or a number of points."""
-    first = text[:1000].split(maxsplit=1)[:1]
-    return bool(first) and (first[0].lower() in ("point", "index") or first[0].isdigit())
 
 
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
@@ -69,12 +64,12 @@ def _points(source: Source, side: int, frames: Frames) -> list[tuple[float, ...]
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
     """Return the moving and the fixed file; the format has no names."""
-    return _text(pairs.moving), _text(pairs.fixed)
+    texts = []
+    for points in (pairs.moving, pairs.fixed):
+        lines = [" ".join(map(text_of, point)) for point in points]
+        texts.append("\n".join(["point", str(len(lines)), *lines, ""]))
+    return tuple(texts)
 
 
-def _text(points: PointArray) -> str:
-    lines = [" ".join(map(text_of, point)) for point in np.asarray(points)]
-    return "\n".join(["point", str(len(lines)), *lines, ""])
-
-
-FORMAT = Format("elastix", "elastix points", (".pts", ".txt"), 2, recognises, parse, compose)
+RECOGNISES = re.compile(r"\s*(point|index|\d+)(\s|$)", re.IGNORECASE).match
+FORMAT = Format("elastix", "elastix points", (".pts", ".txt"), 2, RECOGNISES, parse, compose)

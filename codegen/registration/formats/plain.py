@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Sequence
 
 from codegen.errors import PointsError
@@ -21,12 +22,6 @@ COLUMNS = ("moving_x", "moving_y", "fixed_x", "fixed_y")
 def columns(axes: str) -> tuple[str, ...]:
     """Return the names of the columns for axes "xy" or "xyz"."""
     return tuple(f"{image}_{axis}" for image in ("moving", "fixed") for axis in axes)
-
-
-def recognises(text: str) -> bool:
-    """Return True if the first non-empty line names a column of this table."""
-    first = text.lstrip().split("\n", 1)[0].lower()
-    return "moving_" in first or "fixed_" in first
 
 
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
@@ -60,4 +55,5 @@ def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
     return (file.getvalue(),)
 
 
-FORMAT = Format("csv", "plain CSV", (".csv", ".txt"), 1, recognises, parse, compose)
+RECOGNISES = re.compile(r"\s*[^\n]*(moving_|fixed_)", re.IGNORECASE).match
+FORMAT = Format("csv", "plain CSV", (".csv", ".txt"), 1, RECOGNISES, parse, compose)

@@ -19,10 +19,10 @@ import io
 import itertools
 import json
 import math
-from collections.abc import Sequence
-from typing import Any
-
-import numpy as np
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeAlias
 
 from codegen.errors import PointsError
 from codegen.problem.points import finite_numbers
@@ -37,44 +37,56 @@ from codegen.registration.formats.base import (
     rows,
     text_of,
 )
-from codegen.registration.pairs import LandmarkPairs, PointArray
+from codegen.registration.pairs import LandmarkPairs
 
 SCHEMA = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#"
 SIGNS = {"LPS": 1.0, "RAS": -1.0}
 REMEDY = "save a point list of 3D Slicer as .mrk.json"
+SYSTEMS = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
+LABEL = 11
+COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
+FCSV_REMEDY = "save a point list of 3D Slicer as .fcsv or .mrk.json"
+
+Points: TypeAlias = tuple[list[str], list[tuple[float, ...] | None]]
+"""Labels, and positions in LPS, or None for points that are not set."""
 
 
-def recognises(text: str) -> bool:
-    """Return True if the text begins like a JSON object."""
-    return text.lstrip()[:1] == "{"
+def parse(read: Callable[[Source], Points], sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
+    """Read the moving and the fixed list, and match them by label if both have the same, otherwise by order.
 
-
-def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
-    """Read the moving and the fixed file; PointsError names the file and the control point."""
+    PointsError names the file and the point.
+    """
     require_order(sources)
-    return matched(sources, [_points(source) for source in sources], frames)
-
-
-def matched(
-    sources: Sequence[Source], lists: Sequence[tuple[list[str], list[tuple[float, ...] | None]]], frames: Frames
-) -> LandmarkPairs:
-    """Match two lists of labels and positions, by label if both have the same; PointsError for different numbers."""
-    (labels, moving), (others, fixed) = lists
+    (labels, moving), (others, fixed) = (read(source) for source in sources)
     if len(moving) != len(fixed):
         finding = f"{sources[0].name} holds {len(moving)} points and {sources[1].name} {len(fixed)}"
         raise PointsError(finding, "give every point in both images")
     if set(labels) == set(others) and len(set(labels)) == len(labels):
         fixed = [fixed[others.index(label)] for label in labels] if labels != others else fixed
-    both = [k for k in range(len(moving)) if moving[k] is not None and fixed[k] is not None]
-    before = placed(sources[0].name, "moving", [moving[k] for k in both], frames)  # type: ignore[misc]
-    after = placed(sources[1].name, "fixed", [fixed[k] for k in both], frames)  # type: ignore[misc]
-    names = [labels[k] or str(k + 1) for k in both]
-    return made(sources, before, after, names)
+    names, before, after = [], [], []
+    for k, (label, one, other) in enumerate(zip(labels, moving, fixed, strict=True), 1):
+        if one is not None and other is not None:
+            names.append(label or str(k))
+            before.append(one)
+            after.append(other)
+    sides = placed(sources[0].name, "moving", before, frames), placed(sources[1].name, "fixed", after, frames)
+    return made(sources, *sides, names)
 
 
-def _points(source: Source) -> tuple[list[str], list[tuple[float, ...] | None]]:
-    """Return labels, and positions or None for points that are not set."""
-    markup = _point_list(source)
+def read_json(source: Source) -> Points:
+    """Read a .mrk.json file, which holds exactly one list of points."""
+    try:
+        content = json.loads(source.text)
+    except json.JSONDecodeError as error:
+        raise PointsError(f"{source.name}:{error.lineno}: no JSON ({error.msg})", REMEDY) from error
+    except (ValueError, RecursionError) as error:
+        raise PointsError(f"{source.name} cannot be read as JSON ({type(error).__name__})", REMEDY) from error
+    markups = content.get("markups") if isinstance(content, dict) else None
+    lists = [item for item in markups if isinstance(item, dict)] if isinstance(markups, list) else []
+    lists = [item for item in lists if isinstance(item.get("controlPoints"), list)]
+    if len(lists) != 1:
+        raise PointsError(f"{source.name} holds {len(lists) or 'no'} point lists", f"{REMEDY}, one in a file")
+    (markup,) = lists
     system = markup.get("coordinateSystem", "LPS")
     if not isinstance(system, str) or system not in SIGNS:
         raise PointsError(f"{source.name}: the coordinate system is {str(system)[:30]!r}", "use LPS or RAS")
@@ -103,66 +115,27 @@ def _points(source: Source) -> tuple[list[str], list[tuple[float, ...] | None]]:
     return labels, positions
 
 
-def _point_list(source: Source) -> dict[str, Any]:
-    """Return the list of points of the file; PointsError unless there is exactly one."""
-    try:
-        content = json.loads(source.text)
-    except json.JSONDecodeError as error:
-        raise PointsError(f"{source.name}:{error.lineno}: no JSON ({error.msg})", REMEDY) from error
-    except (ValueError, RecursionError) as error:
-        raise PointsError(f"{source.name} cannot be read as JSON ({type(error).__name__})", REMEDY) from error
-    markups = content.get("markups") if isinstance(content, dict) else None
-    lists = [item for item in markups if isinstance(item, dict)] if isinstance(markups, list) else []
-    lists = [item for item in lists if isinstance(item.get("controlPoints"), list)]
-    if len(lists) != 1:
-        raise PointsError(f"{source.name} holds {len(lists) or 'no'} point lists", f"{REMEDY}, one in a file")
-    return lists[0]
+def compose_json(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
+    """Return the moving and the fixed list as .mrk.json, in LPS."""
+    texts = []
+    for name, points in (("moving", pairs.moving), ("fixed", pairs.fixed)):
+        controls = [
+            {
+                "id": str(k), "label": label, "position": [*map(float, place), *[0.0] * (3 - len(place))],
+                "positionStatus": "defined",
+            }
+            for k, (label, place) in enumerate(zip(pairs.names, points), 1)
+        ]  # fmt: skip
+        markup = {
+            "type": "Fiducial", "name": name, "coordinateSystem": "LPS", "coordinateUnits": "mm",
+            "controlPoints": controls,
+        }  # fmt: skip
+        texts.append(json.dumps({"@schema": SCHEMA, "markups": [markup]}, indent=1) + "\n")
+    return tuple(texts)
 
 
-def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """Return the moving and the fixed list, in LPS."""
-    return _text("moving", pairs.moving, pairs.names), _text("fixed", pairs.fixed, pairs.names)
-
-
-def _text(name: str, points: PointArray, labels: Sequence[str]) -> str:
-    controls = [
-        {
-            "id": str(k),
-            "label": label,
-            "position": [*map(float, place), *[0.0] * (3 - len(place))],
-            "positionStatus": "defined",
-        }
-        for k, (label, place) in enumerate(zip(labels, np.asarray(points)), 1)
-    ]
-    markup = {
-        "type": "Fiducial", "name": name, "coordinateSystem": "LPS", "coordinateUnits": "mm",
-        "controlPoints": controls,
-    }  # fmt: skip
-    return json.dumps({"@schema": SCHEMA, "markups": [markup]}, indent=1) + "\n"
-
-
-FORMAT = Format("slicer", "3D Slicer point lists", (".json",), 2, recognises, parse, compose)
-
-
-SYSTEMS = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
-LABEL = 11
-COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
-FCSV_REMEDY = "save a point list of 3D Slicer as .fcsv or .mrk.json"
-
-
-def recognises_fcsv(text: str) -> bool:
-    """Return True if the text begins with a comment, as files of Slicer do."""
-    return text.lstrip()[:1] == "#"
-
-
-def parse_fcsv(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
-    """Read the moving and the fixed file; PointsError names the file and the line."""
-    require_order(sources)
-    return matched(sources, [_fcsv_points(source) for source in sources], frames)
-
-
-def _fcsv_points(source: Source) -> tuple[list[str], list[tuple[float, ...] | None]]:
-    """Return labels and positions in LPS."""
+def read_fcsv(source: Source) -> Points:
+    """Read a .fcsv file."""
     system = "RAS"
     for line in itertools.takewhile(lambda line: line.startswith("#"), source.text.splitlines()):
         key, equals, value = line[1:].partition("=")
@@ -187,18 +160,19 @@ def _fcsv_points(source: Source) -> tuple[list[str], list[tuple[float, ...] | No
 
 
 def compose_fcsv(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """Return the moving and the fixed list, in LPS."""
-    return _fcsv_text(pairs.moving, pairs.names), _fcsv_text(pairs.fixed, pairs.names)
+    """Return the moving and the fixed list as .fcsv, in LPS."""
+    texts = []
+    for points in (pairs.moving, pairs.fixed):
+        file = io.StringIO(newline="")
+        file.write(f"# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n# columns = {COLUMNS}\n")
+        writer = csv.writer(file, lineterminator="\n")
+        for k, (label, place) in enumerate(zip(pairs.names, points), 1):
+            x, y, z = [*map(text_of, place), *["0.0"] * (3 - len(place))]
+            writer.writerow([k, x, y, z, 0, 0, 0, 1, 1, 1, 0, label, "", ""])
+        texts.append(file.getvalue())
+    return tuple(texts)
 
 
-def _fcsv_text(points: PointArray, labels: Sequence[str]) -> str:
-    file = io.StringIO(newline="")
-    file.write(f"# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n# columns = {COLUMNS}\n")
-    writer = csv.writer(file, lineterminator="\n")
-    for k, (label, place) in enumerate(zip(labels, np.asarray(points)), 1):
-        x, y, z = [*map(text_of, place), *["0.0"] * (3 - len(place))]
-        writer.writerow([k, x, y, z, 0, 0, 0, 1, 1, 1, 0, label, "", ""])
-    return file.getvalue()
-
-
-FCSV = Format("fcsv", "3D Slicer fiducials", (".fcsv",), 2, recognises_fcsv, parse_fcsv, compose_fcsv)
+JSON, COMMENT = re.compile(r"\s*\{").match, re.compile(r"\s*#").match
+FORMAT = Format("slicer", "3D Slicer point lists", (".json",), 2, JSON, partial(parse, read_json), compose_json)
+FCSV = Format("fcsv", "3D Slicer fiducials", (".fcsv",), 2, COMMENT, partial(parse, read_fcsv), compose_fcsv)

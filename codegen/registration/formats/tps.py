@@ -9,6 +9,7 @@ has no names of landmarks. Source: F. J. Rohlf, tpsDig help, "Data files".
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import PureWindowsPath
@@ -32,11 +33,6 @@ class Specimen:
     identity: str = ""
 
 
-def recognises(text: str) -> bool:
-    """Return True if the text begins with a number of landmarks."""
-    return text.lstrip()[:2].lower() == "lm"
-
-
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
     """Read two specimens; PointsError names the file and the line, or the image of unknown height."""
     (source,) = sources
@@ -44,7 +40,26 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
         finding = f"{source.name}: TPS files hold landmarks in the plane, and the images are volumes"
         raise PointsError(finding, "give landmarks in space, as plain CSV")
     specimens = list(specimens_of(source))
-    moving, fixed = _chosen(source, specimens, frames)
+    # IMAGE= lines choose the specimens, regardless of folders and capitals; otherwise the first and the second of two.
+    named: list[Specimen | None] = []
+    for name in (frames.moving_name, frames.fixed_name):
+        image = PureWindowsPath(name).name.lower()
+        same = [entry for entry in specimens if image and PureWindowsPath(entry.image).name.lower() == image]
+        if len(same) > 1:
+            finding = f"{source.name} has {len(same)} specimens with IMAGE={name}"
+            raise PointsError(finding, "leave one of them in the file")
+        named.append(same[0] if same else None)
+    moving, fixed = named
+    if moving is None or fixed is None or moving is fixed:
+        if len(specimens) != 2:
+            images = " and ".join(repr(name) for name in (frames.moving_name, frames.fixed_name) if name)
+            raise PointsError(
+                f"{source.name} holds {len(specimens)} specimens, and their IMAGE= lines do not name "
+                f"{images or 'the images'}",
+                "give two specimens, first the moving one, or name both images in IMAGE= lines",
+            )
+        is_reversed = moving is specimens[1] or fixed is specimens[0]
+        moving, fixed = specimens[::-1] if is_reversed else specimens
     if len(moving.points) != len(fixed.points):
         finding = f"{source.name}: {len(moving.points)} moving landmarks, but {len(fixed.points)} fixed ones"
         raise PointsError(finding, "give every landmark in both images, NA where it is missing")
@@ -105,32 +120,6 @@ def _points(
             yield x, y
 
 
-def _chosen(source: Source, specimens: Sequence[Specimen], frames: Frames) -> tuple[Specimen, Specimen]:
-    """Select the specimens of the images: by IMAGE= if it names both, otherwise the first and the second of two."""
-    named = [_of_image(source, specimens, name) for name in (frames.moving_name, frames.fixed_name)]
-    if named[0] is not None and named[1] is not None and named[0] is not named[1]:
-        return named[0], named[1]
-    if len(specimens) == 2:
-        if named[0] is specimens[1] or named[1] is specimens[0]:
-            return specimens[1], specimens[0]
-        return specimens[0], specimens[1]
-    wanted = " and ".join(repr(name) for name in (frames.moving_name, frames.fixed_name) if name) or "the images"
-    raise PointsError(
-        f"{source.name} holds {len(specimens)} specimens, and their IMAGE= lines do not name {wanted}",
-        "give two specimens, first the moving one, or name both images in IMAGE= lines",
-    )
-
-
-def _of_image(source: Source, specimens: Sequence[Specimen], name: str) -> Specimen | None:
-    """Return the specimen of an image file, regardless of its folder and of capitals."""
-    wanted = PureWindowsPath(name).name.lower()
-    named = [entry for entry in specimens if wanted and PureWindowsPath(entry.image).name.lower() == wanted]
-    if len(named) > 1:
-        finding = f"{source.name} has {len(named)} specimens with IMAGE={name}"
-        raise PointsError(finding, "leave one of them in the file")
-    return named[0] if named else None
-
-
 def _heights(name: str, frames: Frames) -> tuple[int, int]:
     if frames.moving_shape is None or frames.fixed_shape is None:
         which = "moving" if frames.moving_shape is None else "fixed"
@@ -157,4 +146,5 @@ def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
     return ("\n".join([*lines, ""]),)
 
 
-FORMAT = Format("tps", "tpsDig TPS", (".tps",), 1, recognises, parse, compose, encoding="latin-1")
+RECOGNISES = re.compile(r"\s*lm", re.IGNORECASE).match
+FORMAT = Format("tps", "tpsDig TPS", (".tps",), 1, RECOGNISES, parse, compose, encoding="latin-1")
