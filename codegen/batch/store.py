@@ -101,7 +101,7 @@ def require_xarray() -> None:
     """Raise ExtraError, with the command that installs them, if xarray or zarr is missing."""
     for name in ("xarray", "zarr"):
         if find_spec(name) is None:  # a quick test: both are slow to import
-            remedy = "pip install 'variational-codegen[sweep]'"
+            remedy = "pip install xarray zarr netCDF4"
             raise ExtraError(f"a sweep needs {name}, which is not installed", remedy)
 
 

@@ -49,7 +49,7 @@ MOST_UNIT = 12
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
-_PNG_OF_16_BITS = "SimpleITK", "which reads and writes PNG with several channels of 16 bits,", "images"
+_PNG_OF_16_BITS = "SimpleITK", "which reads and writes PNG with several channels of 16 bits,"
 _EXIF_ORIENTATION = 0x0112
 _DEFLATE = (8, 32946)
 # EXIF 2.32, tag 0x0112: the side of the image that the first row and the first column of the stored array show.
@@ -268,18 +268,17 @@ def rational(value: tuple[int, int] | float | None) -> float:
     return float(top) / float(bottom) if bottom else 0.0
 
 
-def library(name: str, use: str, extra: str) -> ModuleType:
-    """Import a library; ExtraError with the command that installs the extra."""
+def library(name: str, use: str) -> ModuleType:
+    """Import a library; ExtraError with the command that installs the library."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        remedy = f"install the extra: pip install 'variational-codegen[{extra}]'"
-        raise ExtraError(f"{name}, {use} is not installed", remedy) from error
+        raise ExtraError(f"{name}, {use} is not installed", f"pip install {name}") from error
 
 
 def tifffile() -> ModuleType:
     """Import tifffile without its messages on stderr; ExtraError if it is not installed."""
-    module = library("tifffile", "which reads and writes TIFF files,", "images")
+    module = library("tifffile", "which reads and writes TIFF files,")
     module.logger().setLevel(logging.CRITICAL)
     return module
 

@@ -54,7 +54,7 @@ from codegen.registration.warp import (
 
 Array: TypeAlias = NDArray[np.float64]
 
-ITK = "SimpleITK", "which reads and writes volumes,", "volumes"
+ITK = "SimpleITK", "which reads and writes volumes,"
 """Arguments of `library`."""
 TIFF = (".tif", ".tiff")
 WRITTEN = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")

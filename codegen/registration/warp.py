@@ -70,7 +70,7 @@ SPLINE_PADDING = 12
 """Pixels by which an image is continued before a spline is fitted, as in scipy.ndimage for this boundary mode."""
 
 FIELD_KINDS = (".npz", ".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
-_FIELDS = "which writes this kind of file,", "fields"
+_FIELDS = "which writes this kind of file,"
 _NIFTI_VECTOR = "vector"  # the intent whose components ITK takes without a change of sign
 _META_HEADER, _META_SAMPLES, _META_KEY = ".mhd", ".raw", "ElementDataFile"
 _SAMPLE_KEYS = {_META_HEADER: ("=", (_META_KEY,)), ".nhdr": (":", ("data file", "datafile"))}
@@ -280,13 +280,13 @@ def write_field(path: Path | str, field: Array, direction: str = "") -> None:
         elif kind in (".nii", ".nii.gz"):
             # Axes x, y, z, t, component; x and y of NIfTI are opposite to x and y of ITK.
             data = np.ascontiguousarray(values.transpose(1, 0, 2)[:, :, None, None, :])
-            nifti = library("nibabel", *_FIELDS).Nifti1Image(data, np.diag([-1.0, -1.0, 1.0, 1.0]))
+            nifti = library("nibabel", _FIELDS).Nifti1Image(data, np.diag([-1.0, -1.0, 1.0, 1.0]))
             nifti.header.set_intent(_NIFTI_VECTOR)
             nifti.header["descrip"] = f"displacement {direction}".strip().encode()[:79]
             content = nifti.to_bytes()
             temporary.write_bytes(gzip.compress(content, 6) if temporary.suffix.lower() == ".gz" else content)
         else:
-            itk = library("SimpleITK", *_FIELDS)
+            itk = library("SimpleITK", _FIELDS)
             image = itk.GetImageFromArray(np.ascontiguousarray(values), isVector=True)
             if direction:
                 image.SetMetaData("Comment", f"displacement {direction}")

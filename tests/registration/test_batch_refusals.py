@@ -83,5 +83,5 @@ def test_without_dask_one_line_names_the_command(malformed, monkeypatch):
     monkeypatch.chdir(malformed)
     monkeypatch.setitem(sys.modules, "distributed", None)
     done = run("warp", "in", "--out", "new", "--cluster", "local")
-    assert_refused(done, "pip install 'variational-codegen[cluster]'")
+    assert_refused(done, "pip install dask distributed")
     assert not Path("new").exists()

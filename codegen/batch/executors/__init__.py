@@ -70,7 +70,7 @@ def connected(cluster: Any) -> AbstractContextManager[Any]:
     if cluster is None:
         return nullcontext()
     if find_spec("distributed") is None:
-        raise ExtraError("a cluster needs dask, which is not installed", "pip install 'variational-codegen[cluster]'")
+        raise ExtraError("a cluster needs dask, which is not installed", "pip install dask distributed xarray zarr")
     client: AbstractContextManager[Any] = import_module("codegen.batch.executors.dask").connected(cluster)
     return client
 

@@ -81,5 +81,5 @@ def _require_tornado() -> None:
     try:
         import tornado  # noqa: F401
     except ImportError as error:
-        remedy = 'install it with python -m pip install "variational-codegen[app]"'
+        remedy = "pip install tornado"
         raise ArgumentError("the page needs Tornado", remedy) from error
