@@ -66,9 +66,31 @@ def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> Contro
         bounded = with_bounds([Unknown(x.name, Meaning(Kind.STATE, x.name)) for x in free], placed)
         own = dict(zip((at_end[x] for x in free), bounded, strict=True))
         ends.append(values + conditioned_end(conditions, cost, at_end, suffix, unknowns, names, own, model.parameters))
+    interval = one_step_interval(path.with_inner_path(phase), scheme, controls)
+    state_names = [s.name for s in (*phase.coordinates, *phase.rates)]
+    stage_names = [s.name for s in interval.stages]
+    multipliers = {f"mu_{name}": name for name in (*stage_names, *state_names)}
+    mu = symbols(multipliers, "_k")
+    coordinate = Kind.STATE if phase.form == "first-order" else Kind.COORDINATE
+    kinds = [coordinate] * len(phase.coordinates) + [Kind.MOMENTUM] * len(phase.rates)
     return assemble(
         phase,
-        _motion(phase, scheme, method, controls, guesses),
+        Motion(
+            method=method,
+            scheme=scheme.name,
+            node=tuple(Unknown(n, Meaning(kind, n)) for n, kind in zip(state_names, kinds, strict=True)),
+            interval=(
+                *(Unknown(n, Meaning(Kind.STAGE_VALUE, n)) for n in stage_names),
+                *(Unknown(m, Meaning(Kind.STEP, n)) for m, n in multipliers.items()),
+            ),
+            interval_symbols=(*interval.stages, *mu),
+            discrete=interval,
+            element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
+            equations=(*(("0", r) for r in interval.equations), ("Cd", interval.cost)),
+            node_guess=guesses,
+            left_rates=lambda: at_nodes(phase.rates, "_k"),
+            stage_guess=tuple(guesses[state_names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),
+        ),
         boundary_values,
         path.nodal_equalities(placed, nodal_conditions(phase, equality=True), "y", names),
         ends[0],
@@ -103,30 +125,3 @@ def _prescribed_values(model: Model, phase: Model, boundary: Boundary, suffix: s
         element += nu * (velocity - value)
         conditions.append((name, velocity))
     return End(pins=tuple(pins), extra=tuple(extra), element=element, conditions=tuple(conditions))
-
-
-def _motion(phase: Model, scheme: Scheme, method: str, controls: str, guesses: tuple[Expr, ...]) -> Motion:
-    """Return the equations of one step times their multipliers."""
-    interval = one_step_interval(path.with_inner_path(phase), scheme, controls)
-    names = [s.name for s in (*phase.coordinates, *phase.rates)]
-    stage_names = [s.name for s in interval.stages]
-    multipliers = {f"mu_{name}": name for name in (*stage_names, *names)}
-    mu = symbols(multipliers, "_k")
-    coordinate = Kind.STATE if phase.form == "first-order" else Kind.COORDINATE
-    kinds = [coordinate] * len(phase.coordinates) + [Kind.MOMENTUM] * len(phase.rates)
-    return Motion(
-        method=method,
-        scheme=scheme.name,
-        node=tuple(Unknown(n, Meaning(kind, n)) for n, kind in zip(names, kinds, strict=True)),
-        interval=(
-            *(Unknown(n, Meaning(Kind.STAGE_VALUE, n)) for n in stage_names),
-            *(Unknown(m, Meaning(Kind.STEP, n)) for m, n in multipliers.items()),
-        ),
-        interval_symbols=(*interval.stages, *mu),
-        discrete=interval,
-        element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
-        equations=(*(("0", r) for r in interval.equations), ("Cd", interval.cost)),
-        node_guess=guesses,
-        left_rates=lambda: at_nodes(phase.rates, "_k"),
-        stage_guess=tuple(guesses[names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),
-    )

@@ -199,11 +199,6 @@ class Switch:
     guess: tuple[tuple[str, Expr], ...] = ()
     equations: tuple[tuple[str, Expr], ...] = ()
 
-    @property
-    def is_idle(self) -> bool:
-        """Return True if the first interval is like any other."""
-        return not self.values and self.element == 0
-
 
 class Transition:
     """Two consecutive models, as their author wrote them, with the program of each."""
@@ -217,12 +212,6 @@ class Transition:
         self.slots, self.variational = slots, programs[0].method == "variational"
         self.left = dict(zip((u.name for u in programs[number].node), programs[number].left_symbols, strict=True))
         self.quantities = (*self.before.coordinates, *self.before.rates)
-        self.conditions = self._conditions()
-        self.matched = self._matched() if self.variational else set()
-        self.substitution = self._substitution()
-
-    def _conditions(self) -> tuple[Condition, ...]:
-        """Return prescribed values and conditions before the jump, and new inequalities of the later phase."""
         fixed = prescribed(self.before, "end")
         values = tuple(Condition(f"{symbol} = {value}", symbol - value) for symbol, value in fixed.items())
         earlier = [g.expression for g in nodal_conditions(self.before, equality=False)]
@@ -233,7 +222,20 @@ class Transition:
             and not g.expression.free_symbols & set(self.jump)
             and not g.expression.free_symbols & set(self.quantities) <= set(fixed)
         )
-        return (*values, *self.before.end_conditions, *new)
+        self.conditions = (*values, *self.before.end_conditions, *new)
+        self.matched = self._matched() if self.variational else set()
+        substitution: dict[Symbol, Expr] = {q: self.left[q.name] for q in self.before.coordinates}
+        for i, rate in enumerate(self.before.rates):
+            if self.variational:
+                if i in self.matched:
+                    (substitution[rate],) = symbols([self.slots.named("switch", rate)], "_k")
+            elif self.before.form == "hamiltonian":
+                substitution[rate] = self.left[rate.name]
+            else:
+                phase = self.programs[0].model
+                node = {s: self.left[s.name] for s in (*phase.coordinates, *phase.rates)}
+                substitution[rate] = sympy.diff(phase.function, phase.rates[i]).subs(node, simultaneous=True)
+        self.substitution = substitution
 
     def _matched(self) -> set[int]:
         """Return indices of the momenta that differ before and after, or on which a term at the switch depends."""
@@ -249,21 +251,6 @@ class Transition:
             if further <= matched:
                 return matched
             matched |= further
-
-    def _substitution(self) -> dict[Symbol, Expr]:
-        """Return coordinates and rates before the jump in symbols of the interval."""
-        substitution: dict[Symbol, Expr] = {q: self.left[q.name] for q in self.before.coordinates}
-        for i, rate in enumerate(self.before.rates):
-            if self.variational:
-                if i in self.matched:
-                    (substitution[rate],) = symbols([self.slots.named("switch", rate)], "_k")
-            elif self.before.form == "hamiltonian":
-                substitution[rate] = self.left[rate.name]
-            else:
-                phase = self.programs[0].model
-                node = {s: self.left[s.name] for s in (*phase.coordinates, *phase.rates)}
-                substitution[rate] = sympy.diff(phase.function, phase.rates[i]).subs(node, simultaneous=True)
-        return substitution
 
     def at(self, expression: Expr) -> Expr:
         """Write an expression in coordinates and rates before the jump in symbols of the interval."""
@@ -456,7 +443,7 @@ class _Chain:
             return tuple((_index(self.inside, name), value) for name, value in guesses)
 
         at_switch = None
-        if switch is not None and not switch.is_idle:
+        if switch is not None and (switch.values or switch.element != 0):
             own = {unknown.name for unknown in switch.unknowns}
             first, cost = (part.xreplace(dict(switch.values)) for part in (element, program.cost))
             at_switch = scaled(first + switch.element, cost + switch.cost, present | own)

@@ -65,11 +65,17 @@ def render(module: Module, origin: Origin) -> str:
     values = {field.name: getattr(module, field.name) for field in fields(module)}
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
     names = [argument.name for argument in (*module.arguments, *getattr(module, "own", ()))]
+    record = replace(module.metadata, inputs=origin.inputs)
+    of_record = {entry.name: getattr(record, entry.name) for entry in fields(record)}
+    long = {name: value for name, value in of_record.items() if isinstance(value, tuple) and len(_code(value)) > _WIDTH}
+    lines = _filled(a for a in _arguments(record) if a.partition("=")[0] not in long)
+    for name, value in long.items():
+        lines += [f"{name}=(", *(f"    {line}" for line in _filled(map(_code, value))), "),"]
     values |= {
         "description": (*module.description, *renamed_arguments(names)),
         "title": module.title.replace("\\", "\\\\").replace('"', '\\"'),  # as between triple quotes
         "record_type": type(module.metadata).__name__,
-        "record_lines": _record_lines(replace(module.metadata, inputs=origin.inputs)),
+        "record_lines": lines,
         "imports": (),
         "numba_imports": (),
     }
@@ -142,16 +148,6 @@ def _importable(files: tuple[str, ...]) -> dict[str, str]:
     return modules
 
 
-def _record_lines(record: Any) -> list[str]:
-    """Return lines with the arguments of a record; a long tuple has lines of its own."""
-    values = {entry.name: getattr(record, entry.name) for entry in fields(record)}
-    long = {name: value for name, value in values.items() if isinstance(value, tuple) and len(_code(value)) > _WIDTH}
-    lines = _filled(a for a in _arguments(record) if a.partition("=")[0] not in long)
-    for name, value in long.items():
-        lines += [f"{name}=(", *(f"    {line}" for line in _filled(map(_code, value))), "),"]
-    return lines
-
-
 def _filled(arguments: Iterable[str]) -> list[str]:
     """Return lines of as many arguments as fit, or of a single long argument."""
     lines = list[str]()
@@ -204,7 +200,11 @@ def specialise(text: str, sizes: Mapping[str, int]) -> str:
         lines, chosen = text.splitlines(), list[_Site]()
         # Sites inside, or on a line of, another site wait for the next round.
         for node in ast.walk(ast.parse(text)):
-            if isinstance(node, _Site) and _decided(node, lines, sizes) and not any(_meet(node, c) for c in chosen):
+            if (
+                isinstance(node, _Site)
+                and _decided(node, lines, sizes)
+                and not any((node.lineno <= (c.end_lineno or 0) and c.lineno <= (node.end_lineno or 0)) for c in chosen)
+            ):
                 chosen.append(node)
         if not chosen:
             return text
@@ -212,11 +212,6 @@ def specialise(text: str, sizes: Mapping[str, int]) -> str:
             lines = _decided(node, lines, sizes) or lines
         text = "\n".join(lines) + "\n"
     return text
-
-
-def _meet(one: _Site, other: _Site) -> bool:
-    """Return True if two sites have a line in common."""
-    return one.lineno <= (other.end_lineno or 0) and other.lineno <= (one.end_lineno or 0)
 
 
 def _decided(node: _Site, lines: list[str], sizes: Mapping[str, int]) -> list[str] | None:

@@ -10,7 +10,7 @@ import ast
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib import resources
@@ -124,8 +124,31 @@ def bundle(text: str) -> str:
             files[name] = File(name, _numerics(name, text))
         return files[name]
 
-    wanted = _reached(module, file_of)
-    order = _in_order(wanted, files)
+    wanted, waiting = set[tuple[str, str]](), [r.target for b in module.blocks for r in b.references]
+    waiting += [target for target in module.bound.values() if not target.external and target.file]
+    while waiting:
+        target = waiting.pop()
+        if target.external or not target.file or (target.file, target.name) in wanted:
+            continue
+        file = file_of(target.file)
+        assert file.bound.get(target.name) == target, f"{target.file} does not define {target.name}"
+        for block in file.blocks:
+            if target.name in block.names:
+                wanted |= {(target.file, name) for name in block.names}
+                waiting += [reference.target for reference in block.references]
+    order: list[str] = []
+
+    def add(name: str, above: tuple[str, ...]) -> None:
+        if name in order or name in above:
+            return
+        references = [reference for block in files[name].kept(wanted) for reference in block.references]
+        used = {r.target.file for r in references if not r.target.external and r.target.file}
+        for other in sorted(used - {name}):
+            add(other, (*above, name))
+        order.append(name)
+
+    for name in sorted({file for file, _ in wanted}):
+        add(name, ())
     names = _new_names(module, order, wanted, files)
     parts = []
     for name in order:
@@ -405,41 +428,6 @@ def _shape_of(text: str) -> Shape:
     exec(compile(text, "<module>", "exec"), values)
     shape: Shape = values["problem"].structure.shape  # type: ignore[attr-defined]
     return shape
-
-
-def _reached(module: File, file_of: Callable[[str], File]) -> set[tuple[str, str]]:
-    """Return files and names of all definitions that a module uses, directly or not."""
-    wanted, waiting = set[tuple[str, str]](), [r.target for b in module.blocks for r in b.references]
-    waiting += [target for target in module.bound.values() if not target.external and target.file]
-    while waiting:
-        target = waiting.pop()
-        if target.external or not target.file or (target.file, target.name) in wanted:
-            continue
-        file = file_of(target.file)
-        assert file.bound.get(target.name) == target, f"{target.file} does not define {target.name}"
-        for block in file.blocks:
-            if target.name in block.names:
-                wanted |= {(target.file, name) for name in block.names}
-                waiting += [reference.target for reference in block.references]
-    return wanted
-
-
-def _in_order(wanted: set[tuple[str, str]], files: Mapping[str, File]) -> list[str]:
-    """Return the files with wanted definitions, each after the files that it uses."""
-    order: list[str] = []
-
-    def add(name: str, above: tuple[str, ...]) -> None:
-        if name in order or name in above:
-            return
-        references = [reference for block in files[name].kept(wanted) for reference in block.references]
-        used = {r.target.file for r in references if not r.target.external and r.target.file}
-        for other in sorted(used - {name}):
-            add(other, (*above, name))
-        order.append(name)
-
-    for name in sorted({file for file, _ in wanted}):
-        add(name, ())
-    return order
 
 
 def _new_names(

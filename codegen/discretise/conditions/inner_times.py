@@ -291,7 +291,16 @@ def inner_terms(original: Model, at_left: Callable[[Expr], Expr], names: Names, 
     table = _Table(model, names, clock)
     unknowns, element = list[Unknown](), S.Zero if clock is None else clock.share(table.is_inner)
     present, multipliers = dict[int, list[int]](), list[tuple[str, int, int]]()
-    for lane in _lanes(model.inner_conditions):
+    at: dict[int, list[InnerCondition]] = {}
+    for condition in model.inner_conditions:
+        at.setdefault(condition.number, []).append(condition)
+    lanes: list[list[InnerCondition]] = [[] for _ in range(max(map(len, at.values())))]
+    for simultaneous in at.values():
+        for rank, condition in zip(lanes, (c for c in simultaneous if c.equality), strict=False):
+            rank.append(condition)
+        for rank, condition in zip(reversed(lanes), (c for c in simultaneous if not c.equality), strict=False):
+            rank.append(condition)
+    for lane in lanes:
         first = len(unknowns)
         unknowns.append(Unknown(names.numbered("nu"), Meaning(Kind.INNER_CONDITION)))
         slack = S.Zero
@@ -326,20 +335,6 @@ def inner_terms(original: Model, at_left: Callable[[Expr], Expr], names: Names, 
             scales=() if clock is None else clock.scales,
         ),
     )
-
-
-def _lanes(conditions: Sequence[InnerCondition]) -> list[list[InnerCondition]]:
-    """Group the conditions that share a multiplier, at most one of each time, so that few groups need slacks."""
-    at: dict[int, list[InnerCondition]] = {}
-    for condition in conditions:
-        at.setdefault(condition.number, []).append(condition)
-    lanes: list[list[InnerCondition]] = [[] for _ in range(max(map(len, at.values())))]
-    for simultaneous in at.values():
-        for lane, condition in zip(lanes, (c for c in simultaneous if c.equality), strict=False):
-            lane.append(condition)
-        for lane, condition in zip(reversed(lanes), (c for c in simultaneous if not c.equality), strict=False):
-            lane.append(condition)
-    return lanes
 
 
 class _Table:

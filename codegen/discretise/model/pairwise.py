@@ -100,7 +100,15 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         raise ProblemFileError("Connect needs a pairwise Hamiltonian", "write hamiltonian=Pairwise(...)")
     if not isinstance(problem, (Connect, Simulate)):
         raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
-    terms = _terms(system, problem.duration)
+    terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
+    if system.self_term is not None:
+        terms["self_term"] = expressions.checked(system.self_term, "self_term")
+    terms |= {f"domain[{k}]": expressions.checked(value, f"domain[{k}]") for k, value in enumerate(system.domain)}
+    terms["duration"] = expressions.checked(problem.duration, "duration")
+    for what, term in terms.items():
+        if tables := tables_of(term):
+            finding = f"{what} reads table {tables[0].shape.name}"
+            raise ExpressionError(finding, "write a formula; particles have no tables")
     particle_symbols = {s for one in system.pair for s in (*one.q, *one.p, *one.own)}
     for what, expression in terms.items():
         for symbol in sorted(expression.free_symbols, key=str):
@@ -117,7 +125,16 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
     )
     tidied = {what: expressions.tidied(term.xreplace(plain)) for what, term in terms.items()}
     pair, self_term = tidied["pair_term"], tidied.get("self_term")
-    _require_scope(pair, self_term, first, second)
+    of_second = {*second.moving, *second.own}
+    if self_term is not None and self_term.free_symbols & of_second:
+        raise ExpressionError("self_term depends on the second particle", "write it in quantities of the first")
+    one, other = (*first.moving, *first.own), (*second.moving, *second.own)
+    swapped = pair.xreplace(dict(zip((*one, *other), (*other, *one), strict=True)))
+    points = expressions.sample_points(pair.free_symbols | swapped.free_symbols, {}, {})
+    for point in [next(points) for _ in range(4)]:
+        values = [expressions.number_at(e, point) for e in (pair, swapped)]
+        if None not in values and not np.isclose(values[0], values[1], rtol=1e-12):  # type: ignore[arg-type]
+            raise ExpressionError("pair_term changes when the two particles are exchanged", "write a symmetric term")
     limit, smooth = Invariants.of(pair, first.moving, second.moving).coincidence()
     start, own_values = _particles_at_start(problem, system.pair[0]) if isinstance(problem, Simulate) else ((), ())
     if self_term is None:
@@ -156,20 +173,6 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
     )
 
 
-def _terms(system: Pairwise, duration: Any) -> dict[str, Expr]:
-    """Return the author's expressions by their names in messages."""
-    terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
-    if system.self_term is not None:
-        terms["self_term"] = expressions.checked(system.self_term, "self_term")
-    terms |= {f"domain[{k}]": expressions.checked(value, f"domain[{k}]") for k, value in enumerate(system.domain)}
-    terms["duration"] = expressions.checked(duration, "duration")
-    for what, term in terms.items():
-        if tables := tables_of(term):
-            finding = f"{what} reads table {tables[0].shape.name}"
-            raise ExpressionError(finding, "write a formula; particles have no tables")
-    return terms
-
-
 def _plain_symbols(
     pair: tuple[Particle, Particle], parameters: Sequence[Parameter], task: str
 ) -> dict[Quantity, Symbol]:
@@ -185,19 +188,6 @@ def _plain_symbols(
         name = identifiers.marked(symbol.name[:-2], task, names, moving=moving)
         plain[symbol] = Symbol(f"{name}{symbol.name[-2:]}", real=True)
     return plain
-
-
-def _require_scope(pair: Expr, self_term: Expr | None, first: ParticleSymbols, second: ParticleSymbols) -> None:
-    of_second = {*second.moving, *second.own}
-    if self_term is not None and self_term.free_symbols & of_second:
-        raise ExpressionError("self_term depends on the second particle", "write it in quantities of the first")
-    one, other = (*first.moving, *first.own), (*second.moving, *second.own)
-    swapped = pair.xreplace(dict(zip((*one, *other), (*other, *one), strict=True)))
-    points = expressions.sample_points(pair.free_symbols | swapped.free_symbols, {}, {})
-    for point in [next(points) for _ in range(4)]:
-        values = [expressions.number_at(e, point) for e in (pair, swapped)]
-        if None not in values and not np.isclose(values[0], values[1], rtol=1e-12):  # type: ignore[arg-type]
-            raise ExpressionError("pair_term changes when the two particles are exchanged", "write a symmetric term")
 
 
 def _guessed_path(problem: Connect, first: ParticleSymbols, second: ParticleSymbols) -> tuple[Expr, ...]:

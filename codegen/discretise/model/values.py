@@ -40,7 +40,20 @@ def require_values(model: Model, bounds: Sequence[Bounds], points: Points) -> No
         where = " at the first guess" if model.duration.free_symbols - set(model.parameters) else ""
         raise ExpressionError(f"duration is {duration:g}{where}", "give a positive duration")
     for bound in bounds:
-        _require_order(model, bound)
+        for values in _bodies(model, bound.lower, bound.upper):
+            lower, upper = (
+                _number(f"{side} bound of {bound.symbol}", expression, values) if expression is not None else None
+                for side, expression in (("lower", bound.lower), ("upper", bound.upper))
+            )
+            if lower is None or upper is None or lower < upper:
+                continue
+            finding = f"{bound.symbol} has the lower bound {lower:g} and the upper bound {upper:g}"
+            if lower > upper:
+                raise BoundaryError(finding, "exchange them")
+            if bound.symbol in (*model.controls, *(free.symbol for free in model.free_parameters)):
+                raise BoundaryError(finding, "make it a parameter of that value")
+            remedy = "give it by start or end where it is fixed, or hold it by a path equality, Eq(..., ...)"
+            raise BoundaryError(finding, remedy)
     limits = {bound.symbol: bound for bound in bounds}
     for symbol, what, expression in (
         *((f.symbol, f"guess of {f.symbol}", f.guess) for f in model.free_parameters),
@@ -117,24 +130,6 @@ def _number(what: str, expression: sympy.Expr, values: Mapping[sympy.Symbol, flo
             f"{what} is {expression}, which is no finite number at the default parameters", "correct the values"
         )
     return number
-
-
-def _require_order(model: Model, bound: Bounds) -> None:
-    """Refuse a lower bound that is not below the upper one."""
-    for values in _bodies(model, bound.lower, bound.upper):
-        lower, upper = (
-            _number(f"{side} bound of {bound.symbol}", expression, values) if expression is not None else None
-            for side, expression in (("lower", bound.lower), ("upper", bound.upper))
-        )
-        if lower is None or upper is None or lower < upper:
-            continue
-        finding = f"{bound.symbol} has the lower bound {lower:g} and the upper bound {upper:g}"
-        if lower > upper:
-            raise BoundaryError(finding, "exchange them")
-        if bound.symbol in (*model.controls, *(free.symbol for free in model.free_parameters)):
-            raise BoundaryError(finding, "make it a parameter of that value")
-        remedy = "give it by start or end where it is fixed, or hold it by a path equality, Eq(..., ...)"
-        raise BoundaryError(finding, remedy)
 
 
 def _require_real(model: Model, points: Points) -> None:

@@ -93,12 +93,34 @@ def kernel(
     if not straight_line:
         fresh = (Symbol(f"x{i}", real=True) for i in range(10**9) if f"x{i}" not in taken)
         common, shared = sympy.cse(expressions, symbols=fresh, order="canonical")
-        body = _interleaved(zip(names, shared[: len(names)], strict=True), common)
+        assignments = zip(names, shared[: len(names)], strict=True)
+        waiting = dict(common)
+        order = list(waiting)
+        body: list[Assignment] = []
+
+        def supply(value: Expr) -> None:
+            for symbol in sorted(value.free_symbols & waiting.keys(), key=order.index):
+                if symbol in waiting:
+                    part = waiting.pop(symbol)
+                    supply(part)
+                    body.append((symbol, part))
+
+        for symbol, value in assignments:
+            supply(value)
+            body.append((symbol, value))
+        body = [*body, *waiting.items()]
         reduced = shared[len(names) :]
     operations = [int(e.count_ops()) for e in (*(value for _, value in body), *reduced)]
     before = sum(int(e.count_ops()) for e in expressions)
     if straight_line:
-        before = _written_out(names, expressions, operations)
+        totals: dict[Expr, int] = {}
+        before = 0
+        for index, (expression, count) in enumerate(zip(expressions, operations, strict=True)):
+            total = count + sum(totals.get(part, 0) for part in sympy.preorder_traversal(expression))
+            if index < len(names):
+                totals[names[index]] = total
+            else:
+                before += total
     pairs, reduced = _with_lookups(body, reduced, taken | {str(s) for s, _ in body})
     return Kernel(
         name=name,
@@ -126,38 +148,6 @@ def needed(assignments: Sequence[Assignment], read: Iterable[Expr]) -> list[Assi
             kept.append((symbol, value))
             symbols |= value.free_symbols
     return kept[::-1]
-
-
-def _written_out(names: Sequence[Symbol], expressions: Sequence[Expr], own: Sequence[int]) -> int:
-    """Return the operations of all outputs without assignments; the first expressions are the assigned values."""
-    totals: dict[Expr, int] = {}
-    outputs = 0
-    for index, (expression, operations) in enumerate(zip(expressions, own, strict=True)):
-        total = operations + sum(totals.get(part, 0) for part in sympy.preorder_traversal(expression))
-        if index < len(names):
-            totals[names[index]] = total
-        else:
-            outputs += total
-    return outputs
-
-
-def _interleaved(assignments: Iterable[Assignment], common: Sequence[Assignment]) -> list[Assignment]:
-    """Put each common subexpression before the first assignment that reads it; the others come last."""
-    waiting = dict(common)
-    order = list(waiting)
-    body: list[Assignment] = []
-
-    def supply(value: Expr) -> None:
-        for symbol in sorted(value.free_symbols & waiting.keys(), key=order.index):
-            if symbol in waiting:
-                part = waiting.pop(symbol)
-                supply(part)
-                body.append((symbol, part))
-
-    for symbol, value in assignments:
-        supply(value)
-        body.append((symbol, value))
-    return [*body, *waiting.items()]
 
 
 @dataclass(frozen=True)

@@ -77,13 +77,26 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     fields |= {"inputs": "step_inputs", "ranges": "RANGES", "range_names": "RANGE_NAMES"} if ranged else {}
     fields |= {"tables": "TABLES"} if tables else {}
     sizes = f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}"
+    stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
+    meanings = "; ".join(f"{i}: {phrase(u.meaning)}" for i, u in enumerate(program.state))
+    lines = [
+        Line("STATE", str(len(program.state)), meanings),
+        Line("STAGES", str(len(program.stage_symbols)), f"values inside a step: {stages}"),
+    ]
+    if program.unknowns:
+        listed = ", ".join(symbol.name for symbol in program.unknowns)
+        lines.append(Line("UNKNOWNS", str(len(program.unknowns)), f"what a step solves for numerically: {listed}"))
+    if program.fractions:
+        rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
+        meaning = "lengths of the steps of the base scheme that make up one step, relative to it"
+        lines.append(Line("FRACTIONS", f"np.array([{', '.join(rows)}])", meaning))
     return SimulateModule(
         template="simulate.py.j2",
         name=model.name,
         title=model.title,
         description=tuple(_description(program, kernels, described_tables(tables))),
         metadata=_record(program, derivatives, kernels, tables),
-        constants=(*_constants(program), *table_constants(tables), *range_constants(ranged)),
+        constants=(*lines, *table_constants(tables), *range_constants(ranged)),
         kernels=(*table_kernels(tables, len(model.parameters)), *kernels),
         sizes=(),
         public=tuple(sorted((*every, *of_steps, *(("first_outside",) if ranged else ())))),
@@ -165,23 +178,6 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
             ("unknowns", *_ARGUMENTS, "interval"), codes, interval, None, (*program.before, *program.after), KERNEL,
         ),
     ]  # fmt: skip
-
-
-def _constants(program: StepProgram) -> list[Line]:
-    stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
-    meanings = "; ".join(f"{i}: {phrase(u.meaning)}" for i, u in enumerate(program.state))
-    lines = [
-        Line("STATE", str(len(program.state)), meanings),
-        Line("STAGES", str(len(program.stage_symbols)), f"values inside a step: {stages}"),
-    ]
-    if program.unknowns:
-        names = ", ".join(symbol.name for symbol in program.unknowns)
-        lines.append(Line("UNKNOWNS", str(len(program.unknowns)), f"what a step solves for numerically: {names}"))
-    if program.fractions:
-        rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
-        meaning = "lengths of the steps of the base scheme that make up one step, relative to it"
-        lines.append(Line("FRACTIONS", f"np.array([{', '.join(rows)}])", meaning))
-    return lines
 
 
 def _solver(program: StepProgram, derivatives: StepDerivatives) -> StepSolver:

@@ -184,7 +184,30 @@ class Text:
             body: list[ast.stmt] = [_Rewritten().function(node) for node in functions]
             module = ast.fix_missing_locations(ast.Module(body=body, type_ignores=[]))
             self._codes[key] = compile(module, "<kernels>", "exec")
-        namespace = _namespace(arithmetic)
+
+        def compared(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+            return lambda one, other: operation(arithmetic.real(one), arithmetic.real(other))
+
+        comparisons = {"Lt": operator.lt, "LtE": operator.le, "Gt": operator.gt, "GtE": operator.ge}
+        comparisons |= {"Eq": operator.eq, "NotEq": operator.ne}
+        functions = _Functions(arithmetic)
+
+        def family(stem: str) -> Callable[[int, Any], Any]:
+            return lambda order, x: arithmetic.function(f"{stem}_{order}")(x)
+
+        namespace = {
+            **{stem: family(stem) for stem in STEMS},
+            **{f"_{name}": compared(operation) for name, operation in comparisons.items()},
+            **{"_And": operator.and_, "_Or": operator.or_, "_Not": lambda condition: condition == False},  # noqa: E712
+            **{
+                "_power": arithmetic.power,
+                "_where": arithmetic.where,
+                "abs": arithmetic.absolute,
+                "max": arithmetic.maximum,
+                "min": arithmetic.minimum,
+            },
+            **{"math": functions, "np": SimpleNamespace(**{"sign": arithmetic.sign}), "range": range},
+        }
         for name, table in self._tables.items():
             namespace[name] = partial(_lookup, table, arithmetic)
         exec(self._codes[key], namespace)
@@ -299,28 +322,6 @@ def _call(name: str, *arguments: ast.expr) -> ast.Call:
     return ast.Call(func=ast.Name(id=name, ctx=ast.Load()), args=list(arguments), keywords=[])
 
 
-def _namespace(a: Arithmetic) -> dict[str, Any]:
-    """Return the names that rewritten kernels call."""
-
-    def compared(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        return lambda one, other: operation(a.real(one), a.real(other))
-
-    comparisons = {"Lt": operator.lt, "LtE": operator.le, "Gt": operator.gt, "GtE": operator.ge}
-    comparisons |= {"Eq": operator.eq, "NotEq": operator.ne}
-    functions = _Functions(a)
-
-    def family(stem: str) -> Callable[[int, Any], Any]:
-        return lambda order, x: a.function(f"{stem}_{order}")(x)
-
-    return {
-        **{stem: family(stem) for stem in STEMS},
-        **{f"_{name}": compared(operation) for name, operation in comparisons.items()},
-        **{"_And": operator.and_, "_Or": operator.or_, "_Not": lambda condition: condition == False},  # noqa: E712
-        **{"_power": a.power, "_where": a.where, "abs": a.absolute, "max": a.maximum, "min": a.minimum},
-        **{"math": functions, "np": SimpleNamespace(**{"sign": a.sign}), "range": range},
-    }
-
-
 _NUMBERS = {
     "pi": "3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803482534211706798",
     "e": "2.71828182845904523536028747135266249775724709369995957496696762772407663035354759457138217852516642743",
@@ -347,17 +348,12 @@ def verify_tables(tables: Sequence[TableData], first: int, text: Text) -> None:
             values = module[table.shape.lookup](numbers, *point)
             for order, value in zip(ORDERS[len(table.shape.sizes)], values, strict=True):
                 right = float(derivative(table, order, point, lambda x: x))
-                if not abs(value - right) <= _TOLERANCE * _size(table, order):
+                size = float(np.abs(table.heights).max()) * max(1.0, *(float(np.ptp(axis)) for axis in table.axes))
+                for axis, o in zip(table.axes, order, strict=True):
+                    size /= float(np.diff(axis).min(initial=1.0)) ** o
+                if not abs(value - right) <= _TOLERANCE * size:
                     raise VerificationError(
                         f"the emitted code gives {value:.8g} for derivative {order} of table {table.shape.name}, where "
                         f"{right:.8g} is right",
                         "this is a defect of codegen, and nothing was written; please report it with the problem file",
                     )
-
-
-def _size(table: TableData, order: Sequence[int]) -> float:
-    """Return the scale of a derivative, from values, slopes and the widths of cells."""
-    size = float(np.abs(table.heights).max()) * max(1.0, *(float(np.ptp(axis)) for axis in table.axes))
-    for axis, o in zip(table.axes, order, strict=True):
-        size /= float(np.diff(axis).min(initial=1.0)) ** o
-    return size
