@@ -17,13 +17,14 @@ from enum import Enum
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from codegen.files import refused, write_text
 from codegen.identifiers import renamed, renamed_arguments
 
 if TYPE_CHECKING:
     import jinja2
+    from _typeshed import DataclassInstance
 
     from codegen.emit.lower.module import Module, Origin
 
@@ -90,9 +91,9 @@ def render(module: Module, origin: Origin) -> str:
         )
     template = _environment().get_template(module.template)
     body = template.render(values, identity=_DIGEST)
-    lines = _imports_of(body, values["public"], _IMPORTED[module.template])
-    values["numba_imports"] = [line for line in lines if line.startswith("from numba ")]
-    values["imports"] = [line for line in lines if not line.startswith("from numba ")]
+    imports = _imports_of(body, values["public"], _IMPORTED[module.template])
+    values["numba_imports"] = [line for line in imports if line.startswith("from numba ")]
+    values["imports"] = [line for line in imports if not line.startswith("from numba ")]
     written = template.render(values, identity=_DIGEST)
     # No trailing blanks, two empty lines at most, one newline at the end.
     written = "\n".join(line.rstrip() for line in written.splitlines())
@@ -159,7 +160,7 @@ def _filled(arguments: Iterable[str]) -> list[str]:
     return lines
 
 
-def _arguments(record: Any) -> Iterator[str]:
+def _arguments(record: DataclassInstance) -> Iterator[str]:
     """Yield the arguments of the call that makes a dataclass, without those that equal their default."""
     positional = True
     for entry in fields(record):
@@ -170,11 +171,11 @@ def _arguments(record: Any) -> Iterator[str]:
         yield _code(value) if positional and not entry.kw_only else f"{entry.name}={_code(value)}"
 
 
-def _code(value: Any) -> str:
+def _code(value: object) -> str:
     """Return the code of data."""
     if isinstance(value, Enum):
         return f"{type(value).__name__}.{value.name}"
-    if is_dataclass(value):
+    if is_dataclass(value) and not isinstance(value, type):
         return f"{type(value).__name__}({', '.join(_arguments(value))})"
     if isinstance(value, tuple):
         return f"({', '.join(map(_code, value))}{',' * (len(value) == 1)})"

@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import sympy
@@ -49,7 +49,7 @@ from codegen.discretise.model.guesses import DURATION
 from codegen.discretise.model.relations import MOVING, STATIC, Entry, checked_sequence, entry_of, relation_entries, text
 from codegen.discretise.program import InnerTimes, Names, Unknown, symbols
 from codegen.errors import BoundaryError, ExpressionError
-from codegen.problem.problem import Control, Waypoint
+from codegen.problem.problem import Control, Relations, Waypoint
 from codegen.problem.symbols import ControlInput, Parameter, Time
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic import checks as expressions
@@ -83,7 +83,7 @@ class AtTimes(ConditionKind):
             yield replace(entry, what=f"the time {name} of at")
             yield from _conditions(self.argument, f"at[{name}]", name, relations)
 
-    def of_model(self, model: Model) -> tuple[Any, ...]:
+    def of_model(self, model: Model) -> tuple[InnerCondition, ...]:
         return () if any(inner.time is None for inner in model.inner_times) else model.inner_conditions
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
@@ -174,7 +174,7 @@ class Waypoints(ConditionKind):
                     yield entry_of(role, f"the {role} time of {what}", limit)
             yield from _conditions(self.argument, what, f"waypoint {number + 1}", waypoint.conditions)
 
-    def of_model(self, model: Model) -> tuple[Any, ...]:
+    def of_model(self, model: Model) -> tuple[InnerCondition, ...]:
         return model.inner_conditions if any(inner.time is None for inner in model.inner_times) else ()
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
@@ -209,11 +209,11 @@ class Waypoints(ConditionKind):
             yield "&" + " < ".join([latex.first, *times, latex.last])
 
 
-def _waypoint(written: Any) -> Waypoint:
+def _waypoint(written: Waypoint | Relations) -> Waypoint:
     return written if isinstance(written, Waypoint) else Waypoint(written)
 
 
-def _conditions(role: str, what: str, where: str, relations: Any) -> Iterator[Entry]:
+def _conditions(role: str, what: str, where: str, relations: Relations) -> Iterator[Entry]:
     """Yield the conditions at one inner time; ExpressionError where there are none."""
     entries = list(relation_entries(what, relations))
     if not entries:

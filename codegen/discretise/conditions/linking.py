@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import sympy
@@ -309,7 +308,7 @@ def _system(equations: _Equations) -> System:
     return system
 
 
-def _with_slopes(kind: TermKind) -> Callable[..., Any]:
+def _with_slopes(kind: TermKind) -> Callable[..., list[Array]]:
     """Return a term and its derivatives by all its arguments, as a function of arrays."""
     value = kind.expression
     if value.has(sympy.Max, sympy.Min):  # numpy's maximum takes no array with a number

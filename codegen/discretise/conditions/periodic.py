@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import sympy
 from sympy import Expr, S, Symbol, sstr
@@ -85,7 +85,7 @@ class PeriodicKind(ConditionKind):
             yield "Periodic ends", rows
 
     def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
-        periodic: Any = control.periodic
+        periodic = control.periodic
         for symbol, shift in periodic.items() if isinstance(periodic, Mapping) else [(s, 0) for s in periodic]:
             added = f" + {latex(shift)}" if shift else ""
             yield f"{latex.at(symbol, latex.last)} &= {latex.at(symbol, latex.first)}{added}"

@@ -17,7 +17,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Any
 
 import sympy
 from sympy import Add, Expr, Rational, S, Symbol
@@ -29,7 +28,7 @@ from codegen.discretise.model.guesses import at_guess, guessed
 from codegen.discretise.model.relations import Entry, entry_of, text, value_entries
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, SizeError, SymbolError
 from codegen.problem.bodies import symbols_of
-from codegen.problem.problem import Control, Phases
+from codegen.problem.problem import Control, Phases, Problem
 from codegen.problem.symbols import ControlInput, Coordinate, Delayed, Momentum, Quantity, State, Time, Velocity
 from codegen.symbolic import checks as expressions
 
@@ -50,7 +49,7 @@ _KEPT = frozenset(
 """Fields that stay as they are; all other fields must have their defaults in a problem with delays."""
 
 
-def require_supported(problem: Any) -> None:
+def require_supported(problem: Problem | Phases) -> None:
     """Refuse delays in phases, in several bodies of one problem, in periodic motions and in simulations."""
     phases = problem.phases if isinstance(problem, Phases) else (problem,)
     if isinstance(problem, Phases) and any(getattr(phase, "history", None) for phase in phases):
@@ -78,7 +77,7 @@ def history_entries(control: Control) -> Iterator[Entry]:
     """Yield the history before t = 0, and the start values that follow from it where the author gives no others."""
     entries = list(value_entries("history", control.history))
     yield from entries
-    conditions: Any = control.start_conditions
+    conditions: object = control.start_conditions
     if not isinstance(conditions, (Mapping, list, tuple)):
         conditions = ()
     relations = conditions.values() if isinstance(conditions, Mapping) else conditions

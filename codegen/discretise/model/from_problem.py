@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import sympy
 
@@ -26,7 +25,7 @@ from codegen.discretise.model.units import units_of
 from codegen.discretise.model.written import jump_entries, maximises, used_quantities, written_costs, written_entries
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
 from codegen.problem.bodies import has_path_couplings, written_out
-from codegen.problem.problem import Control, Phases, form_of
+from codegen.problem.problem import Control, Phases, Problem, form_of
 from codegen.problem.sources import Source, source_of, with_location
 from codegen.problem.symbols import Quantity
 from codegen.symbolic import checks as expressions
@@ -51,14 +50,16 @@ def load_problem(problem: Source | Path | str, arguments: Mapping[str, str] = {}
         raise with_location(error, source.location) from error
 
 
-def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
+def normalise(
+    problem: Problem | Phases, declared: Sequence[Quantity] = (), name: str = "problem", title: str = ""
+) -> Model:
     """Check an author's problem, of one phase or several, and bring it into canonical form.
 
     `declared` are the quantities that were declared while the problem was made. Raises a kind of CodegenError that
     names the symbol or expression and the remedy.
     """
     delays.require_supported(problem)
-    if has_path_couplings(problem):
+    if isinstance(problem, Control) and has_path_couplings(problem):
         problem, declared = written_out(problem, declared)
     if not isinstance(problem, Phases):
         return normal_form.normalise(problem, declared, name, title)
@@ -239,7 +240,7 @@ def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
         begin += model.duration
 
 
-def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, Any]) -> None:
+def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, sympy.Expr]) -> None:
     """Require that a continuous quantity can satisfy the bounds of both phases, with an interior unless it is fixed."""
     defaults, where = values.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
     fixed = prescribed(before, "end")

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral
-from typing import Any
 
 import sympy
 
@@ -30,7 +29,7 @@ from codegen.symbolic import checks as expressions
 from codegen.symbolic.terms import value_counts
 
 
-def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
+def normalise(problem: Problem, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
     """Check an author's problem and bring it into canonical form.
 
     `declared` are the quantities that were declared while the problem was made; the model lists the unused ones.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from sympy import Expr, Symbol
@@ -14,12 +14,14 @@ from codegen import identifiers
 from codegen.discretise.model.normal_form import require_unique_names
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.problem.particles import Connect, Pairwise, Particle, ParticleQuantity
-from codegen.problem.problem import Simulate
+from codegen.problem.problem import Problem, Simulate
 from codegen.problem.symbols import Parameter, Quantity
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.functions import tables_of
 from codegen.symbolic.terms import Invariants
 
+Table: TypeAlias = tuple[tuple[float, ...], ...]
+"""Numbers of all particles, a row for each."""
 FRACTION = Symbol("fraction", real=True)
 """The fraction of the way from start to target."""
 
@@ -74,8 +76,8 @@ class PairwiseModel:
     path: tuple[Expr, ...] = ()
     passive: bool = False
     parallel: bool = False
-    start: tuple[tuple[tuple[float, ...], ...], ...] = ()
-    own_values: tuple[tuple[float, ...], ...] = ()
+    start: tuple[Table, ...] = ()
+    own_values: Table = ()
     unused: tuple[str, ...] = ()
     drawing: tuple[()] = ()
 
@@ -85,12 +87,12 @@ class PairwiseModel:
         return self.task == "connect"
 
 
-def is_pairwise(problem: Any) -> bool:
+def is_pairwise(problem: object) -> bool:
     """Return True if an author's problem is about particles that interact in pairs."""
     return isinstance(problem, Connect) or isinstance(getattr(problem, "hamiltonian", None), Pairwise)
 
 
-def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, title: str) -> PairwiseModel:
+def normalise_pairwise(problem: Problem, declared: Sequence[Quantity], name: str, title: str) -> PairwiseModel:
     """Check an author's problem about particles and bring it into canonical form.
 
     Raises a kind of CodegenError that names the symbol or expression and the remedy.
@@ -202,7 +204,7 @@ def _guessed_path(problem: Connect, first: ParticleSymbols, second: ParticleSymb
     return path
 
 
-def _particles_at_start(problem: Simulate, one: Particle) -> tuple[Any, Any]:
+def _particles_at_start(problem: Simulate, one: Particle) -> tuple[tuple[Table, Table], Table]:
     """Return the initial values of a simulation, whose arrays have one number for each particle."""
     for key in problem.start:
         if key not in (*one.q, *one.p, *one.own):
@@ -219,7 +221,7 @@ def _particles_at_start(problem: Simulate, one: Particle) -> tuple[Any, Any]:
     if len(sizes) > 1:
         raise BoundaryError("start has different numbers of particles", "give as many values of each quantity")
 
-    def table(symbols: Sequence[ParticleQuantity]) -> tuple[tuple[float, ...], ...]:
+    def table(symbols: Sequence[ParticleQuantity]) -> Table:
         rows = np.stack([columns[s] for s in symbols], axis=1) if symbols else np.empty((sizes.pop(), 0))
         return tuple(tuple(map(float, row)) for row in rows)
 

@@ -274,7 +274,7 @@ def with_drawing(model: Model, items: Sequence[Item], plain: Mapping[Quantity, s
     return replace(model, drawing=drawing)
 
 
-def _checked_item(item: Any, where: str) -> Item:
+def _checked_item(item: object, where: str) -> Item:
     if not isinstance(item, Item) or type(item) is Item:
         raise ExpressionError(f"{where} is a {type(item).__name__}", "use items of codegen.drawing, such as Rod")
     where = f"{where}, a {type(item).__name__},"

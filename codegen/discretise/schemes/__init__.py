@@ -56,8 +56,8 @@ def find(name: str, method: str) -> Scheme:
     if "-of-" in name:
         outer, inner = name.split("-of-", 1)
         bases = {n: s for n, s in _ALL[method].items() if s.symmetric and s.order == 2}
-        base = bases.get(ALIASES.get((method, inner), inner))
-        composition = compositions.composed(outer, base) if base else None
+        symmetric = bases.get(ALIASES.get((method, inner), inner))
+        composition = compositions.composed(outer, symmetric) if symmetric else None
         if composition is None:
             raise SchemeError(
                 f"there is no scheme {name!r} for the {method} method",

@@ -89,14 +89,15 @@ def kernel(
     expressions = [with_decimal_roots(stabilised(value)) for value in values]
     used = set[Symbol]().union(*(e.free_symbols for e in expressions))
     taken = {s.name for s in codes} | set(arguments)
-    body, reduced = [*zip(names, expressions, strict=False)], expressions[len(names) :]
-    if not straight_line:
+    body: list[Assignment] = []
+    if straight_line:
+        body += zip(names, expressions, strict=False)
+        reduced = expressions[len(names) :]
+    else:
         fresh = (Symbol(f"x{i}", real=True) for i in range(10**9) if f"x{i}" not in taken)
         common, shared = sympy.cse(expressions, symbols=fresh, order="canonical")
-        assignments = zip(names, shared[: len(names)], strict=True)
-        waiting = dict(common)
-        order = list(waiting)
-        body: list[Assignment] = []
+        # Each common subexpression stands before the first assignment that reads it; the others come last.
+        waiting, order = dict(common), [symbol for symbol, _ in common]
 
         def supply(value: Expr) -> None:
             for symbol in sorted(value.free_symbols & waiting.keys(), key=order.index):
@@ -105,14 +106,14 @@ def kernel(
                     supply(part)
                     body.append((symbol, part))
 
-        for symbol, value in assignments:
+        for symbol, value in zip(names, shared[: len(names)], strict=True):
             supply(value)
             body.append((symbol, value))
-        body = [*body, *waiting.items()]
+        body += waiting.items()
         reduced = shared[len(names) :]
     operations = [int(e.count_ops()) for e in (*(value for _, value in body), *reduced)]
     before = sum(int(e.count_ops()) for e in expressions)
-    if straight_line:
+    if straight_line:  # operations of all outputs without assignments
         totals: dict[Expr, int] = {}
         before = 0
         for index, (expression, count) in enumerate(zip(expressions, operations, strict=True)):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial, reduce
 from importlib import resources
 from types import CodeType, SimpleNamespace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import sympy
@@ -25,20 +25,25 @@ from codegen.runtime.kernels import with_counts
 from codegen.symbolic.functions import STEMS, TableBase
 from codegen.symbolic.tables import ORDERS, TableData, derivative
 
+Operand: TypeAlias = Any
+"""A number or an array of an arithmetic: complex arrays, numbers of mpmath, or numbers with the size of their terms."""
+Function: TypeAlias = Callable[..., Operand]
+"""A function of operands, or a kernel that the interpreter executes."""
+
 
 @dataclass(frozen=True)
 class Arithmetic:
     """The operations of a tape: `number` of a string of digits, `function` by its name in `math`, and so on."""
 
-    number: Callable[[str], Any]
-    function: Callable[[str], Callable[..., Any]]
-    power: Callable[[Any, Any], Any]
-    maximum: Callable[..., Any]
-    minimum: Callable[..., Any]
-    absolute: Callable[[Any], Any]
-    sign: Callable[[Any], Any]
-    where: Callable[[Any, Any, Any], Any]
-    real: Callable[[Any], Any]
+    number: Callable[[str], Operand]
+    function: Callable[[str], Function]
+    power: Function
+    maximum: Function
+    minimum: Function
+    absolute: Function
+    sign: Function
+    where: Function
+    real: Function
 
 
 class Tape:
@@ -61,15 +66,15 @@ class Tape:
                 self.parts.append((part, tuple(self.indices[a] for a in part.args)))
         self.results = [self.indices[root] for root in roots]
 
-    def evaluate(self, values: Mapping[Symbol, Any], arithmetic: Arithmetic) -> list[Any]:
+    def evaluate(self, values: Mapping[Symbol, Operand], arithmetic: Arithmetic) -> list[Operand]:
         """Return the values of the expressions at values of their symbols."""
-        results: list[Any] = []
+        results: list[Operand] = []
         for part, indices in self.parts:
             results.append(_value(part, [results[index] for index in indices], values, arithmetic))
         return [results[index] for index in self.results]
 
 
-def _value(part: Basic, operands: list[Any], values: Mapping[Symbol, Any], a: Arithmetic) -> Any:
+def _value(part: Basic, operands: list[Operand], values: Mapping[Symbol, Operand], a: Arithmetic) -> Operand:
     """Return the value of an expression from the values of its arguments."""
     if part.is_Symbol:
         return values[part]
@@ -107,7 +112,7 @@ def _value(part: Basic, operands: list[Any], values: Mapping[Symbol, Any], a: Ar
     return functions[name](*operands) if name in functions else a.function(name)(*operands)
 
 
-_RELATIONS: dict[str, Callable[[Any, Any], Any]] = {
+_RELATIONS: dict[str, Function] = {
     **{"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge},
     **{"==": operator.eq, "!=": operator.ne},
 }
@@ -158,16 +163,16 @@ class Text:
         """Return True if the text defines a function, class or constant of this name."""
         return name in self._parts
 
-    def interpreted(self, *names: str) -> dict[str, Any]:
+    def interpreted(self, *names: str) -> dict[str, Operand]:
         """Execute the named parts and those that they need, without numba's decorators; return the namespace."""
 
-        def undecorated(**_: Any) -> Callable[[Any], Any]:
+        def undecorated(**_: object) -> Function:
             return lambda function: function
 
-        def interpreted_loop(loop: Any) -> Callable[[Any], Any]:
+        def interpreted_loop(loop: Operand) -> Function:
             return lambda function: loop(function, is_interpreted=True)
 
-        namespace: dict[str, Any] = {"njit": undecorated, "prange": range, "__name__": "emitted"}
+        namespace: dict[str, Operand] = {"njit": undecorated, "prange": range, "__name__": "emitted"}
         namespace |= dict.fromkeys(("Kernel", "Value", "Contracted"), _with_counts)
         namespace |= {"_interpreted": interpreted_loop, "carray": _carray}
         body = [*self._imports, *ast.parse("Loop = _interpreted(globals().get('Loop'))").body, *self._needed(names)]
@@ -175,7 +180,7 @@ class Text:
         namespace["math"] = _QuietMath()  # which the functions read when they are called
         return namespace
 
-    def kernels(self, names: Sequence[str], arithmetic: Arithmetic) -> dict[str, Callable[..., Any]]:
+    def kernels(self, names: Sequence[str], arithmetic: Arithmetic) -> dict[str, Function]:
         """Return some functions, with those that they call, in another arithmetic than floating-point numbers."""
         key = tuple(names)
         if key not in self._codes:
@@ -185,28 +190,28 @@ class Text:
             module = ast.fix_missing_locations(ast.Module(body=body, type_ignores=[]))
             self._codes[key] = compile(module, "<kernels>", "exec")
 
-        def compared(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        def compared(operation: Function) -> Function:
             return lambda one, other: operation(arithmetic.real(one), arithmetic.real(other))
 
-        comparisons = {"Lt": operator.lt, "LtE": operator.le, "Gt": operator.gt, "GtE": operator.ge}
+        comparisons: dict[str, Function] = {
+            "Lt": operator.lt,
+            "LtE": operator.le,
+            "Gt": operator.gt,
+            "GtE": operator.ge,
+        }
         comparisons |= {"Eq": operator.eq, "NotEq": operator.ne}
-        functions = _Functions(arithmetic)
 
-        def family(stem: str) -> Callable[[int, Any], Any]:
+        def family(stem: str) -> Function:
             return lambda order, x: arithmetic.function(f"{stem}_{order}")(x)
 
-        namespace = {
+        # The names that rewritten kernels call.
+        namespace: dict[str, Operand] = {
             **{stem: family(stem) for stem in STEMS},
             **{f"_{name}": compared(operation) for name, operation in comparisons.items()},
             **{"_And": operator.and_, "_Or": operator.or_, "_Not": lambda condition: condition == False},  # noqa: E712
-            **{
-                "_power": arithmetic.power,
-                "_where": arithmetic.where,
-                "abs": arithmetic.absolute,
-                "max": arithmetic.maximum,
-                "min": arithmetic.minimum,
-            },
-            **{"math": functions, "np": SimpleNamespace(**{"sign": arithmetic.sign}), "range": range},
+            **{"_power": arithmetic.power, "_where": arithmetic.where, "abs": arithmetic.absolute},
+            **{"max": arithmetic.maximum, "min": arithmetic.minimum, "math": _Functions(arithmetic)},
+            **{"np": SimpleNamespace(**{"sign": arithmetic.sign}), "range": range},
         }
         for name, table in self._tables.items():
             namespace[name] = partial(_lookup, table, arithmetic)
@@ -226,7 +231,7 @@ class Text:
         return list(dict.fromkeys(node for name, node in self._parts.items() if name in needed))
 
 
-def _lookup(table: TableData, a: Arithmetic, parameters: Any, *at: Any) -> tuple[Any, ...]:
+def _lookup(table: TableData, a: Arithmetic, parameters: Operand, *at: Operand) -> tuple[Operand, ...]:
     """Return all derivatives of a table at a point, as an emitted look-up does."""
     return tuple(derivative(table, order, at, a.real) for order in ORDERS[len(table.shape.inputs)])
 
@@ -242,12 +247,12 @@ def _read(part: ast.stmt) -> set[str]:
 class _QuietMath:
     """The functions of `math` with NaN and infinity where Python's raise errors, as machine code has them."""
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Operand:
         attribute = getattr(math, name)
         if not callable(attribute):
             return attribute
 
-        def called(*arguments: float) -> Any:
+        def called(*arguments: float) -> Operand:
             try:
                 return np.float64(attribute(*arguments))
             except (ValueError, OverflowError):
@@ -256,7 +261,7 @@ class _QuietMath:
         return called
 
 
-def _carray(pointer: Any, shape: Any) -> Any:
+def _carray(pointer: Operand, shape: Operand) -> Operand:
     """Return an array over the memory at a pointer, as numba does; an array stays as it is."""
     if isinstance(pointer, np.ndarray):
         return pointer
@@ -265,7 +270,7 @@ def _carray(pointer: Any, shape: Any) -> Any:
     return carray(pointer, shape)
 
 
-def _with_counts(function: Callable[..., Any]) -> Callable[..., Any]:
+def _with_counts(function: Function) -> Function:
     """Return a kernel that is called without the numbers of particles and of columns."""
     code = function.__code__
     names = code.co_varnames[: code.co_argcount]
@@ -278,7 +283,7 @@ class _Functions:
     def __init__(self, arithmetic: Arithmetic) -> None:
         self._arithmetic = arithmetic
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Operand:
         if name in _NUMBERS:
             return self._arithmetic.number(_NUMBERS[name])
         return self._arithmetic.sign if name == "sign" else self._arithmetic.function(name)

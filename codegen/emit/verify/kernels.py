@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from sympy import Expr, S, Symbol
@@ -25,6 +24,7 @@ from codegen.emit.lower.control.layout import parameters
 from codegen.emit.verify.comparison import (
     EXACT,
     SIZED,
+    Complex,
     GuessedPoints,
     Sized,
     Values,
@@ -37,7 +37,7 @@ from codegen.emit.verify.comparison import (
     step_of,
     with_time,
 )
-from codegen.emit.verify.execution import Arithmetic, Tape, Text
+from codegen.emit.verify.execution import Arithmetic, Function, Operand, Tape, Text
 from codegen.emit.verify.shares import Share, ShareComparison, columns_of, mixed_shares, pattern_of
 from codegen.errors import VerificationError
 from codegen.symbolic.checks import rounded_at
@@ -79,11 +79,11 @@ def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tupl
     others, time = parameters(program), program.model.time
     local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
 
-    def calling(begins_at: int) -> Any:
+    def calling(begins_at: int) -> Operand:
         """Return the call of a kernel of an interval that begins at the inner time of this number, or at none (-1)."""
         times = inner_time_symbols(program)
 
-        def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+        def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> Operand:
             moved = {s: values[time] + 2 * abs(i - begins_at) * values[STEP] for i, s in enumerate(times)}
             vector = [moved[s] if s in moved else values[s] for s in others]
             return kernel([values[s] for s in local], values[time], values[STEP], vector, filled)
@@ -148,7 +148,7 @@ def _sample(program: ControlProgram, share: Share, near: Values) -> tuple[Share,
     others, time, sample = parameters(program), program.model.time, program.sample
     local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
 
-    def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+    def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> Operand:
         # A sample follows the parameters. It begins with its middle, which kernels do not read.
         row = [*(values[s] for s in others), None, *(values[s] for s in sample.symbols)]
         return kernel([values[s] for s in local], values[time], values[STEP], row, len(others), filled)
@@ -166,7 +166,7 @@ def _verify_values(program: ControlProgram, text: Text, share: Share, near: Valu
     assert program.sample is not None, "there are samples"
     tape, numbers = Tape(program.sample.observed), complex_numbers(np.complex128)
     points = {symbol: values.astype(complex) for symbol, values in near.items()}
-    emitted: list[Any] = [0.0] * len(program.sample.observed)
+    emitted: list[Operand] = [0.0] * len(program.sample.observed)
     with np.errstate(all="ignore"):
         exact = tape.evaluate(points, numbers)
         share.call_gradient(text.kernels(("sample_values",), numbers)["sample_values"], points, emitted)
@@ -185,8 +185,8 @@ def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple
     first = len(program.left_symbols) + len(program.interval_symbols)
     pairs = [(row, column) for row in range(size) for column in range(row + 1)]
 
-    def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
-        block: dict[tuple[int, int], Any] = {}
+    def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> None:
+        block: dict[tuple[int, int], Operand] = {}
         kernel(values[STEP], [values[s] for s in others], block)
         for index, pair in enumerate(pairs):
             filled[index] = block.get(pair, filled[index])
@@ -218,7 +218,9 @@ def _ends(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Sha
         ("end", program.end, program.right_symbols),
     ):
 
-        def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any], node: Sequence[Symbol] = node) -> Any:
+        def call(
+            kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand], node: Sequence[Symbol] = node
+        ) -> Operand:
             return kernel([values[s] for s in node], values[time], [values[s] for s in others], filled)
 
         unknowns, pinned = (*node, *program.shared_symbols), {index for index, _ in end.pins}
@@ -237,7 +239,7 @@ def _ends(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Sha
         yield share, guessed.at_node(name == "end", node, others)
 
 
-def _pattern(module: Mapping[str, Any], prefix: str) -> tuple[tuple[int, int], ...]:
+def _pattern(module: Mapping[str, Operand], prefix: str) -> tuple[tuple[int, int], ...]:
     rows, columns = (module.get(f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
     return tuple((int(r), int(c)) for r, c in zip(rows, columns, strict=True))
 
@@ -268,7 +270,7 @@ class _Values:
         self.tapes = [Tape([value]) for _, value in assignments]
         self.tape = Tape(values)
 
-    def evaluate(self, values: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
+    def evaluate(self, values: Mapping[Symbol, Operand], numbers: Arithmetic) -> list[Operand]:
         assigned = dict(values)
         for symbol, tape in zip(self.names, self.tapes, strict=True):
             assigned[symbol] = tape.evaluate(assigned, numbers)[0]
@@ -295,7 +297,7 @@ class _StepKernels:
         read = _Values(assignments, values)
         points, count = self._points(inside, read)
 
-        def filled(at: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
+        def filled(at: Mapping[Symbol, Operand], numbers: Arithmetic) -> list[Operand]:
             kernel = self.text.kernels((name,), numbers)[name]
             state, time, lengths, parameters = self._arguments(at)
             within, results = [at[symbol] for symbol in inside], [0] * len(values)
@@ -309,12 +311,12 @@ class _StepKernels:
                 kernel(within, state, time, lengths, parameters, results)
             return results
 
-        def evaluate(kind: Any) -> tuple[Any, Any]:
+        def evaluate(kind: Complex) -> tuple[Operand, Operand]:
             at = {symbol: array.astype(kind) for symbol, array in points.items()}
             numbers = complex_numbers(kind)
             return _columns(filled(at, numbers), count), _columns(read.evaluate(at, numbers), count)
 
-        def opinion(entry: int, point: int) -> tuple[Sized, Any, Any]:
+        def opinion(entry: int, point: int) -> tuple[Sized, Operand, Operand]:
             at = {symbol: float(array[point]) for symbol, array in points.items()}
             exact, error = difference(lambda numbers: read.evaluate(numbers, EXACT)[entry], at, [])
             value = filled({symbol: Sized(number) for symbol, number in at.items()}, SIZED)[entry]
@@ -330,14 +332,14 @@ class _StepKernels:
         read, size = _Values(before, residual), len(unknowns)
         points, count = self._points(unknowns, read)
 
-        def filled(at: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
+        def filled(at: Mapping[Symbol, Operand], numbers: Arithmetic) -> list[Operand]:
             kernel = self.text.kernels(("step_jacobian",), numbers)["step_jacobian"]
-            heights: list[Any] = [0] * size
-            matrix: list[Any] = [0] * size**2
+            heights: list[Operand] = [0] * size
+            matrix: list[Operand] = [0] * size**2
             kernel([at[y] for y in unknowns], *self._arguments(at), heights, matrix)
             return [*heights, *matrix]
 
-        def evaluate(kind: Any) -> tuple[Any, Any]:
+        def evaluate(kind: Complex) -> tuple[Operand, Operand]:
             step, numbers = step_of(kind), complex_numbers(kind)
             at = {symbol: array.astype(kind)[:, None] for symbol, array in points.items()}
             moved = dict(at)
@@ -350,7 +352,7 @@ class _StepKernels:
             emitted = [np.asarray(value).reshape(-1) for value in filled(at, numbers)]
             return _columns(emitted, count), np.concatenate([heights, slopes], axis=1)
 
-        def opinion(entry: int, point: int) -> tuple[Sized, Any, Any]:
+        def opinion(entry: int, point: int) -> tuple[Sized, Operand, Operand]:
             at = {symbol: float(array[point]) for symbol, array in points.items()}
             row, by = (entry, []) if entry < size else ((entry - size) // size, [unknowns[(entry - size) % size]])
             exact, error = difference(lambda numbers: read.evaluate(numbers, EXACT)[row], at, by)
@@ -361,7 +363,7 @@ class _StepKernels:
             slopes = [f"the derivative of {name} by {y}" for name in names for y in unknowns]
             judge([*names, *slopes], evaluate, opinion)
 
-    def _arguments(self, at: Mapping[Symbol, Any]) -> tuple[list[Any], Any, list[Any], list[Any]]:
+    def _arguments(self, at: Mapping[Symbol, Operand]) -> tuple[list[Operand], Operand, list[Operand], list[Operand]]:
         program = self.program
         return (
             [at[symbol] for symbol in program.left_symbols],
@@ -390,7 +392,7 @@ class _StepKernels:
         return finite_points(read, [drawn | near, drawn])
 
 
-def _columns(values: Sequence[Any], count: int) -> Any:
+def _columns(values: Sequence[Operand], count: int) -> Operand:
     return np.stack([np.broadcast_to(np.asarray(value).real, count) for value in values], axis=1)
 
 
@@ -403,7 +405,7 @@ _FIRST, _SECOND = 1e-9, 1e-7
 _DIRECTIONS = 2
 _LOOPS = ("hamiltonian", "hamiltonian_gradient", "slope", "velocity", "hamiltonian_hessian", "hessian_products")
 _MATRIX = "momentum_matrix"
-Array = Any
+Array = Operand
 
 
 def verify_particles(program: PairwiseProgram, text: Text) -> None:
@@ -431,7 +433,7 @@ def verify_particles(program: PairwiseProgram, text: Text) -> None:
 
 
 def _compared(
-    module: dict[str, Any], exact: _Hamiltonian, arguments: tuple[Array, Array, Array]
+    module: dict[str, Operand], exact: _Hamiltonian, arguments: tuple[Array, Array, Array]
 ) -> Iterator[tuple[str, Array, Array, float]]:
     """Yield the name of a quantity, its emitted and its right value, and the relative tolerance."""
     energy, gradient, hessian = exact.at(*arguments)
@@ -475,7 +477,7 @@ class _Hamiltonian:
         points = (flat + moves)[:, None, :] + 1j * self.step * np.eye(size)
         states = points.reshape(*points.shape[:2], *state.shape)
         model = self.model
-        common: dict[Symbol, Any] = dict(zip(model.parameters, parameters.astype(np.clongdouble), strict=True))
+        common: dict[Symbol, Operand] = dict(zip(model.parameters, parameters.astype(np.clongdouble), strict=True))
         values = np.zeros(states.shape[:2], np.clongdouble)
         for i in range(_PARTICLES):
             first = common | self._symbols(model.first, states, own, i)
@@ -487,7 +489,7 @@ class _Hamiltonian:
         hessian = (slopes[1 : size + 1] - slopes[size + 1 :]) / (2 * length)
         return values[0, 0].real, slopes[0].reshape(state.shape), hessian
 
-    def _symbols(self, symbols: Any, states: Array, own: Array, particle: int) -> dict[Symbol, Any]:
+    def _symbols(self, symbols: Operand, states: Array, own: Array, particle: int) -> dict[Symbol, Operand]:
         """Return the values of the symbols of one particle."""
         moving = [states[:, :, part, particle, k] for part in range(2) for k in range(states.shape[-1])]
         values = dict(zip(symbols.moving, moving, strict=True))
