@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 import sympy
 from sympy import Add, Expr, S, Symbol
 
-from codegen.discretise.conditions.ends import Imposed, imposed
+from codegen.discretise.conditions.ends import imposed
 from codegen.discretise.conditions.integral import end_share, own_unknowns, with_distinct_integral_names
 from codegen.discretise.conditions.path import nodal_conditions
 from codegen.discretise.interval import STEP
@@ -281,8 +281,8 @@ def _switch(chain: Model, number: int, programs: Sequence[ControlProgram], slots
     cost = transition.at(transition.before.terminal_cost)
     shared, equations, element = list[Unknown](), list[tuple[str, Expr]](), motion.element + cost
     for condition in transition.conditions:
-        how = Imposed("nu", Kind.SWITCH_CONDITION, "", number)
-        unknowns, term, equation = imposed(condition, transition.at(condition.expression), how, slots.names, S.Zero)
+        value, kind = transition.at(condition.expression), Kind.SWITCH_CONDITION
+        unknowns, term, equation = imposed(condition, value, slots.names, kind, "", number, S.Zero)
         shared += unknowns
         element += term
         equations.append(equation)

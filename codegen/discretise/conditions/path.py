@@ -27,7 +27,7 @@ import sympy
 from sympy import Expr, Rational, S, Symbol
 
 from codegen.discretise.conditions.base import ConditionKind, Latex, Points, Scope, dependent, is_constant
-from codegen.discretise.conditions.ends import Imposed, imposed
+from codegen.discretise.conditions.ends import imposed
 from codegen.discretise.interval import STEP, PathValue, StateValue, at_nodes
 from codegen.discretise.model.definitions import Boundary, Condition, Model
 from codegen.discretise.model.relations import MOVING, STATIC
@@ -190,7 +190,7 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
         yields = (condition, value.is_bound) in others
         least = -YIELDING if yields and value.value == _at_node(model, condition, S.One) else S.Zero
         (multiplier, *slack), term, equation = imposed(
-            condition, value.value, Imposed("y", kind, "_k", float(value.abscissa)), names, least
+            condition, value.value, names, kind, "_k", float(value.abscissa), least
         )
         multipliers.append(multiplier)
         slacks += slack

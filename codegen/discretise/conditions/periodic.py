@@ -219,7 +219,7 @@ def equivalent_momenta(model: Model, chosen: Sequence[int]) -> tuple[int, ...]:
 
 def _tied(quantity: Symbol, shift: Expr, guess: Expr, names: Names) -> Periodic:
     """Equate an unknown of the node at both ends to a shared unknown."""
-    own = _own(names.named("periodic", quantity), Meaning(Kind.START_VALUE, quantity.name), guess)
+    own = own_unknown(names.named("periodic", quantity), Kind.START_VALUE, quantity, guess)
     name = own.unknown.name
     return Periodic((own,), ((quantity.name, name, S.Zero),), ((quantity.name, name, shift),))
 
@@ -227,20 +227,21 @@ def _tied(quantity: Symbol, shift: Expr, guess: Expr, names: Names) -> Periodic:
 def _matched(model: Model, index: int, shift: Expr, guess: Expr, names: Names) -> Periodic:
     """Match the discrete momenta of both ends to a shared unknown."""
     q = model.coordinates[index]
-    own = _own(names.named("pi", q), Meaning(Kind.START_MOMENTUM, q.name), guess)
+    own = own_unknown(names.named("pi", q), Kind.START_MOMENTUM, q, guess)
     return Periodic(own=(own,), start_momenta=((index, own.symbol),), end_momenta=((index, own.symbol + shift),))
 
 
 def _by_conditions(quantity: Symbol, value: Expr, shift: Expr, guess: Expr, names: Names) -> Periodic:
     """Impose a condition at each end with a shared unknown."""
-    own = _own(names.named("periodic", quantity), Meaning(Kind.START_VALUE, quantity.name), guess)
+    own = own_unknown(names.named("periodic", quantity), Kind.START_VALUE, quantity, guess)
     at_ends = (Condition(f"{quantity} is periodic", value - own.symbol - offset) for offset in (S.Zero, shift))
     start, end = at_ends
     return Periodic(own=(own,), start_conditions=(start,), end_conditions=(end,))
 
 
-def _own(name: str, meaning: Meaning, guess: Expr) -> Own:
-    return Own(Unknown(name, meaning), Symbol(name, real=True), guess)
+def own_unknown(name: str, kind: Kind, of: Symbol, guess: Expr, follows: bool = False) -> Own:
+    """Return a shared unknown of each body that belongs to a quantity."""
+    return Own(Unknown(name, Meaning(kind, of.name)), Symbol(name, real=True), guess, follows)
 
 
 def require_constraints_return(model: Model, periodic: Periodic) -> None:

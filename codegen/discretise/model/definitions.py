@@ -225,12 +225,6 @@ class Model:
         return self.segments.whole if self.segments else self
 
     @property
-    def has_free_times(self) -> bool:
-        """Return True if the lengths of the intervals between inner times are unknowns."""
-        free = {parameter.symbol for parameter in self.free_parameters}
-        return any(inner.time is None or self.duration.free_symbols & free for inner in self.inner_times)
-
-    @property
     def default_values(self) -> dict[sympy.Symbol, float]:
         """Return the parameters with their default values."""
         return dict(zip(self.parameters, self.defaults, strict=True))
