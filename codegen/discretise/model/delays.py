@@ -272,7 +272,19 @@ def _common_parts(model: Model) -> tuple[int, tuple[int, ...]]:
     number = math.lcm(*(int(ratio.q) for ratio in ratios if ratio < 1))
     quantities = len((*model.coordinates, *model.rates, *model.controls))
     if number * quantities > MOST_QUANTITIES:
-        raise _too_many_segments(model, ratios, number, MOST_QUANTITIES // quantities)
+        most = MOST_QUANTITIES // quantities
+        values = model.default_values
+        duration = expressions.rounded_at(model.duration, values) or 1.0
+        worst = max(range(len(ratios)), key=lambda i: (ratios[i] < 1, ratios[i].q))
+        times = int(1 / ratios[worst])
+        near = [f"{duration / n:.6g}" for n in dict.fromkeys((times + 1, times, most)) if 0 < n <= most][:2]
+        these = f"{' or '.join(near)} {'divide' if len(near) > 1 else 'divides'}"
+        lag = expressions.rounded_at(model.delays[worst].lag, values) or 0.0
+        raise SizeError(
+            f"the delay {lag:g} of {model.delays[worst].quantity} in the duration {duration:g} makes {number} equal "
+            f"segments, where {most} can be derived",
+            f"take a delay that goes into the duration fewer times as a whole; {these} it",
+        )
     return number, tuple(int(ratio * number) if ratio < 1 else 0 for ratio in ratios)
 
 
@@ -291,22 +303,6 @@ def _ratio(model: Model, delay: Delay) -> Rational:
     if not ratio > 0:
         raise ExpressionError(f"{_named(delay)} is no value of the past", "give a positive delay")
     return ratio
-
-
-def _too_many_segments(model: Model, ratios: Sequence[Rational], number: int, most: int) -> SizeError:
-    """Return the error for more than `most` segments; the remedy has the nearest delays that need fewer."""
-    values = model.default_values
-    duration = expressions.rounded_at(model.duration, values) or 1.0
-    worst = max(range(len(ratios)), key=lambda i: (ratios[i] < 1, ratios[i].q))
-    times = int(1 / ratios[worst])
-    near = [f"{duration / n:.6g}" for n in dict.fromkeys((times + 1, times, most)) if 0 < n <= most][:2]
-    these = f"{' or '.join(near)} {'divide' if len(near) > 1 else 'divides'}"
-    lag = expressions.rounded_at(model.delays[worst].lag, values) or 0.0
-    return SizeError(
-        f"the delay {lag:g} of {model.delays[worst].quantity} in the duration {duration:g} makes {number} equal "
-        f"segments, where {most} can be derived",
-        f"take a delay that goes into the duration fewer times as a whole; {these} it",
-    )
 
 
 def _named(delay: Delay) -> str:

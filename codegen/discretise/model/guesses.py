@@ -45,16 +45,11 @@ def control_guess(model: Model) -> tuple[Expr, ...]:
 
 def guessed(model: Model, quantities: Sequence[Symbol], duration: Expr) -> tuple[Expr, ...]:
     """Return the guesses of coordinates or momenta: the author's ones, else straight lines between end values."""
-    guess = dict(model.guess)
     first = known_values(model, model.start, model.start_conditions)
     last = known_values(model, model.end, model.end_conditions)
-
-    def line(x: Symbol) -> Expr:
-        if x in first and x in last:
-            return first[x] + (last[x] - first[x]) * model.time / duration
-        return first.get(x, last.get(x, S.Zero))
-
-    return tuple(at_guess(model, guess[x] if x in guess else line(x)) for x in quantities)
+    lines = last | first | {x: first[x] + (last[x] - first[x]) * model.time / duration for x in first if x in last}
+    guess = lines | dict(model.guess)
+    return tuple(at_guess(model, guess.get(x, S.Zero)) for x in quantities)
 
 
 def at_guess(model: Model, expression: Expr) -> Expr:
@@ -136,7 +131,16 @@ def with_guesses(model: Model) -> Model:
             guess.setdefault(q, _line(model, q, i, values.get(q), times))
         phases[i] = replace(phase, guess=tuple(guess.items()))
         if i + 1 < len(phases):
-            values = _values_after_jump(model, i, guess, times[i + 1])
+            time = times[i + 1]
+            before = {q: at_guess(model, value).subs(model.time, time) for q, value in guess.items()}
+            if model.form == "lagrangian":
+                pairs = zip(model.coordinates, model.rates, strict=True)
+                before |= {
+                    v: at_guess(model, sympy.diff(guess[q], model.time)).subs(model.time, time) for q, v in pairs
+                }
+            fixed = known_values(model, model.phases[i].end, model.phases[i].end_conditions)
+            fixed |= {q: at_guess(model, value).xreplace(before | fixed) for q, value in model.jumps[i]}
+            values = {q: value for q, value in (before | fixed).items() if value != 0 or q in fixed}
     return replace(model, phases=tuple(phases))
 
 
@@ -151,14 +155,3 @@ def _line(model: Model, quantity: Symbol, index: int, left: Expr | None, times: 
         if last < len(model.jumps) and quantity in dict(model.jumps[last]):
             break
     return S.Zero if left is None else left
-
-
-def _values_after_jump(model: Model, index: int, guess: dict[Symbol, Expr], time: Expr) -> dict[Symbol, Expr]:
-    """Return the values with which the next phase begins; zeros that no end condition or jump gives are left out."""
-    before = {q: at_guess(model, value).subs(model.time, time) for q, value in guess.items()}
-    if model.form == "lagrangian":
-        pairs = zip(model.coordinates, model.rates, strict=True)
-        before |= {v: at_guess(model, sympy.diff(guess[q], model.time)).subs(model.time, time) for q, v in pairs}
-    fixed = known_values(model, model.phases[index].end, model.phases[index].end_conditions)
-    fixed |= {q: at_guess(model, value).xreplace(before | fixed) for q, value in model.jumps[index]}
-    return {q: value for q, value in (before | fixed).items() if value != 0 or q in fixed}

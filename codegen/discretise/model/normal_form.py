@@ -48,7 +48,8 @@ def normalise(problem: Problem, declared: Sequence[Quantity] = (), name: str = "
     drawing = scope.checked_drawing(problem)
     scope.require_derived(drawing, used)
     require_unique_names([*used, *declared])
-    unused = unused_names([*used, *scope.drawn_quantities(drawing)], declared)
+    drawn = scope.drawn_quantities(drawing)
+    unused = tuple(symbol.name for symbol in declared if symbol not in used and symbol not in drawn)
     kinds = kinds_of(used, form)
     if isinstance(problem, Control):
         require_cost([problem], kinds)
@@ -144,11 +145,6 @@ def require_unique_names(quantities: Sequence[Quantity]) -> None:
             continue  # its name was not chosen by the author
         if seen.setdefault(symbol.name, symbol) != symbol:
             raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
-
-
-def unused_names(used: Sequence[Quantity], declared: Sequence[Quantity]) -> tuple[str, ...]:
-    """Return the names of the declared quantities that the problem does not use."""
-    return tuple(symbol.name for symbol in declared if symbol not in used)
 
 
 def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:

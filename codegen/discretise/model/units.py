@@ -126,24 +126,21 @@ class _Units:
         elif entry.role == "terminal_cost":
             self.terminal = unit
         else:
-            self._require_unit_of_key(entry, unit)
+            # A value has the unit of its quantity, unless it is a plain number.
+            key, described = (self.unit(entry.key) if entry.key is not None else None), str(entry.key)
+            if entry.role == "duration":
+                key, described = self.time, "the time"
+            elif entry.role == "force" and key is not None and self.energy is not None:
+                key, described = self.energy / key, f"the Lagrangian by {entry.key}"
+            elif entry.role == "dynamics" and key is not None:
+                key, described = key / self.time, f"the rate of {entry.key}"
+            elif entry.role not in _VALUES:
+                key = None
+            if unit is not None and key is not None and not entry.expression.is_number:
+                _require_same(unit, key, entry.what, described)
         if self.running is not None and self.terminal is not None:
             whole = self.running * self.time
             _require_same(whole, self.terminal, "the integral of the cost", "the terminal cost")
-
-    def _require_unit_of_key(self, entry: Entry, unit: Unit | None) -> None:
-        """Refuse a value whose unit is not that of its quantity."""
-        key, described = (self.unit(entry.key) if entry.key is not None else None), str(entry.key)
-        if entry.role == "duration":
-            key, described = self.time, "the time"
-        elif entry.role == "force" and key is not None and self.energy is not None:
-            key, described = self.energy / key, f"the Lagrangian by {entry.key}"
-        elif entry.role == "dynamics" and key is not None:
-            key, described = key / self.time, f"the rate of {entry.key}"
-        elif entry.role not in _VALUES:
-            return
-        if unit is not None and key is not None and not entry.expression.is_number:
-            _require_same(unit, key, entry.what, described)
 
     def _of(self, expression: sympy.Expr, where: str, is_strict: bool) -> Unit | None:
         """Return the unit of an expression; None where a part has no unit."""

@@ -8,7 +8,7 @@ import sympy
 
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.conditions.base import Points
-from codegen.discretise.model.definitions import Bounds, Condition, Model, prescribed
+from codegen.discretise.model.definitions import Bounds, Model, prescribed
 from codegen.errors import BoundaryError, DegenerateError, ExpressionError
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.checks import rounding_at, rounding_of
@@ -94,23 +94,19 @@ def require_agreement(model: Model) -> None:
     for end in ("start", "end"):
         fixed = {**prescribed(model, end), model.time: sympy.S.Zero if end == "start" else model.duration}
         for condition in (condition for kind in CONDITIONS for condition in kind.at(model, end)):
-            _require_agreement(model, end, fixed, condition)
-
-
-def _require_agreement(model: Model, end: str, fixed: Mapping[sympy.Symbol, sympy.Expr], condition: Condition) -> None:
-    symbols = condition.expression.free_symbols
-    values = {symbol: value for symbol, value in fixed.items() if symbol in symbols}
-    present = symbols.union(*(value.free_symbols for value in values.values()))
-    if not present <= {*fixed, *model.parameters, model.body}:
-        return
-    for body in _bodies(model, *values.values()):
-        numbers = {**body, **{s: _number(f"{end} of {s}", value, body) for s, value in values.items()}}
-        excess = expressions.rounded_at(condition.expression, numbers)
-        if excess is None:
-            continue
-        excess = abs(excess) if condition.equality else excess
-        if excess > rounding_at(condition.expression, numbers):
-            raise BoundaryError(f"{end} violates {condition} by {excess:g}", "correct one of them")
+            symbols = condition.expression.free_symbols
+            values = {symbol: value for symbol, value in fixed.items() if symbol in symbols}
+            present = symbols.union(*(value.free_symbols for value in values.values()))
+            if not present <= {*fixed, *model.parameters, model.body}:
+                continue
+            for body in _bodies(model, *values.values()):
+                numbers = {**body, **{s: _number(f"{end} of {s}", value, body) for s, value in values.items()}}
+                excess = expressions.rounded_at(condition.expression, numbers)
+                if excess is None:
+                    continue
+                excess = abs(excess) if condition.equality else excess
+                if excess > rounding_at(condition.expression, numbers):
+                    raise BoundaryError(f"{end} violates {condition} by {excess:g}", "correct one of them")
 
 
 def _bodies(model: Model, *expressions: sympy.Expr | None) -> Iterator[dict[sympy.Symbol, float]]:

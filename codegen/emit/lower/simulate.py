@@ -214,9 +214,10 @@ def _description(program: StepProgram, kernels: Sequence[Kernel], tables: Sequen
     return [*lines, *(f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels)]
 
 
-def _left_out(program: StepProgram, solver: StepSolver) -> list[str]:
-    """Return the features that the module lacks, each with the reason."""
-    model = program.model
+def _record(
+    program: StepProgram, derivatives: StepDerivatives, kernels: Sequence[Kernel], tables: Sequence[TableData]
+) -> SimulationRecord:
+    model, solver = program.model, _solver(program, derivatives)
     out = []
     if solver is StepSolver.EXPLICIT:
         out.append(f"Newton's method: the scheme is explicit for this {model.form.capitalize()}")
@@ -240,13 +241,6 @@ def _left_out(program: StepProgram, solver: StepSolver) -> list[str]:
         out.append(f"forces on {', '.join(idle)}: there are none")
     if not any(e.has(model.time) for e in (model.function, *model.force)):
         out.append("time in the kernels: nothing depends on it explicitly")
-    return out
-
-
-def _record(
-    program: StepProgram, derivatives: StepDerivatives, kernels: Sequence[Kernel], tables: Sequence[TableData]
-) -> SimulationRecord:
-    model, solver = program.model, _solver(program, derivatives)
     return SimulationRecord(
         **record_fields(model),
         method=Method(program.method),
@@ -259,7 +253,7 @@ def _record(
         units=dict(model.units),
         tables=table_records(tables),
         operations={k.name: (k.operations_before, k.operations_after) for k in kernels},
-        left_out=tuple(_left_out(program, solver)),
+        left_out=tuple(out),
         parts=len(program.fractions),
         solver=solver,
         momenta=tuple(u.name for u in program.state[len(model.coordinates) :]),

@@ -16,9 +16,9 @@ no guess and are random.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
-from typing import Protocol
+from functools import cache, reduce
 
 import mpmath
 import numpy as np
@@ -27,7 +27,7 @@ from sympy import Symbol
 from codegen.discretise.interval import LENGTHS, STEP
 from codegen.emit.verify.execution import Arithmetic, Function, Operand
 from codegen.errors import VerificationError
-from codegen.symbolic.functions import STEMS, by_name
+from codegen.symbolic.functions import by_name
 
 DIGITS = 400
 _INCREMENTS = ("1e-35", "1e-40")
@@ -166,31 +166,6 @@ def power(base: Operand, exponent: Operand) -> Operand:
     return np.where((base.real >= 0) | whole, _complex(base) ** exponent, np.nan)
 
 
-def maximum(*values: Operand) -> Operand:
-    """Return the value with the largest real part."""
-    return _chosen(values, lambda a, b: a.real >= b.real)
-
-
-def minimum(*values: Operand) -> Operand:
-    """Return the value with the smallest real part."""
-    return _chosen(values, lambda a, b: a.real <= b.real)
-
-
-def absolute(value: Operand) -> Operand:
-    """Return the value or its negative, whichever has a positive real part."""
-    return value * sign(value)
-
-
-def sign(value: Operand) -> Operand:
-    """Return the sign of the real part."""
-    return np.sign(np.asarray(value).real)
-
-
-def where(condition: Operand, one: Operand, other: Operand) -> Operand:
-    """Return one value where a condition holds, else the other."""
-    return np.where(condition, one, other)
-
-
 def named(name: str) -> Function:
     """Return the function of one variable (atan2: two) with a name of `math` or `mpmath`."""
     if name in _INSIDE:
@@ -210,19 +185,6 @@ def _extended(number: Operand) -> Operand:
 
 
 _SMALLEST = mpmath.mpf(10) ** -4900
-CONTINUED: dict[str, Function] = {
-    **{name: (lambda x, name=name: named(name)(x)) for name in ("erf", "erfc", "gamma")},
-    "gammaln": lambda x: named("lgamma")(x),
-    **{stem: (lambda order, x, stem=stem: named(f"{stem}_{order}")(x)) for stem in STEMS},
-}
-"""Functions for lambdify that numpy has not for complex arrays, by their printed names."""
-
-
-def _chosen(values: Sequence[Operand], better: Callable[[Operand, Operand], Operand]) -> Operand:
-    best = np.asarray(values[0])
-    for value in map(np.asarray, values[1:]):
-        best = np.where(better(best, value), best, value)
-    return best
 
 
 def _complex(value: Operand) -> Operand:
@@ -289,15 +251,22 @@ Opinion = Callable[[int, int], tuple[Sized, Operand, Operand]]
 def complex_numbers(kind: Complex) -> Arithmetic:
     """Return the arithmetic of complex arrays of a precision."""
     real = np.longdouble if kind is np.clongdouble else np.float64
+
+    def chosen(is_better: Function) -> Function:
+        def choice(one: Operand, other: Operand) -> Operand:
+            return np.where(is_better(one.real, other.real), one, other)
+
+        return lambda *values: reduce(choice, map(np.asarray, values))
+
     return Arithmetic(
         number=lambda digits: real(digits),
         function=named,
         power=power,
-        maximum=maximum,
-        minimum=minimum,
-        absolute=absolute,
-        sign=sign,
-        where=where,
+        maximum=chosen(operator.ge),
+        minimum=chosen(operator.le),
+        absolute=lambda value: value * np.sign(np.asarray(value).real),
+        sign=lambda value: np.sign(np.asarray(value).real),
+        where=np.where,
         real=lambda value: np.asarray(value).real,
     )
 
@@ -338,14 +307,6 @@ def judge(names: Sequence[str], evaluate: Evaluate, opinion: Opinion) -> None:
                     f"the emitted code gives {numbers[0]} for {names[int(entry)]}, where {numbers[1]} is right",
                     "this is a defect of codegen, and nothing was written; please report it with the problem file",
                 )
-
-
-class Evaluated(Protocol):
-    """Expressions that can be evaluated in an arithmetic."""
-
-    def evaluate(self, values: Mapping[Symbol, Operand], arithmetic: Arithmetic, /) -> list[Operand]:
-        """Return the values of the expressions at values of their symbols."""
-        ...
 
 
 Values = dict[Symbol, Operand]
@@ -440,13 +401,13 @@ def with_time(values: Values, time: Symbol) -> Values:
     return {time if symbol is _TIME else symbol: value for symbol, value in values.items()}
 
 
-def finite_points(tape: Evaluated, candidates: Sequence[Values]) -> tuple[Values, int]:
-    """Return the first points of each set at which all expressions of a tape have values, and their number."""
+def finite_points(evaluate: Function, candidates: Sequence[Values]) -> tuple[Values, int]:
+    """Return the first points of each set at which all expressions have values, and their number."""
     kept: list[tuple[Values, Operand]] = []
     for values in candidates:
         complex_values = {symbol: array.astype(np.clongdouble) for symbol, array in values.items()}
         with np.errstate(all="ignore"):
-            results = tape.evaluate(complex_values, complex_numbers(np.clongdouble))
+            results = evaluate(complex_values, complex_numbers(np.clongdouble))
         size = len(next(iter(values.values())))
         finite = np.logical_and.reduce([np.isfinite(np.broadcast_to(array, size)) for array in results])
         kept.append((values, np.flatnonzero(finite)[:_KEPT]))

@@ -81,7 +81,7 @@ def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tupl
 
     def calling(begins_at: int) -> Operand:
         """Return the call of a kernel of an interval that begins at the inner time of this number, or at none (-1)."""
-        times = inner_time_symbols(program)
+        times = program.inner.parameters[: len(program.inner.times)]
 
         def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> Operand:
             moved = {s: values[time] + 2 * abs(i - begins_at) * values[STEP] for i, s in enumerate(times)}
@@ -94,9 +94,13 @@ def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tupl
     if program.inner.times:
         kinds += [((stem, f"{where} that begins at no inner time"), share, -1) for (stem, where), share, _ in kinds]
     for (stem, where), element, begins_at in kinds:
+        # The numbers of the left node.
+        count, numbers = len(program.inner.times), [S.Zero] * len(program.inner.symbols)
+        if begins_at >= 0:
+            numbers = list(program.inner.parameters[count + begins_at :: count]) if count else []
         share = Share(
             name="an interval" + where,
-            scalar=element.element.xreplace(inner_numbers(program, begins_at)),
+            scalar=element.element.xreplace(dict(zip(program.inner.symbols, numbers, strict=True))),
             beside=element.cost,
             unknowns=program.element_symbols,
             indices=tuple(range(len(program.element_symbols))),
@@ -128,18 +132,6 @@ def _mixed(
         pattern = pattern_of(text, f"{name.upper()}_")
         mixed += [(one, near) for one in mixed_shares(share, f"{name}_mixed", pattern, columns)]
     return mixed
-
-
-def inner_time_symbols(program: ControlProgram) -> tuple[Symbol, ...]:
-    """Return the parameters that are inner times."""
-    return program.inner.parameters[: len(program.inner.times)]
-
-
-def inner_numbers(program: ControlProgram, number: int) -> dict[Symbol, Expr]:
-    """Return the left node's numbers of an interval that begins at the inner time of this number, or at none (-1)."""
-    count, inner = len(program.inner.times), program.inner
-    of_times = inner.parameters[count:]
-    return {s: of_times[i * count + number] if number >= 0 else S.Zero for i, s in enumerate(inner.symbols)}
 
 
 def _sample(program: ControlProgram, share: Share, near: Values) -> tuple[Share, Values]:
@@ -389,7 +381,7 @@ class _StepKernels:
             near[symbol] = number + 0.1 * (abs(number) or 1.0) * generator.uniform(-1.0, 1.0, _DRAWN)
         near |= {h: np.full(_DRAWN, length) for h in program.lengths} | {program.model.time: np.zeros(_DRAWN)}
         near = {symbol: array for symbol, array in near.items() if symbol in symbols}
-        return finite_points(read, [drawn | near, drawn])
+        return finite_points(read.evaluate, [drawn | near, drawn])
 
 
 def _columns(values: Sequence[Operand], count: int) -> Operand:

@@ -64,7 +64,7 @@ class ShareComparison:
     def __init__(self, share: Share, text: Text, candidates: Sequence[Values]) -> None:
         self.share, self.text = share, text
         self.tape = Tape([share.scalar, share.beside])
-        self.points, self.count = finite_points(self.tape, candidates)
+        self.points, self.count = finite_points(self.tape.evaluate, candidates)
         rows = (p for p in share.indices)
         every = [(row, column) for row in rows for column in share.indices if column <= row]
         self.pairs = every if share.pairs is None else list(share.pairs)
