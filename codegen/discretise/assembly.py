@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from sympy import Expr, S, Symbol
@@ -17,7 +17,16 @@ from codegen.discretise.determined_values import with_determined_values
 from codegen.discretise.interval import STEP, OneStepInterval, VariationalInterval, at_nodes
 from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.guesses import DURATION, at_guess, control_guess, inner_guess
-from codegen.discretise.program import BoundaryValue, ControlProgram, EndElement, Names, Unknown, symbols
+from codegen.discretise.program import (
+    BoundaryValue,
+    ControlProgram,
+    EndElement,
+    Equation,
+    Names,
+    Unknown,
+    in_scales,
+    symbols,
+)
 from codegen.errors import ExpressionError
 from codegen.runtime.record import Kind, Meaning
 
@@ -37,7 +46,7 @@ class Motion:
     interval_symbols: tuple[Symbol, ...]
     discrete: VariationalInterval | OneStepInterval
     element: Expr
-    equations: tuple[tuple[str, Expr], ...]
+    equations: tuple[Equation, ...]
     node_guess: tuple[Expr, ...]
     left_rates: Callable[[], tuple[Expr, ...]]
     stage_guess: tuple[Expr, ...] = ()
@@ -102,7 +111,7 @@ def assemble(
     start_element, end_element = (indexed(each, node, shared_unknowns) for each in (start, end))
     pinned = [{index for index, _ in each.pins} for each in (start_element, end_element)]
     first = len(before) - len(at_inner_times.unknowns)
-    quadratures = ((f"Gd_{i}", value) for i, value in enumerate(discrete.integrals, start=1))
+    quadratures = (Equation(value, f"Gd_{i}") for i, value in enumerate(discrete.integrals, start=1))
     program = ControlProgram(
         model=model,
         method=motion.method,
@@ -190,24 +199,19 @@ def in_scaled_time(program: ControlProgram) -> ControlProgram:
     scales = _scales(model)
     on_interval = clock or scales
 
-    def pairs(
-        written: Sequence[tuple[str, Expr]], scales: Mapping[Symbol, Expr] = scales
-    ) -> tuple[tuple[str, Expr], ...]:
-        return tuple((name, value.xreplace(scales)) for name, value in written)
-
     def end(element: EndElement) -> EndElement:
         return replace(
             element,
             element=element.element.xreplace(scales),
             cost=element.cost.xreplace(scales),
-            conditions=pairs(element.conditions),
+            conditions=in_scales(element.conditions, scales),
         )
 
     return replace(
         program,
         element=program.element.xreplace(on_interval),
         cost=program.cost.xreplace(on_interval),
-        equations=pairs(program.equations, on_interval),
+        equations=in_scales(program.equations, on_interval),
         start=end(program.start),
         end=end(program.end),
         scaled_time=True,

@@ -184,11 +184,8 @@ def _with_determined_values(program: ControlProgram, where: str, inequalities: S
     )
     candidates = _on_interval(program, inequalities)
     if equations.solved or equations.others:
-        slacks = {f"-{program.node[slack].name}": program.node[slack].name for slack, _ in end.slacks}
-        for left_side, value in end.conditions:
-            slack, _, condition = left_side.partition(" ")
-            if slack in slacks:
-                candidates.append((slacks[slack], condition[1:-1], value))
+        slacks = {program.node[slack].name for slack, _ in end.slacks}
+        candidates += [(e.slack, e.condition, e.value) for e in end.conditions if e.slack in slacks]
         without = {index for index, _ in end.pins} | {index for index, _, _ in end.shared}
         candidates += _bounded(program, node, without)
     determined = dict[str, str]()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import sympy
-from sympy import Expr, S, Symbol
+from sympy import S, Symbol
 
 from codegen.discretise.assembly import Motion, assemble
 from codegen.discretise.conditions import holonomic, path
@@ -21,7 +21,7 @@ from codegen.discretise.forms import in_momenta, with_symbolic_boundaries
 from codegen.discretise.interval import at_nodes, one_step_interval
 from codegen.discretise.model.definitions import Boundary, Model
 from codegen.discretise.model.guesses import coordinate_guess, momentum_guess
-from codegen.discretise.program import ControlProgram, Names, Unknown, symbols
+from codegen.discretise.program import ControlProgram, Equation, Names, Unknown, symbols
 from codegen.discretise.schemes.base import FIRST_ORDER, Scheme
 from codegen.runtime.record import Kind, Meaning
 
@@ -86,7 +86,7 @@ def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> Contro
             interval_symbols=(*interval.stages, *mu),
             discrete=interval,
             element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
-            equations=(*(("0", r) for r in interval.equations), ("Cd", interval.cost)),
+            equations=(*map(Equation, interval.equations), Equation(interval.cost, "Cd")),
             node_guess=guesses,
             left_rates=lambda: at_nodes(phase.rates, "_k"),
             stage_guess=tuple(guesses[state_names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),
@@ -107,7 +107,7 @@ def _prescribed_values(model: Model, phase: Model, boundary: Boundary, suffix: s
     fixed |= {v: x for v, x in zip(model.rates, boundary.rates, strict=True) if x is not None}
     quantities = (*phase.coordinates, *phase.rates)
     node = dict(zip(quantities, symbols([s.name for s in quantities], suffix), strict=True))
-    extra, element, conditions = list[Unknown](), S.Zero, list[tuple[str, Expr]]()
+    extra, element, conditions = list[Unknown](), S.Zero, list[Equation]()
     for i, value in enumerate(boundary.rates):
         if value is None:
             continue
@@ -116,12 +116,12 @@ def _prescribed_values(model: Model, phase: Model, boundary: Boundary, suffix: s
             momentum = sympy.diff(model.function, model.rates[i]).subs(fixed, simultaneous=True)
         if momentum.free_symbols <= constants:
             pins.append((phase.rates[i].name, momentum))
-            conditions.append((phase.rates[i].name, momentum))
+            conditions.append(Equation(momentum, phase.rates[i].name))
             continue
         velocity = sympy.diff(phase.function, phase.rates[i]).subs(node, simultaneous=True)
         name = model.rates[i].name
         extra.append(Unknown(f"nu_{name}", Meaning(Kind.VELOCITY, name)))
         (nu,) = symbols([extra[-1].name], suffix)
         element += nu * (velocity - value)
-        conditions.append((name, velocity))
+        conditions.append(Equation(velocity, name))
     return End(pins=tuple(pins), extra=tuple(extra), element=element, conditions=tuple(conditions))

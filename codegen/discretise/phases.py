@@ -39,10 +39,12 @@ from codegen.discretise.model.guesses import coordinate_guess, momentum_guess, w
 from codegen.discretise.program import (
     ControlProgram,
     EndElement,
+    Equation,
     IntervalElement,
     Names,
     Phase,
     Unknown,
+    in_scales,
     occurring,
     symbols,
 )
@@ -151,11 +153,8 @@ def _renamed(program: ControlProgram, new: Mapping[str, str]) -> ControlProgram:
     def put(old: Iterable[Symbol]) -> tuple[Symbol, ...]:
         return tuple(substitution.get(symbol, symbol) for symbol in old)
 
-    def written(old: Iterable[tuple[str, Expr]]) -> tuple[tuple[str, Expr], ...]:
-        # The left side of an inequality names its slack.
-        names = {f"-{slack}": f"-{name}" for slack, name in new.items()}
-        parts = [(left.partition(" "), value) for left, value in old]
-        return tuple((names.get(a, a) + blank + rest, v.xreplace(substitution)) for (a, blank, rest), v in parts)
+    def written(old: Iterable[Equation]) -> tuple[Equation, ...]:
+        return tuple(replace(e, slack=new.get(e.slack, e.slack)) for e in in_scales(old, substitution))
 
     def end(old: EndElement) -> EndElement:
         determined = tuple((new.get(name, name), condition) for name, condition in old.determined)
@@ -197,7 +196,7 @@ class Switch:
     given: tuple[str, ...] = ()
     broken: tuple[str, ...] = ()
     guess: tuple[tuple[str, Expr], ...] = ()
-    equations: tuple[tuple[str, Expr], ...] = ()
+    equations: tuple[Equation, ...] = ()
 
 
 class Transition:
@@ -279,7 +278,7 @@ def _switch(chain: Model, number: int, programs: Sequence[ControlProgram], slots
     motion = _matched_momenta(transition) if transition.variational else _replaced_states(transition)
     # Conditions and terminal cost of the phase before.
     cost = transition.at(transition.before.terminal_cost)
-    shared, equations, element = list[Unknown](), list[tuple[str, Expr]](), motion.element + cost
+    shared, equations, element = list[Unknown](), list[Equation](), motion.element + cost
     for condition in transition.conditions:
         value, kind = transition.at(condition.expression), Kind.SWITCH_CONDITION
         unknowns, term, equation = imposed(condition, value, slots.names, kind, "", number, S.Zero)
@@ -292,7 +291,7 @@ def _switch(chain: Model, number: int, programs: Sequence[ControlProgram], slots
         cost=cost,
         shared=tuple(shared),
         given=tuple(s.name for s in prescribed(transition.before, "end") if s.name in transition.left),
-        equations=(*equations, *motion.equations, *([("cost", cost)] if cost != 0 else [])),
+        equations=(*equations, *motion.equations, *([Equation(cost, "cost")] if cost != 0 else [])),
     )
 
 
@@ -308,7 +307,7 @@ def _replaced_states(transition: Transition) -> Switch:
         {transition.left[name]: value for name, value in changed.items()},
         jumping=tuple(changed),
         broken=tuple(changed),
-        equations=tuple((f"{name} after the switch", value) for name, value in changed.items()),
+        equations=tuple(Equation(value, f"{name} after the switch") for name, value in changed.items()),
     )
 
 
@@ -317,7 +316,7 @@ def _matched_momenta(transition: Transition) -> Switch:
     model = transition.before
     jumping = [q for q in model.coordinates if q in transition.jump]
     values = {transition.left[q.name]: transition.jumped(q) for q in jumping}
-    equations = [(f"{q} after the switch", transition.jumped(q)) for q in jumping]
+    equations = [Equation(transition.jumped(q), f"{q} after the switch") for q in jumping]
     has_velocities = model.form == "lagrangian"
     kind = Kind.SWITCH_VELOCITY if has_velocities else Kind.SWITCH_MOMENTUM
     guesses = [sympy.diff(q, model.time) for q in coordinate_guess(model)] if has_velocities else momentum_guess(model)
@@ -336,7 +335,8 @@ def _matched_momenta(transition: Transition) -> Switch:
         element += pi * leaving - node_multiplier * arriving
         guess.append((name, guesses[i]))
         broken.append(f"p_{q}" if has_velocities else rate.name)
-        equations += [(f"p_{q} before the switch", arriving), (f"p_{q} after the switch", leaving)]
+        equations.append(Equation(arriving, f"p_{q} before the switch", momentum=True))
+        equations.append(Equation(leaving, f"p_{q} after the switch", momentum=True))
     return Switch(
         values,
         element=element,
@@ -462,8 +462,8 @@ class _Chain:
             node_guess=program.node_guess,
             inside_guess=by_index(pair for pair in guesses if pair[0] in present),
             switch_guess=() if switch is None else by_index(switch.guess),
-            equations=_scaled(program.equations, scales),
-            switch_equations=() if switch is None else _scaled(switch.equations, scales),
+            equations=in_scales(program.equations, scales),
+            switch_equations=() if switch is None else in_scales(switch.equations, scales),
             integrals=program.integrals,
         )
 
@@ -479,7 +479,7 @@ class _Chain:
             pins=tuple(pins.items()),
             element=(end.element + added).xreplace(scales),
             cost=end.cost.xreplace(scales),
-            conditions=_scaled(end.conditions, scales),
+            conditions=in_scales(end.conditions, scales),
             shared=tuple((moved[i], j, offset) for i, j, offset in end.shared),
             slacks=tuple((moved[i], moved[j]) for i, j in end.slacks),
             bounds=tuple((moved[i], bound) for i, bound in end.bounds),
@@ -505,7 +505,3 @@ def _index(unknowns: Sequence[Unknown], name: str) -> int:
 def _filling(unknowns: Sequence[Unknown], suffix: str) -> Expr:
     """Return a share that makes unknowns vanish."""
     return Add(*(symbol**2 / 2 for symbol in symbols([u.name for u in unknowns], suffix)))
-
-
-def _scaled(pairs: Iterable[tuple[str, Expr]], scales: Mapping[Symbol, Expr]) -> tuple[tuple[str, Expr], ...]:
-    return tuple((name, value.xreplace(scales)) for name, value in pairs)

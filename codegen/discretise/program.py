@@ -6,8 +6,8 @@ explicitly as far as possible.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from sympy import Expr, S, Symbol
@@ -49,6 +49,31 @@ class BoundaryValue:
 
 
 @dataclass(frozen=True)
+class Equation:
+    """An equation or inequality to read: `left` = `value`, or 0 >= `value` with a `slack` for the difference.
+
+    An imposed condition has the author's words in `condition`. Some conditions hold `at_nodes`, not on intervals. The
+    value may be a `momentum`.
+    """
+
+    value: Expr
+    left: str = "0"
+    condition: str = ""
+    slack: str = ""
+    at_nodes: bool = False
+    momentum: bool = False
+
+    def __str__(self) -> str:
+        left = f"-{self.slack}" if self.slack else self.left
+        return f"{left} ({self.condition})" if self.condition else left
+
+
+def in_scales(equations: Iterable[Equation], scales: Mapping[Symbol, Expr]) -> tuple[Equation, ...]:
+    """Replace the symbols of lengths and times in equations."""
+    return tuple(replace(equation, value=equation.value.xreplace(scales)) for equation in equations)
+
+
+@dataclass(frozen=True)
 class EndBound:
     """The bounds of an unknown at one end alone, of parameters, and the condition that implies them."""
 
@@ -74,7 +99,7 @@ class EndElement:
 
     pins: tuple[tuple[int, Expr], ...]
     element: Expr
-    conditions: tuple[tuple[str, Expr], ...]
+    conditions: tuple[Equation, ...]
     cost: Expr = S.Zero
     shared: tuple[tuple[int, int, Expr], ...] = ()
     slacks: tuple[tuple[int, int], ...] = ()
@@ -211,8 +236,8 @@ class Phase:
     node_guess: tuple[Expr, ...]
     inside_guess: tuple[tuple[int, Expr], ...]
     switch_guess: tuple[tuple[int, Expr], ...]
-    equations: tuple[tuple[str, Expr], ...]
-    switch_equations: tuple[tuple[str, Expr], ...]
+    equations: tuple[Equation, ...]
+    switch_equations: tuple[Equation, ...]
     integrals: tuple[IntegralEquation, ...] = ()
 
     @property
@@ -263,7 +288,7 @@ class ControlProgram:
     right_symbols: tuple[Symbol, ...]
     element: Expr
     cost: Expr
-    equations: tuple[tuple[str, Expr], ...]
+    equations: tuple[Equation, ...]
     only_at_ends: tuple[int, ...]
     start: EndElement
     end: EndElement

@@ -25,7 +25,7 @@ from codegen.discretise.conditions.base import (
 )
 from codegen.discretise.model.definitions import Condition, Model, prescribed
 from codegen.discretise.model.relations import MOVING, STATIC, Entry
-from codegen.discretise.program import EndBound, EndElement, Names, Unknown, symbols
+from codegen.discretise.program import EndBound, EndElement, Equation, Names, Unknown, symbols
 from codegen.errors import BoundaryError
 from codegen.problem.bodies import require_single_bodies
 from codegen.problem.symbols import ControlInput, EndValue, Time
@@ -134,7 +134,7 @@ class End:
     pins: tuple[tuple[str, Expr], ...] = ()
     extra: tuple[Unknown, ...] = ()
     element: Expr = S.Zero
-    conditions: tuple[tuple[str, Expr], ...] = ()
+    conditions: tuple[Equation, ...] = ()
     cost: Expr = S.Zero
     aliases: tuple[tuple[str, str, Expr], ...] = ()
     slacks: tuple[tuple[str, str], ...] = ()
@@ -235,19 +235,19 @@ _SLACKS = {
 
 def imposed(
     condition: Condition, value: Expr, names: Names, kind: Kind, suffix: str, at: float = 0, least: Expr | None = None
-) -> tuple[tuple[Unknown, ...], Expr, tuple[str, Expr]]:
+) -> tuple[tuple[Unknown, ...], Expr, Equation]:
     """Impose g = 0 by y g, or g <= 0 by y (g + s) with a slack s >= `least`; `at` is the abscissa, or the switch.
 
     Return the multiplier and the slack, the share of l in symbols with a `suffix`, and the equation to read.
     """
     meaning, stem = Meaning(kind, condition.name, at, condition.segment), "y" if kind.place is Place.INTERVAL else "nu"
-    unknowns, left_side = [Unknown(names.numbered(stem), meaning)], "0"
+    unknowns, equation = [Unknown(names.numbered(stem), meaning)], Equation(value, condition=meaning.subject)
     if not condition.equality:
         slack_meaning = replace(meaning, kind=_SLACKS[kind])
         unknowns.append(Unknown(names.numbered("s"), slack_meaning, lower=least))
-        left_side = f"-{unknowns[1].name}"
+        equation = replace(equation, slack=unknowns[1].name)
     multiplier, *slack = symbols([unknown.name for unknown in unknowns], suffix)
-    return tuple(unknowns), multiplier * sum(slack, value), (f"{left_side} ({meaning.subject})", value)
+    return tuple(unknowns), multiplier * sum(slack, value), equation
 
 
 def indexed(end: End, node: Sequence[Unknown], shared: Sequence[Unknown]) -> EndElement:

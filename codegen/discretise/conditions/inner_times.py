@@ -46,7 +46,7 @@ from codegen.discretise.conditions.path import NodalTerms, nodal_conditions
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Condition, InnerCondition, InnerTime, Model
 from codegen.discretise.model.relations import MOVING, STATIC, Entry, checked_sequence, entry_of, relation_entries, text
-from codegen.discretise.program import InnerTimes, Names, Unknown, symbols
+from codegen.discretise.program import Equation, InnerTimes, Names, Unknown, symbols
 from codegen.errors import BoundaryError, ExpressionError
 from codegen.problem.problem import Control, Relations, Waypoint
 from codegen.problem.symbols import ControlInput, Parameter, Time
@@ -447,7 +447,7 @@ def clock_of(model: Model, names: Names) -> Clock | None:
     if duration.free_symbols & free:
         multiplier, excess = Unknown(names.numbered("nu"), Meaning(Kind.DURATION)), right_time - duration
         (nu,) = symbols([multiplier.name], "_k1")
-        end = End(extra=(multiplier,), element=nu * excess, conditions=((f"0 ({time})", excess),))
+        end = End(extra=(multiplier,), element=nu * excess, conditions=(Equation(excess, condition=time),))
     return Clock(
         symbol=Symbol(time, real=True),
         node=(Unknown(time, Meaning(Kind.TIME)), Unknown(pace, Meaning(Kind.PACE), lower=S.Zero)),
