@@ -99,7 +99,7 @@ def assemble(
     left_symbols, right_symbols = (symbols([unknown.name for unknown in node], end) for end in ("_k", "_k1"))
     element = motion.element + path.element + interval_share(integrals, discrete.integrals)
     element += nodal.element + _filling(unknown.name for unknown in of_ends)
-    # A one-sided scheme reads the nodal controls of the left node alone, so that those of the last node are idle.
+    # A one-sided scheme reads the nodal controls of the left node alone, so that the last node has idle ones.
     nodal_controls = zip(controls, right_symbols[len(node) - len(controls) :], strict=True) if sites.nodal else ()
     idle = [u.name for u, symbol in nodal_controls if symbol not in element.free_symbols]
     linking = (*shared.own, *own_unknowns(integrals), *shared.common)

@@ -103,7 +103,7 @@ class EndEquations:
         excess = expressions.rounded_at(value, self.numbers)
         if excess is None:
             return ""
-        # The terms of the expression may be larger than those of its value, where numbers are combined.
+        # The terms of the expression may be larger than the terms of its value, where numbers are combined.
         known = {**self.fixed, **self.solved}
         numbers = {s: expressions.rounded_at(known[s], self.numbers) for s in expression.free_symbols & set(known)}
         at = {**self.numbers, **{symbol: number for symbol, number in numbers.items() if number is not None}}
@@ -345,7 +345,7 @@ def _agrees(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram, 
 class ChainJacobian:
     """All equations of one body on `steps` intervals, and their derivatives by all unknowns, at a random point.
 
-    Unknowns are those of node 0, interval 0, node 1, ..., the last node, then the shared ones.
+    The order of unknowns is node 0, interval 0, node 1, ..., the last node, then the shared ones.
     """
 
     def __init__(self, program: ControlProgram, steps: int, generator: np.random.Generator) -> None:

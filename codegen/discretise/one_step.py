@@ -35,7 +35,7 @@ def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> Contro
     holonomic.refuse(model, method)
     model, boundary_values = with_symbolic_boundaries(model)
     assert model.end is not None, "a control problem has an end"
-    # Boundary values are those of `model`; dynamics, conditions and terminal cost those of `phase`.
+    # `model` has the boundary values; `phase` has dynamics, conditions and terminal cost.
     phase = model if method == FIRST_ORDER else in_momenta(model)
     names = Names(phase)
     guesses = (*coordinate_guess(model), *momentum_guess(model))

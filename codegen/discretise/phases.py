@@ -12,8 +12,8 @@ slacks of these conditions are shared unknowns, which no node has: a chain of in
 since often the length of the phase satisfies a condition.
 
 The variational method has no velocities or momenta at nodes. The equation of motion there says that the momentum of the
-interval before equals that of the interval after, which is correct where momenta do not change. Where they change, the
-velocity (of a Hamiltonian: the momentum) w before the switch is an unknown, and both sides match it,
+interval before equals the momentum of the interval after, which is correct where momenta do not change. Where they
+change, the velocity (of a Hamiltonian: the momentum) w before the switch is an unknown, and both sides match it,
 
     D2 Ld(q_{k-1}, q_k) + f+_{k-1} = P(q_k, w),    -D1 Ld(q_k+, q_{k+1}) - f-_k = P+(q_k+, w+),
 

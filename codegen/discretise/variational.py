@@ -5,10 +5,10 @@ Galerkin variational integrator (Ober-Bloebaum and Saake 2015). Summed over inte
 multiply both halves of its forced discrete Euler-Lagrange equation.
 
 The momentum boundary conditions arise at the two end nodes. The shares +lambda_0 . D2 L(q(0), v(0)) at the start and
--lambda_N . D2 L(q(T), v(T)) at the end make the discrete momenta of the ends match those of the velocities. A free
-velocity is an unknown of its end if a matched momentum, a condition or the terminal cost depends on it. Its momentum
-is matched too, so that each fixed velocity and each condition counts once. The multiplier of an unmatched momentum is
-zero. Source: Ober-Bloebaum, Junge and Marsden (2011), Discrete mechanics and optimal control: an analysis.
+-lambda_N . D2 L(q(T), v(T)) at the end make the discrete momenta of the ends match the momenta of the velocities. A
+free velocity is an unknown of its end if a matched momentum, a condition or the terminal cost depends on it. Its
+momentum is matched too, so that each fixed velocity and each condition counts once. The multiplier of an unmatched
+momentum is zero. Source: Ober-Bloebaum, Junge and Marsden (2011), Discrete mechanics and optimal control: an analysis.
 """
 
 from __future__ import annotations

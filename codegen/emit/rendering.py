@@ -232,9 +232,9 @@ def _decided(node: _Site, lines: list[str], sizes: Mapping[str, int]) -> list[st
     name = getattr(node.test.values[0] if isinstance(node.test, ast.BoolOp) and combined else node.test, "id", "")
     if name not in sizes:
         return None
-    # The syntax tree of an `elif` is that of an `if` in an `else`.
+    # An `elif` has the syntax tree of an `if` in an `else`.
     elifs = [s for s in node.orelse if isinstance(s, ast.If) and lines[s.lineno - 1].lstrip().startswith("elif ")]
-    assert not elifs, f"an elif beside {name}"
+    assert not elifs, f"an elif after {name}"
     if sizes[name] == 0:
         return _replaced(lines, node, node.orelse)
     if combined:
@@ -255,7 +255,7 @@ def _replaced(lines: list[str], node: ast.If | ast.For, kept: list[ast.stmt]) ->
 
 
 def is_whole(text: str) -> bool:
-    """Return True if a text is unchanged since rendering: the digest in it is that of all the rest."""
+    """Return True if a text is unchanged since rendering: the digest in it belongs to all the rest."""
     match = _IDENTITY.search(text)
     return match is not None and _digest(text.replace(match[1], "", 1)) == match[1]
 

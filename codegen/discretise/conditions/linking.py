@@ -7,7 +7,7 @@ The value w where two segments meet is a shared unknown. The quantity at the sta
 the quantity x at the end of the earlier one the end gains zeta (x - w), with a shared multiplier zeta. Each segment by
 itself is then an initial value problem with a solution, also without controls. A velocity is no unknown of a node:
 since all segments have the same Lagrangian, equal velocities mean equal momenta. The discrete momenta of both segments
-match a shared unknown pi, that of the earlier segment by a shared multiplier.
+match a shared unknown pi, the momentum of the earlier segment by a shared multiplier.
 
 Couplings between bodies may be redundant although no two of them are alike: of the sides, centre, height and interior
 angles of a regular polygon with H corners, 2 H + 3 equations, only 2 H are independent. A solver needs independent
@@ -72,8 +72,8 @@ class Shared:
 def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], names: Names) -> Shared:
     """Collect static parameters, shared unknowns of periodicity, and the coupled coordinates at the end.
 
-    `guesses` are those of the coordinates. Raises BoundaryError when a coupled coordinate is fixed at the end, and for
-    a coupling without a gradient, which no Newton step can reach.
+    `guesses` are the guesses of the coordinates. Raises BoundaryError when a coupled coordinate is fixed at the end,
+    and for a coupling without a gradient, which no Newton step can reach.
     """
     common = tuple(
         Own(Unknown(p.symbol.name, Meaning(Kind.FREE_PARAMETER, p.symbol.name), p.lower, p.upper), p.symbol, p.guess)

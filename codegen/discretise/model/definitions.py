@@ -162,7 +162,7 @@ class Model:
     A problem of P phases has a model for each phase in `phases`. The P - 1 `jumps` give pairs (coordinate or rate,
     value after the switch as an expression of the values before). The model of the problem itself has the start of the
     first phase, the end of the last one, and the sum of all durations. Its controls, parameters and free parameters
-    are those of any phase, and its time runs through all phases.
+    are the ones of all phases, and its time runs through all phases.
     """
 
     task: str

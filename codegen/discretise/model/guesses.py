@@ -113,7 +113,8 @@ def measured_guess(model: Model) -> tuple[tuple[int, int], ...]:
     """Return pairs of a coordinate's index and the index of the column of measurements that holds it.
 
     Coordinates with a guess of the author are left out. Near the measurements the parameters that fit them are nearly
-    those of a linear problem. Source: Bock (1983), Recent advances in parameter identification techniques for O.D.E.
+    the parameters of a linear problem. Source: Bock (1983), Recent advances in parameter identification techniques for
+    O.D.E.
     """
     guess, columns = dict(model.guess), [observed.expression for observed in model.observed]
     measured = [(i, q) for i, q in enumerate(model.coordinates) if q in columns and q not in guess]

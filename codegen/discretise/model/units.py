@@ -1,10 +1,10 @@
 """Units that an author gives: the units that follow from them, and their agreement.
 
 Where every quantity of an expression has a unit, pint gives the unit of the expression. Terms must agree in dimension
-and in size: metres beside kilometres are refused like metres beside seconds. Functions such as sin take pure numbers.
-An angle is a pure number in radians, and a degree is no radian. An expression with a quantity without a unit has no
-unit and is accepted. Numbers are pure numbers in dynamics, forces and costs. Values, bounds and sides of relations may
-be plain numbers: they count in the units of the quantity that they are compared with.
+and in size: metres and kilometres in one sum are refused like metres and seconds. Functions such as sin take pure
+numbers. An angle is a pure number in radians, and a degree is no radian. An expression with a quantity without a unit
+has no unit and is accepted. Numbers are pure numbers in dynamics, forces and costs. Values, bounds and sides of
+relations may be plain numbers: they count in the units of the quantity that they are compared with.
 """
 
 from __future__ import annotations
@@ -190,10 +190,10 @@ def _ratio(unit: Unit, other: Unit) -> Measure[float]:
     return ratio
 
 
-def _require_same(unit: Unit, other: Unit, what: str, beside: str) -> None:
+def _require_same(unit: Unit, other: Unit, what: str, partner: str) -> None:
     ratio = _ratio(unit, other)
     if not ratio.dimensionless or abs(ratio.magnitude - 1.0) > _EQUAL:
-        finding = f"{what} is in {_text(unit) or 'pure numbers'}, {beside} in {_text(other) or 'pure numbers'}"
+        finding = f"{what} is in {_text(unit) or 'pure numbers'}, {partner} in {_text(other) or 'pure numbers'}"
         raise UnitError(clause(finding), f"let units agree, and {_NUMBERS}")
 
 

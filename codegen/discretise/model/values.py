@@ -25,8 +25,8 @@ def values_at_guess(model: Model) -> dict[sympy.Symbol, float]:
 def require_values(model: Model, bounds: Sequence[Bounds], points: Points) -> None:
     """Refuse values that are not finite at the default parameters, and values that contradict each other.
 
-    `bounds` are all bounds of the author, also those of velocities and free parameters. Every expression is expected
-    to have a value at one of the `points`.
+    `bounds` are all bounds of the author, also the bounds of velocities and free parameters. Every expression is
+    expected to have a value at one of the `points`.
     """
     for free in model.free_parameters:
         _number(f"guess of {free.symbol}", free.guess, model.default_values)

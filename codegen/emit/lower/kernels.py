@@ -1,6 +1,6 @@
 """One kernel as strings: inputs read from arrays, common subexpressions, outputs with their meaning.
 
-Each table is looked up once for all derivatives at a point, before the first line that reads one of them.
+Each table is looked up once for all derivatives at a point, before the first line that reads a derivative.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ INNER = ('@njit(error_model="numpy")',)
 """Decorator of functions that only compiled functions call: their machine code is kept as part of the caller's."""
 
 KERNEL, VALUE = ("@Kernel",), ("@Value",)
-"""Decorators of functions that are called by their address; those of the second kind return a value."""
+"""Decorators of functions that are called by their address; functions of the second kind return a value."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ class ParticlesModule(Module):
 
     `public` are the public names, and `record` the fields of the PairProblem with their code. If threads share the
     gradient, `threaded` has one group of lines, which make arrays of pointers. `tracer_loops` carry points along.
-    `start` and `own_values` are those of the default particles of a simulation.
+    `start` and `own_values` are the default particles of a simulation.
     """
 
     public: tuple[str, ...]

@@ -101,7 +101,7 @@ def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tupl
         share = Share(
             name="an interval" + where,
             scalar=element.element.xreplace(dict(zip(program.inner.symbols, numbers, strict=True))),
-            beside=element.cost,
+            output=element.cost,
             unknowns=program.element_symbols,
             indices=tuple(range(len(program.element_symbols))),
             pattern=_pattern(guessed.module, ""),
@@ -146,7 +146,7 @@ def _sample(program: ControlProgram, share: Share, near: Values) -> tuple[Share,
         return kernel([values[s] for s in local], values[time], values[STEP], row, len(others), filled)
 
     measured = replace(
-        share, name="a sample", scalar=sample.element, beside=sample.element, gradient="sample_gradient",
+        share, name="a sample", scalar=sample.element, output=sample.element, gradient="sample_gradient",
         hessian="sample_hessian", call_gradient=call, call_hessian=call, returned="the losses of",
     )  # fmt: skip
     generator, count = np.random.default_rng(7), len(next(iter(near.values())))
@@ -219,7 +219,7 @@ def _ends(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Sha
         share = Share(
             name=f"the {name}",
             scalar=end.element,
-            beside=end.cost,
+            output=end.cost,
             unknowns=unknowns,
             indices=tuple(index for index in range(len(unknowns)) if index not in pinned),
             pattern=_pattern(guessed.module, f"{name.upper()}_"),
@@ -431,9 +431,9 @@ def _compared(
     energy, gradient, hessian = exact.at(*arguments)
     state = arguments[0]
 
-    def filled(name: str, shape: Sequence[int], *beside: Array) -> Array:
+    def filled(name: str, shape: Sequence[int], *inputs: Array) -> Array:
         array = np.zeros(shape)
-        module[name](*arguments, *beside, array)
+        module[name](*arguments, *inputs, array)
         return array
 
     yield "the energy H", module["hamiltonian"](*arguments), energy, _FIRST

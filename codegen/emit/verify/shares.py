@@ -40,13 +40,13 @@ Call = Callable[[Function, Mapping[Symbol, Operand], list[Operand]], Operand]
 class Share:
     """A scalar, the value that the kernel of its gradient returns, and the calls of the two kernels.
 
-    `beside` is the returned value and `returned` its name. `indices` are those of the unknowns whose derivatives are
+    `output` is the returned value and `returned` its name. `indices` belong to the unknowns whose derivatives are
     emitted; `pattern` has pairs of unknowns. Second derivatives are compared for `pairs` of indices, by default all.
     """
 
     name: str
     scalar: Expr
-    beside: Expr
+    output: Expr
     unknowns: tuple[Symbol, ...]
     indices: tuple[int, ...]
     pattern: tuple[tuple[int, int], ...]
@@ -63,7 +63,7 @@ class ShareComparison:
 
     def __init__(self, share: Share, text: Text, candidates: Sequence[Values]) -> None:
         self.share, self.text = share, text
-        self.tape = Tape([share.scalar, share.beside])
+        self.tape = Tape([share.scalar, share.output])
         self.points, self.count = finite_points(self.tape.evaluate, candidates)
         rows = (p for p in share.indices)
         every = [(row, column) for row in rows for column in share.indices if column <= row]
@@ -98,7 +98,7 @@ class ShareComparison:
         for index, symbol in enumerate(share.unknowns):
             moved[symbol] = np.tile(plain[symbol], (1, size))
             moved[symbol][:, index] += 1j * step
-        scalar, beside = (np.broadcast_to(value, shape) for value in self.tape.evaluate(moved, numbers))
+        scalar, output = (np.broadcast_to(value, shape) for value in self.tape.evaluate(moved, numbers))
         gradient: list[Operand] = [kind(0)] * size
         kernels = self.text.kernels((share.gradient, share.hessian), numbers)
         returned = share.call_gradient(kernels[share.gradient], moved, gradient)
@@ -111,7 +111,7 @@ class ShareComparison:
             hessian[:, row, column] += np.broadcast_to(np.asarray(value).real.reshape(-1), self.count)
         rows, below = [row for row, _ in self.pairs], [column for _, column in self.pairs]
         self._evaluations[kind] = (
-            (np.broadcast_to(np.asarray(returned, kind), shape)[:, :1].real, beside[:, :1].real),
+            (np.broadcast_to(np.asarray(returned, kind), shape)[:, :1].real, output[:, :1].real),
             (columns[:, chosen, 0].real, scalar.imag[:, chosen] / step),
             (hessian[:, rows, below], (columns.imag / step)[:, rows, below]),
         )
@@ -181,7 +181,7 @@ def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], 
         filled[:] = [value for value, (_, column) in zip(mixed, pairs, strict=True) if column in indices]
 
     of_slopes = replace(
-        share, beside=S.Zero, unknowns=unknowns, indices=tuple(indices.values()), pattern=(), pairs=(), gradient=kernel,
+        share, output=S.Zero, unknowns=unknowns, indices=tuple(indices.values()), pattern=(), pairs=(), gradient=kernel,
         hessian=kernel, call_gradient=call_slopes,
     )  # fmt: skip
     every = tuple((row, index) for row in share.indices for index in indices.values() if index not in share.indices)
@@ -230,8 +230,8 @@ def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, S
     def call(kernel: Function, values: Mapping[Symbol, Operand], slopes: list[Operand], mixed: list[Operand]) -> int:
         for kind, indices in terms:
             by_data, by_both = dict[int, Operand](), dict[tuple[int, int], Operand]()
-            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
-            kernel(kind, inputs, beside, by_data, by_both)
+            inputs, others_at = [values[every[index]] for index in indices], [values[s] for s in others]
+            kernel(kind, inputs, others_at, by_data, by_both)
             for column, value in by_data.items():
                 slopes[local[column]] = value + slopes[local[column]]
             for (a, column), value in by_both.items():
@@ -242,7 +242,7 @@ def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, S
     common = replace(share, unknowns=(*share.unknowns, *data.values()), hessian=_MIXED)
     return (
         replace(
-            common, beside=S.Zero, indices=tuple(local.values()), pattern=(), pairs=(), gradient=_MIXED,
+            common, output=S.Zero, indices=tuple(local.values()), pattern=(), pairs=(), gradient=_MIXED,
             call_gradient=lambda kernel, values, filled: call(kernel, values, filled, [0] * len(pattern)),
         ),
         replace(
@@ -265,8 +265,8 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
         total: Operand = 0
         for kind, indices in terms:
             slopes = [0] * len(indices)
-            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
-            total = kernel(kind, inputs, beside, slopes, [0] * len(indices) ** 2) + total
+            inputs, others_at = [values[every[index]] for index in indices], [values[s] for s in others]
+            total = kernel(kind, inputs, others_at, slopes, [0] * len(indices) ** 2) + total
             for index, slope in zip(indices, slopes, strict=True):
                 filled[local[index]] = slope + filled[local[index]]
         return total
@@ -274,8 +274,8 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
     def call_hessian(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> None:
         for kind, indices in terms:
             curvatures = [0] * len(indices) ** 2
-            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
-            kernel(kind, inputs, beside, [0] * len(indices), curvatures)
+            inputs, others_at = [values[every[index]] for index in indices], [values[s] for s in others]
+            kernel(kind, inputs, others_at, [0] * len(indices), curvatures)
             for a, row in enumerate(indices):
                 for b, column in enumerate(indices):
                     if local[column] <= local[row]:
@@ -285,7 +285,7 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
     return Share(
         name=f"the condition {coupling.multiplier.meaning.of}",
         scalar=coupling.expression,
-        beside=coupling.expression,
+        output=coupling.expression,
         unknowns=tuple(every[index] for index in read),
         indices=tuple(range(size)),
         pattern=pattern,

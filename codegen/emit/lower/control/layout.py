@@ -150,7 +150,7 @@ _NO_FIELDS = ("ELEMENT", "ROOT", "BACKWARD", "BORDERED", "CARRIED", "START_COUNT
 _FIELDS = {"HESSIAN_ROWS": "rows", "HESSIAN_COLUMNS": "columns"} | {
     f"{end}_HESSIAN_{side}": f"{end}_{side}".lower() for end in ("START", "END") for side in ("ROWS", "COLUMNS")
 }
-"""Fields of the record whose names are not those of the module's constants in small letters."""
+"""Fields of the record whose names are not the module's constants in small letters."""
 
 
 def inner_time_constants(program: ControlProgram) -> list[Line]:
