@@ -7,7 +7,6 @@ become conditions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -97,10 +96,9 @@ def with_symbolic_boundaries(model: Model) -> tuple[Model, tuple[BoundaryValue, 
     declared = (*model.coordinates, *model.rates, *model.controls, *model.parameters)
     taken = {symbol.name for symbol in (*declared, *(free.symbol for free in model.free_parameters))}
 
-    def symbolic(
-        where: str, quantities: Sequence[Symbol], prescribed: Sequence[Expr | None]
-    ) -> tuple[Expr | None, ...]:
+    def symbolic(where: str, end: Boundary) -> Boundary:
         symbols: list[Expr | None] = []
+        quantities, prescribed = (*model.coordinates, *model.rates), (*end.positions, *end.rates)
         for quantity, value in zip(quantities, prescribed, strict=True):
             symbol = None
             if value is not None:
@@ -109,11 +107,9 @@ def with_symbolic_boundaries(model: Model) -> tuple[Model, tuple[BoundaryValue, 
                     raise SymbolError(f"{symbol} names the value of {quantity} at the {where}", "choose another name")
                 values.append(BoundaryValue(where, quantity.name, symbol, value))
             symbols.append(symbol)
-        return tuple(symbols)
+        count = len(model.coordinates)
+        return Boundary(tuple(symbols[:count]), tuple(symbols[count:]))
 
-    def boundary(where: str, end: Boundary) -> Boundary:
-        return Boundary(symbolic(where, model.coordinates, end.positions), symbolic(where, model.rates, end.rates))
-
-    start = boundary("start", model.start)
-    end = boundary("end", model.end) if model.end is not None else None
+    start = symbolic("start", model.start)
+    end = symbolic("end", model.end) if model.end is not None else None
     return replace(model, start=start, end=end), tuple(values)

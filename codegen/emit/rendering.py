@@ -121,12 +121,7 @@ def _environment() -> jinja2.Environment:
 def _imports_of(text: str, public: Iterable[str], files: tuple[str, ...]) -> tuple[str, ...]:
     """Return the lines that import the public names and all names that a text uses and does not define."""
     tree, wanted = ast.parse(text), dict[str, set[str]]()
-    used = set(public)
-    for part in tree.body:
-        names = {node for node in ast.walk(part) if isinstance(node, ast.Name)}
-        own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
-        own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
-        used |= {node.id for node in names} - (own if isinstance(part, ast.FunctionDef) else set())
+    used = set(public).union(*map(names_read, tree.body))
     defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
     for name in used - defined:
         if name in _importable(files):
@@ -134,6 +129,14 @@ def _imports_of(text: str, public: Iterable[str], files: tuple[str, ...]) -> tup
         elif name in _OF_NUMBA:
             wanted.setdefault("numba", set()).add(name)
     return tuple(f"from {module} import {', '.join(sorted(wanted[module]))}" for module in sorted(wanted))
+
+
+def names_read(part: ast.stmt) -> set[str]:
+    """Return the names that a statement reads and, if it is a function, does not assign."""
+    names = [node for node in ast.walk(part) if isinstance(node, ast.Name)]
+    own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
+    own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
+    return {node.id for node in names} - (own if isinstance(part, ast.FunctionDef) else set())
 
 
 @cache

@@ -90,15 +90,15 @@ def relation_entries(what: str, values: object) -> Iterator[Entry]:
     """Yield the relations of an argument, which is their role; ExpressionError for equal names or relations."""
     seen, named = set[sympy.Expr](), set[str]()
     for index, (chosen_name, written) in enumerate(named_relations(what, values)):
-        checked = relation(written, f"{what}[{chosen_name or index!r}]")
-        name = chosen_name or checked.name
+        written_name, expression, equality = relation(written, f"{what}[{chosen_name or index!r}]")
+        name = chosen_name or written_name
         if chosen_name in named:
             raise ExpressionError(f"{what} has two relations of the name {chosen_name!r}", "give each another name")
         named |= {chosen_name} if chosen_name else set()
-        if checked.expression in seen:
+        if expression in seen:
             raise ExpressionError(f"{what} lists {short(name)} twice", "list it once")
-        seen.add(checked.expression)
-        yield Entry(what, f"{what} {short(name)}", checked.expression, None, name, checked.equality)
+        seen.add(expression)
+        yield Entry(what, f"{what} {short(name)}", expression, None, name, equality)
 
 
 def named_relations(what: str, values: object) -> Iterator[tuple[str, Expression]]:
@@ -114,15 +114,6 @@ def named_relations(what: str, values: object) -> Iterator[tuple[str, Expression
         yield name.strip(), written
 
 
-@dataclass(frozen=True)
-class Relation:
-    """`expression` vanishes, or (`equality` false) is not positive; `name` is the relation as it was written."""
-
-    name: str
-    expression: sympy.Expr
-    equality: bool
-
-
 def text(expression: sympy.Expr) -> str:
     """Return an expression on one line, with decimal numbers no longer than their author wrote them."""
     return str(sympy.sstr(expression, full_prec=False))
@@ -133,9 +124,10 @@ def short(name: str, limit: int = 60) -> str:
     return name if len(name) <= limit else f"{name[:limit].rstrip()} ..."
 
 
-def relation(value: Expression, what: str) -> Relation:
+def relation(value: Expression, what: str) -> tuple[str, sympy.Expr, bool]:
     """Read Eq(a, b), a <= b, a >= b, a < b, a > b, or an expression that is to vanish.
 
+    Return the relation as it was written, an expression that vanishes or is not positive, and True if it vanishes.
     A strict inequality means the same as one that is not strict. ExpressionError names `what` when the value is no
     single relation, or when it holds always or never.
     """
@@ -159,7 +151,7 @@ def relation(value: Expression, what: str) -> Relation:
     remainder = _expanded_to_number(expressions.tidied(difference))
     if remainder is not None:
         raise _decided(f"{what}, {name},", bool(remainder == 0 or (sign != "=" and remainder.is_negative)))
-    return Relation(name, expressions.checked(difference, what), sign == "=")
+    return name, expressions.checked(difference, what), sign == "="
 
 
 def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:

@@ -20,9 +20,11 @@ import numpy as np
 import sympy
 from sympy import Basic, Expr, Symbol
 
+from codegen.emit.rendering import names_read
 from codegen.errors import VerificationError
 from codegen.runtime.kernels import with_counts
 from codegen.symbolic.functions import STEMS, TableBase
+from codegen.symbolic.graph import Assignment
 from codegen.symbolic.tables import ORDERS, TableData, derivative
 
 Operand: TypeAlias = Any
@@ -47,9 +49,10 @@ class Arithmetic:
 
 
 class Tape:
-    """The parts of some expressions, each after its own parts."""
+    """The parts of some expressions, each after its own parts; they may read `assignments` to further symbols."""
 
-    def __init__(self, expressions: Sequence[Expr]) -> None:
+    def __init__(self, expressions: Sequence[Expr], assignments: Sequence[Assignment] = ()) -> None:
+        self.assignments = [(symbol, Tape([value])) for symbol, value in assignments]
         self.indices: dict[Basic, int] = {}
         self.parts: list[tuple[Basic, tuple[int, ...]]] = []
         roots = [sympy.sympify(e) for e in expressions]
@@ -69,6 +72,9 @@ class Tape:
     def evaluate(self, values: Mapping[Symbol, Operand], arithmetic: Arithmetic) -> list[Operand]:
         """Return the values of the expressions at values of their symbols."""
         results: list[Operand] = []
+        values = dict(values)
+        for symbol, tape in self.assignments:
+            values[symbol] = tape.evaluate(values, arithmetic)[0]
         for part, indices in self.parts:
             results.append(_value(part, [results[index] for index in indices], values, arithmetic))
         return [results[index] for index in self.results]
@@ -226,7 +232,7 @@ class Text:
             if name in self._parts and name not in needed and name not in replaced:
                 needed.add(name)
                 if name not in self._reads:
-                    self._reads[name] = _read(self._parts[name])
+                    self._reads[name] = names_read(self._parts[name])
                 waiting += self._reads[name]
         return list(dict.fromkeys(node for name, node in self._parts.items() if name in needed))
 
@@ -234,14 +240,6 @@ class Text:
 def _lookup(table: TableData, a: Arithmetic, parameters: Operand, *at: Operand) -> tuple[Operand, ...]:
     """Return all derivatives of a table at a point, as an emitted look-up does."""
     return tuple(derivative(table, order, at, a.real) for order in ORDERS[len(table.shape.inputs)])
-
-
-def _read(part: ast.stmt) -> set[str]:
-    """Return the names that a part reads and does not assign."""
-    names = [node for node in ast.walk(part) if isinstance(node, ast.Name)]
-    own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
-    own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
-    return {node.id for node in names} - (own if isinstance(part, ast.FunctionDef) else set())
 
 
 class _QuietMath:

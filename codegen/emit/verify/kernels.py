@@ -254,21 +254,6 @@ def verify_step(program: StepProgram, text: Text) -> None:
     kernels.compare_slopes(unknowns, program.before, list(program.residual), residual)
 
 
-class _Values:
-    """Expressions that read assignments, evaluated unchanged."""
-
-    def __init__(self, assignments: Sequence[Assignment], values: Sequence[Expr]) -> None:
-        self.names = [symbol for symbol, _ in assignments]
-        self.tapes = [Tape([value]) for _, value in assignments]
-        self.tape = Tape(values)
-
-    def evaluate(self, values: Mapping[Symbol, Operand], numbers: Arithmetic) -> list[Operand]:
-        assigned = dict(values)
-        for symbol, tape in zip(self.names, self.tapes, strict=True):
-            assigned[symbol] = tape.evaluate(assigned, numbers)[0]
-        return self.tape.evaluate(assigned, numbers)
-
-
 class _StepKernels:
     """Calls the kernels of a step, at points where the program's expressions have values."""
 
@@ -286,7 +271,7 @@ class _StepKernels:
         """Compare a kernel that fills values; it reads symbols `inside` a step, state, time, lengths and parameters."""
         if not values:
             return
-        read = _Values(assignments, values)
+        read = Tape(values, assignments)
         points, count = self._points(inside, read)
 
         def filled(at: Mapping[Symbol, Operand], numbers: Arithmetic) -> list[Operand]:
@@ -321,7 +306,7 @@ class _StepKernels:
         self, unknowns: Sequence[Symbol], before: Sequence[Assignment], residual: Sequence[Expr], names: Sequence[str]
     ) -> None:
         """Compare the Jacobian of the residual, and the residual that its kernel fills as well."""
-        read, size = _Values(before, residual), len(unknowns)
+        read, size = Tape(residual, before), len(unknowns)
         points, count = self._points(unknowns, read)
 
         def filled(at: Mapping[Symbol, Operand], numbers: Arithmetic) -> list[Operand]:
@@ -364,7 +349,7 @@ class _StepKernels:
             [at[symbol] for symbol in program.model.parameters],
         )
 
-    def _points(self, inside: Sequence[Symbol], read: _Values) -> tuple[Values, int]:
+    def _points(self, inside: Sequence[Symbol], read: Tape) -> tuple[Values, int]:
         """Return states near the initial one, with default steps and parameters, and random points."""
         program, generator = self.program, np.random.default_rng(6)
         defaults = program.model.default_values
