@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from sympy import Expr, S, Symbol
+from sympy import Add, Expr, S, Symbol
 
 from codegen.discretise.conditions.ends import End, indexed, pinned_at_zero, with_bounds
 from codegen.discretise.conditions.inner_times import clock_of, inner_terms
-from codegen.discretise.conditions.integral import end_share, integral_equations, interval_share, own_unknowns
+from codegen.discretise.conditions.integral import end_share, integral_equations, own_unknowns
 from codegen.discretise.conditions.linking import Shared
 from codegen.discretise.conditions.measurements import sample_element
 from codegen.discretise.conditions.path import NodalTerms, bounded_stages, interval_terms, stage_inequalities
 from codegen.discretise.determined_values import with_determined_values
 from codegen.discretise.interval import STEP, OneStepInterval, VariationalInterval, at_nodes
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.guesses import DURATION, at_guess, control_guess, inner_guess
+from codegen.discretise.model.guesses import DURATION, at_guess, inner_guess
 from codegen.discretise.program import (
     BoundaryValue,
     ControlProgram,
@@ -97,7 +97,8 @@ def assemble(
     of_ends = tuple({unknown.name: unknown for unknown in (*start.extra, *end.extra)}.values())
     node = (*before, *of_ends, *(controls if sites.nodal else ()))
     left_symbols, right_symbols = (symbols([unknown.name for unknown in node], end) for end in ("_k", "_k1"))
-    element = motion.element + path.element + interval_share(integrals, discrete.integrals)
+    element = motion.element + path.element
+    element += Add(*(e.multiplier * value for e, value in zip(integrals, discrete.integrals, strict=True)))
     element += nodal.element + _filling(unknown.name for unknown in of_ends)
     # A one-sided scheme reads the nodal controls of the left node alone, so that the last node has idle ones.
     nodal_controls = zip(controls, right_symbols[len(node) - len(controls) :], strict=True) if sites.nodal else ()
@@ -133,7 +134,8 @@ def assemble(
         boundary_values=boundary_values,
         node_guess=motion.node_guess,
         stage_guess=motion.stage_guess,
-        control_guess=control_guess(model) * max(1, len(sites.stage_controls)),
+        control_guess=tuple(at_guess(model, dict(model.guess).get(u, S.Zero)) for u in model.controls)
+        * max(1, len(sites.stage_controls)),
         slacks=path.slacks,
         slack_symbols=symbols([slack.name for slack in path.slacks], "_k"),
         slack_multipliers=path.slack_multipliers,

@@ -105,11 +105,6 @@ def own_unknowns(equations: Sequence[IntegralEquation]) -> tuple[Own, ...]:
     return tuple(own)
 
 
-def interval_share(equations: Sequence[IntegralEquation], quadratures: Sequence[Expr]) -> Expr:
-    """Return the terms of an interval's l."""
-    return Add(*(equation.multiplier * value for equation, value in zip(equations, quadratures, strict=True)))
-
-
 def end_share(equations: Sequence[IntegralEquation]) -> End:
     """Return the terms of the end."""
     return End(element=Add(*(equation.multiplier * equation.excess for equation in equations)))

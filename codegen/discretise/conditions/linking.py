@@ -26,7 +26,7 @@ from sympy import Expr, Max, Min, S, Symbol
 
 from codegen.discretise.conditions.periodic import Alias, Own, Periodic, own_unknown
 from codegen.discretise.model.definitions import Model, prescribed
-from codegen.discretise.model.guesses import at_end, at_start, momentum_guess
+from codegen.discretise.model.guesses import DURATION, momentum_guess
 from codegen.discretise.model.values import values_at_guess
 from codegen.discretise.program import Coupling, Names, Unknown, symbols
 from codegen.errors import BoundaryError
@@ -94,7 +94,7 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
             continue
         name = names.named("coupled", q)
         index[i], offset[i] = len(own), S.Zero
-        own.append(own_unknown(name, Kind.END_VALUE, q, at_end(model, guesses[i])))
+        own.append(own_unknown(name, Kind.END_VALUE, q, guesses[i].subs(model.time, DURATION)))
         aliases.append((q.name, name, S.Zero))
     values = model.end_values
     shifted = {v.symbol: v.symbol + offset[v.coordinate] for v in values if offset[v.coordinate] != 0}
@@ -139,7 +139,7 @@ def joined_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Sequenc
     for group in (model.coordinates, model.rates):
         for i, j in _joined_indices(model) if group and set(group) <= set(quantities) else ():
             last, first = group[i], group[j]
-            start = at_start(model, guess[first])
+            start = guess[first].subs(model.time, 0)
             own = own_unknown(names.named("joined", first), Kind.START_VALUE, first, start, follows=True)
             zeta = own_unknown(names.named("nu", first), Kind.CONTINUITY, last, S.Zero, follows=True)
             (at_end_node,) = symbols([last.name], "_k1")
@@ -153,7 +153,7 @@ def joined_momenta(model: Model, names: Names) -> Periodic:
     out = Periodic()
     for i, j in _joined_indices(model):
         last, first = model.coordinates[i], model.coordinates[j]
-        guess = at_start(model, momentum_guess(model)[j])
+        guess = momentum_guess(model)[j].subs(model.time, 0)
         own = own_unknown(names.named("pi", first), Kind.START_MOMENTUM, first, guess, follows=True)
         name = names.named("nu", model.rates[j])
         zeta = own_unknown(name, Kind.MOMENTUM_CONTINUITY, last, S.Zero, follows=True)

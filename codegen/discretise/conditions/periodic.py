@@ -19,7 +19,7 @@ from sympy import Expr, S, Symbol, sstr
 
 from codegen.discretise.conditions.base import ConditionKind, Latex, Scope
 from codegen.discretise.model.definitions import Condition, Model
-from codegen.discretise.model.guesses import at_start, coordinate_guess, momentum_guess
+from codegen.discretise.model.guesses import coordinate_guess, momentum_guess
 from codegen.discretise.model.relations import Entry, checked_mapping, checked_sequence, entry_of, require_declared
 from codegen.discretise.program import Names, Unknown, is_invariant_under_shifts, occurring
 from codegen.errors import BoundaryError, ExpressionError
@@ -135,7 +135,7 @@ def periodic_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Seque
     out = Periodic()
     for quantity, shift in model.periodic:
         if quantity in quantities:
-            guess = at_start(model, guesses[list(quantities).index(quantity)])
+            guess = guesses[list(quantities).index(quantity)].subs(model.time, 0)
             out += _tied(quantity, shift, guess, names)
     return out
 
@@ -152,12 +152,12 @@ def periodic_velocities(model: Model, names: Names) -> Periodic:
     by_momentum = set(equivalent_momenta(model, [i for i in chosen if i not in at_ends]))
     out = Periodic()
     for i in chosen:
-        guess = at_start(model, momentum_guess(model)[i])
+        guess = momentum_guess(model)[i].subs(model.time, 0)
         if i in by_momentum:
             out += _matched(model, i, S.Zero, guess, names)
         else:
             velocity = model.rates[i]
-            speed = at_start(model, sympy.diff(coordinate_guess(model)[i], model.time))
+            speed = sympy.diff(coordinate_guess(model)[i], model.time).subs(model.time, 0)
             out += _by_conditions(velocity, velocity, shifts[velocity], speed, names)
     return out
 
@@ -168,7 +168,7 @@ def periodic_momenta(original: Model, model: Model, names: Names) -> Periodic:
     out = Periodic()
     for i, p in enumerate(original.rates):
         if p in shifts:
-            out += _matched(model, i, shifts[p], at_start(model, momentum_guess(model)[i]), names)
+            out += _matched(model, i, shifts[p], momentum_guess(model)[i].subs(model.time, 0), names)
     return out
 
 
@@ -179,12 +179,12 @@ def periodic_velocities_in_momenta(model: Model, phase: Model, names: Names) -> 
     by_momentum = set(equivalent_momenta(model, chosen))
     out = Periodic()
     for i in chosen:
-        p, guess = phase.rates[i], at_start(model, momentum_guess(model)[i])
+        p, guess = phase.rates[i], momentum_guess(model)[i].subs(model.time, 0)
         if i in by_momentum:
             out += _tied(p, S.Zero, guess, names)
         else:
             velocity = sympy.diff(phase.function, p)
-            speed = at_start(model, sympy.diff(coordinate_guess(model)[i], model.time))
+            speed = sympy.diff(coordinate_guess(model)[i], model.time).subs(model.time, 0)
             out += _by_conditions(model.rates[i], velocity, shifts[model.rates[i]], speed, names)
     return out
 

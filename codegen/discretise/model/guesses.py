@@ -37,12 +37,6 @@ def momentum_guess(model: Model) -> tuple[Expr, ...]:
     return tuple(at_guess(model, momentum) for momentum in momenta)
 
 
-def control_guess(model: Model) -> tuple[Expr, ...]:
-    """Return the author's guess of each control, or zero."""
-    guess = dict(model.guess)
-    return tuple(at_guess(model, guess.get(u, S.Zero)) for u in model.controls)
-
-
 def guessed(model: Model, quantities: Sequence[Symbol], duration: Expr) -> tuple[Expr, ...]:
     """Return the guesses of coordinates or momenta: the author's ones, else straight lines between end values."""
     first = known_values(model, model.start, model.start_conditions)
@@ -55,16 +49,6 @@ def guessed(model: Model, quantities: Sequence[Symbol], duration: Expr) -> tuple
 def at_guess(model: Model, expression: Expr) -> Expr:
     """Replace the free parameters in an expression by their first guesses."""
     return expression.xreplace({parameter.symbol: parameter.guess for parameter in model.free_parameters})
-
-
-def at_start(model: Model, guess: Expr) -> Expr:
-    """Return a guess, which is a function of time, at the start of the time interval."""
-    return guess.subs(model.time, 0)
-
-
-def at_end(model: Model, guess: Expr) -> Expr:
-    """Return a guess, which is a function of time, at the end of the time interval."""
-    return guess.subs(model.time, DURATION)
 
 
 def known_values(model: Model, boundary: Boundary | None, conditions: Sequence[Condition]) -> dict[Symbol, Expr]:

@@ -19,6 +19,14 @@ _STEEP = 16
 """Numbers in exponents from which on factorisation takes too long."""
 _READABLE = 1000
 """Operations up to which a description shows an expression."""
+_FORMS = {
+    "sign": "np.sign({})",
+    "Heaviside": "(0.5 + 0.5*np.sign({}))",
+    "Abs": "abs({})",
+    "x_minus_log1p": "x_minus_log1p({}, {})",
+    "log1p_minus_ratio": "log1p_minus_ratio({}, {})",
+}
+"""Functions that are printed in the same way for numbers and arrays."""
 _NUMPY_NAMES = {f"a{name}": f"arc{name}" for name in "sin cos tan sinh cosh tanh tan2".split()}
 
 
@@ -67,19 +75,10 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
         text = str(super()._print_Piecewise(expr))
         return text.removesuffix("None)") + "math.nan)" if text.endswith(" else None)") else text
 
-    def _print_sign(self, expr: Expr) -> str:
-        return f"np.sign({self._print(expr.args[0])})"
+    def _print_in_form(self, expr: Expr) -> str:
+        return _FORMS[type(expr).__name__].format(*map(self._print, expr.args))
 
-    def _print_Heaviside(self, expr: Expr) -> str:
-        return f"(0.5 + 0.5*np.sign({self._print(expr.args[0])}))"
-
-    def _print_Abs(self, expr: Expr) -> str:
-        return f"abs({self._print(expr.args[0])})"
-
-    def _print_x_minus_log1p(self, expr: Expr) -> str:
-        return f"{type(expr).__name__}({self._print(expr.args[0])}, {self._print(expr.args[1])})"
-
-    _print_log1p_minus_ratio = _print_x_minus_log1p
+    _print_sign = _print_Heaviside = _print_Abs = _print_x_minus_log1p = _print_log1p_minus_ratio = _print_in_form
 
     def _print_gamma(self, expr: Expr) -> str:
         return self._of_floats(f"math.{type(expr).__name__}", expr)

@@ -171,16 +171,10 @@ class Text:
 
     def interpreted(self, *names: str) -> dict[str, Operand]:
         """Execute the named parts and those that they need, without numba's decorators; return the namespace."""
-
-        def undecorated(**_: object) -> Function:
-            return lambda function: function
-
-        def interpreted_loop(loop: Operand) -> Function:
-            return lambda function: loop(function, is_interpreted=True)
-
-        namespace: dict[str, Operand] = {"njit": undecorated, "prange": range, "__name__": "emitted"}
+        namespace: dict[str, Operand] = {"prange": range, "__name__": "emitted", "carray": _carray}
         namespace |= dict.fromkeys(("Kernel", "Value", "Contracted"), _with_counts)
-        namespace |= {"_interpreted": interpreted_loop, "carray": _carray}
+        namespace["njit"] = lambda **_: lambda function: function
+        namespace["_interpreted"] = lambda loop: lambda function: loop(function, is_interpreted=True)
         body = [*self._imports, *ast.parse("Loop = _interpreted(globals().get('Loop'))").body, *self._needed(names)]
         exec(compile(ast.Module(body=body, type_ignores=[]), "<emitted>", "exec"), namespace)
         namespace["math"] = _QuietMath()  # which the functions read when they are called
@@ -192,7 +186,7 @@ class Text:
         if key not in self._codes:
             needed = self._needed(names, {*STEMS, *self._tables})
             functions = [node for node in needed if isinstance(node, ast.FunctionDef)]
-            body: list[ast.stmt] = [_Rewritten().function(node) for node in functions]
+            body = [_Rewritten().visit(node) for node in functions]
             module = ast.fix_missing_locations(ast.Module(body=body, type_ignores=[]))
             self._codes[key] = compile(module, "<kernels>", "exec")
 
@@ -290,35 +284,22 @@ class _Functions:
 class _Rewritten(ast.NodeTransformer):
     """Rewrites powers, choices and comparisons as calls, since the operators of Python do not fit arrays."""
 
-    def function(self, node: ast.FunctionDef) -> ast.FunctionDef:
-        """Return the rewritten function without decorators."""
-        visited = self.visit(node)
-        assert isinstance(visited, ast.FunctionDef)
-        visited.decorator_list = []
-        return visited
-
-    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+    def visit(self, node: ast.AST) -> ast.AST:
         self.generic_visit(node)
-        return _call("_power", node.left, node.right) if isinstance(node.op, ast.Pow) else node
-
-    def visit_IfExp(self, node: ast.IfExp) -> ast.AST:
-        self.generic_visit(node)
-        return _call("_where", node.test, node.body, node.orelse)
-
-    def visit_Compare(self, node: ast.Compare) -> ast.AST:
-        self.generic_visit(node)
-        return _call(f"_{type(node.ops[0]).__name__}", node.left, node.comparators[0])
-
-    def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
-        self.generic_visit(node)
-        result = node.values[0]
-        for value in node.values[1:]:
-            result = _call(f"_{type(node.op).__name__}", result, value)
-        return result
-
-    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
-        self.generic_visit(node)
-        return _call("_Not", node.operand) if isinstance(node.op, ast.Not) else node
+        match node:
+            case ast.FunctionDef():
+                node.decorator_list = []
+            case ast.BinOp(op=ast.Pow()):
+                return _call("_power", node.left, node.right)
+            case ast.IfExp():
+                return _call("_where", node.test, node.body, node.orelse)
+            case ast.Compare():
+                return _call(f"_{type(node.ops[0]).__name__}", node.left, node.comparators[0])
+            case ast.BoolOp():
+                return reduce(partial(_call, f"_{type(node.op).__name__}"), node.values)
+            case ast.UnaryOp(op=ast.Not()):
+                return _call("_Not", node.operand)
+        return node
 
 
 def _call(name: str, *arguments: ast.expr) -> ast.Call:
