@@ -40,7 +40,26 @@ def in_velocities(model: Model) -> Model:
             conditions.append(condition)
     if conditions:
         model = replace(model, bounds=tuple(kept), path=(*model.path, *conditions))
-    return _rates_as_conditions(rewritten(model, legendre.lagrangian_form(model)))
+    model = rewritten(model, legendre.lagrangian_form(model))
+    # Velocities at the ends that depend on free parameters, as p/m does, become end conditions.
+    free = {parameter.symbol for parameter in model.free_parameters}
+    if not free or model.end is None:
+        return model
+
+    def split(boundary: Boundary) -> tuple[Boundary, tuple[Condition, ...]]:
+        pairs = zip(model.rates, boundary.rates, strict=True)
+        tied = {v: value for v, value in pairs if value is not None and value.free_symbols & free}
+        fixed = tuple(None if v in tied else value for v, value in zip(model.rates, boundary.rates, strict=True))
+        return replace(boundary, rates=fixed), tuple(Condition(f"{v} = {x}", v - x) for v, x in tied.items())
+
+    (start, at_start), (end, at_end) = split(model.start), split(model.end)
+    return replace(
+        model,
+        start=start,
+        end=end,
+        start_conditions=(*model.start_conditions, *at_start),
+        end_conditions=(*model.end_conditions, *at_end),
+    )
 
 
 def in_momenta(model: Model) -> Model:
@@ -63,28 +82,6 @@ def rewritten(original: Model, transformed: Model) -> Model:
         for kind in kinds
     }
     return replace(transformed, **written, terminal_cost=original.terminal_cost.xreplace(values))
-
-
-def _rates_as_conditions(model: Model) -> Model:
-    """Turn velocities at the ends that depend on free parameters, as p/m does, into end conditions."""
-    free = {parameter.symbol for parameter in model.free_parameters}
-    if not free or model.end is None:
-        return model
-
-    def split(boundary: Boundary) -> tuple[Boundary, tuple[Condition, ...]]:
-        pairs = zip(model.rates, boundary.rates, strict=True)
-        tied = {v: value for v, value in pairs if value is not None and value.free_symbols & free}
-        fixed = tuple(None if v in tied else value for v, value in zip(model.rates, boundary.rates, strict=True))
-        return replace(boundary, rates=fixed), tuple(Condition(f"{v} = {x}", v - x) for v, x in tied.items())
-
-    (start, at_start), (end, at_end) = split(model.start), split(model.end)
-    return replace(
-        model,
-        start=start,
-        end=end,
-        start_conditions=(*model.start_conditions, *at_start),
-        end_conditions=(*model.end_conditions, *at_end),
-    )
 
 
 def with_symbolic_boundaries(model: Model) -> tuple[Model, tuple[BoundaryValue, ...]]:

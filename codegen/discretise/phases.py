@@ -72,8 +72,26 @@ def chained(model: Model, transcribed: Callable[[Model], ControlProgram]) -> Con
         )
         for index, phase in enumerate(model.phases)
     ]
-    programs, slots = _with_common_names(programs)
-    programs = with_distinct_integral_names(programs, slots.names)
+    # Path conditions of different phases have multipliers and slacks of the same names. Unknowns of the end alone have
+    # other names than unknowns of the start alone.
+    initial, final = programs[0], programs[-1]
+    from_start, from_end = _of_end(initial, initial.start), _of_end(final, final.end)
+    names = Names(initial.model)
+    names.reserve(unknown.name for unknown in (*from_start, *from_end))
+    for program in programs:
+        others = (*(program.node[i] for i in program.only_at_ends), *_path_multipliers(program))
+        names.reserve(u.name for u in (*program.node, *program.interval) if u not in others)
+    taken = {unknown.name for unknown in from_start}
+    new = {u.name: names.named("end", Symbol(u.name)) for u in from_end if u.name in taken}
+    slots, renamed = Slots(names), list[ControlProgram]()
+    for program in (*programs[:-1], _renamed(final, new)):
+        inequalities = {program.interval[i].name: slack for slack, i in _slack_pairs(program)}
+        equalities = [u.name for u in _path_multipliers(program) if u.name not in inequalities]
+        new = {name: slots.numbered("y", True, index) for index, name in enumerate(equalities)}
+        for index, (name, slack) in enumerate(inequalities.items()):
+            new |= {name: slots.numbered("y", False, index), slack.name: slots.numbered("s", False, index)}
+        renamed.append(_renamed(program, new))
+    programs = with_distinct_integral_names(renamed, slots.names)
     switches = [_switch(model, i, programs, slots) for i in range(1, len(programs))]
     return _Chain(model, programs, [None, *switches]).program()
 
@@ -98,32 +116,6 @@ class Slots:
         if (stem, quantity) not in self._named:
             self._named[stem, quantity] = self.names.named(stem, quantity)
         return self._named[stem, quantity]
-
-
-def _with_common_names(programs: Sequence[ControlProgram]) -> tuple[list[ControlProgram], Slots]:
-    """Return the programs of all phases with names that fit together, and a source of further names.
-
-    Path conditions of different phases have multipliers and slacks of the same names. Unknowns of the end alone have
-    other names than unknowns of the start alone.
-    """
-    first, last = programs[0], programs[-1]
-    from_start, from_end = _of_end(first, first.start), _of_end(last, last.end)
-    names = Names(first.model)
-    names.reserve(unknown.name for unknown in (*from_start, *from_end))
-    for program in programs:
-        others = (*(program.node[i] for i in program.only_at_ends), *_path_multipliers(program))
-        names.reserve(u.name for u in (*program.node, *program.interval) if u not in others)
-    taken = {unknown.name for unknown in from_start}
-    new = {u.name: names.named("end", Symbol(u.name)) for u in from_end if u.name in taken}
-    slots, renamed = Slots(names), []
-    for program in (*programs[:-1], _renamed(last, new)):
-        inequalities = {program.interval[i].name: slack for slack, i in _slack_pairs(program)}
-        equalities = [u.name for u in _path_multipliers(program) if u.name not in inequalities]
-        new = {name: slots.numbered("y", True, index) for index, name in enumerate(equalities)}
-        for index, (name, slack) in enumerate(inequalities.items()):
-            new |= {name: slots.numbered("y", False, index), slack.name: slots.numbered("s", False, index)}
-        renamed.append(_renamed(program, new))
-    return renamed, slots
 
 
 def _path_multipliers(program: ControlProgram) -> tuple[Unknown, ...]:

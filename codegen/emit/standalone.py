@@ -233,7 +233,10 @@ class File:
                 first = min([node.lineno, *(decorator.lineno for decorator in decorators)])
                 while first > 1 and self.lines[first - 2].startswith("#"):
                     first -= 1
-                self.blocks.append(Block(first, node.end_lineno or 0, tuple(_defined(node))))
+                names = [node.name] if isinstance(node, (ast.FunctionDef, ast.ClassDef)) else []
+                targets = getattr(node, "targets", [node.target] if isinstance(node, ast.AnnAssign) else [])
+                names += [part.id for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)]
+                self.blocks.append(Block(first, node.end_lineno or 0, tuple(names)))
         defined = {name for block in self.blocks for name in block.names}
         self.bound |= {name: Target(self.name, name) for name in defined}
         for block in self.blocks:
@@ -246,15 +249,6 @@ class File:
     def kept(self, wanted: set[tuple[str, str]]) -> list[Block]:
         """Return the blocks that define wanted names, pairs of file and name."""
         return [block for block in self.blocks if any((self.name, name) in wanted for name in block.names)]
-
-
-def _defined(node: ast.stmt) -> Iterator[str]:
-    """Yield the names that a statement defines at the top of a file."""
-    if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-        yield node.name
-    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
-    for target in targets:
-        yield from (part.id for part in ast.walk(target) if isinstance(part, ast.Name))
 
 
 def _bindings(node: ast.Import | ast.ImportFrom) -> dict[str, Target]:

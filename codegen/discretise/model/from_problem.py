@@ -68,7 +68,19 @@ def normalise(
     written = list[list[Entry]]()
     for index, phase in enumerate(problem.phases):
         with _in_phase(index):
-            _require_supported(index, phase)
+            if index and (phase.start or phase.start_conditions):
+                remedy = f"a value in jumps[{index - 1}], or a condition in the end or end_conditions of phase {index}"
+                raise BoundaryError("it says how it starts, but begins where the phase before ends", f"write {remedy}")
+            for kind in CONDITIONS:
+                if kind.not_in_phases and getattr(phase, kind.argument):
+                    error, finding, remedy = kind.not_in_phases
+                    raise error(finding, remedy)
+            if phase.bodies != 1:
+                raise ExpressionError(f"bodies is {phase.bodies!r}", "let one body move in problems of phases")
+            if index and phase.drawing:
+                raise ExpressionError(
+                    "it has a drawing", "give the drawing to the first phase, whose it is in all of them"
+                )
             written.append(written_entries(phase, form, jumps[index - 1] if index else ()))
     used = used_quantities(entry for entries in written for entry in entries)
     drawing = scope.checked_drawing(problem.phases[0])
@@ -128,23 +140,6 @@ def _common_form(problem: Phases) -> str:
             remedy = "give all phases the same, with its sign"
             raise ExpressionError("one phase has a cost, another one maximises", remedy)
     return forms[0]
-
-
-def _require_supported(index: int, phase: Control) -> None:
-    """Refuse arguments that a phase cannot have, or that have no meaning between two other phases."""
-    if index and (phase.start or phase.start_conditions):
-        raise BoundaryError(
-            "it says how it starts, but begins where the phase before ends",
-            f"write a value in jumps[{index - 1}], or a condition in the end or end_conditions of phase {index}",
-        )
-    for kind in CONDITIONS:
-        if kind.not_in_phases and getattr(phase, kind.argument):
-            error, finding, remedy = kind.not_in_phases
-            raise error(finding, remedy)
-    if phase.bodies != 1:
-        raise ExpressionError(f"bodies is {phase.bodies!r}", "let one body move in problems of phases")
-    if index and phase.drawing:
-        raise ExpressionError("it has a drawing", "give the drawing to the first phase, whose it is in all of them")
 
 
 def _phase_model(
