@@ -88,6 +88,7 @@ def assemble(
     start += End(aliases=shared.start_aliases) + pinned_at_zero(nodal.start_pins)
     end += End(aliases=shared.end_aliases) + end_share(integrals) + pinned_at_zero(nodal.end_pins)
     discrete, sites = motion.discrete, motion.discrete.q
+    stage_controls = sites.stage_controls or (sites.left_controls,)
     stages = bounded_stages(model, discrete.inside, motion.interval)
     on_interval = (*discrete.path, *stage_inequalities(model, discrete.inside))
     path = interval_terms(model, on_interval, len(stages), names)
@@ -112,18 +113,19 @@ def assemble(
     start_element, end_element = (indexed(each, node, shared_unknowns) for each in (start, end))
     pinned = [{index for index, _ in each.pins} for each in (start_element, end_element)]
     first = len(before) - len(at_inner_times.unknowns)
+    guess = dict(model.guess)
     quadratures = (Equation(value, f"Gd_{i}") for i, value in enumerate(discrete.integrals, start=1))
     program = ControlProgram(
         model=model,
         method=motion.method,
         scheme=motion.scheme,
-        controlled=sites.controlled,
+        controlled="stages" if sites.stage_controls else "nodal" if sites.nodal else "interval",
         node=node,
         interval=(*stages, *path.multipliers),
         controls=() if sites.nodal else controls,
         left_symbols=left_symbols,
         interval_symbols=(*motion.interval_symbols, *symbols([y.name for y in path.multipliers], "_k")),
-        control_symbols=() if sites.nodal else sites.of_interval,
+        control_symbols=() if sites.nodal else tuple(u for stage in stage_controls for u in stage),
         right_symbols=right_symbols,
         element=element,
         cost=discrete.cost,
@@ -134,8 +136,7 @@ def assemble(
         boundary_values=boundary_values,
         node_guess=motion.node_guess,
         stage_guess=motion.stage_guess,
-        control_guess=tuple(at_guess(model, dict(model.guess).get(u, S.Zero)) for u in model.controls)
-        * max(1, len(sites.stage_controls)),
+        control_guess=tuple(at_guess(model, guess.get(u, S.Zero)) for _ in stage_controls for u in model.controls),
         slacks=path.slacks,
         slack_symbols=symbols([slack.name for slack in path.slacks], "_k"),
         slack_multipliers=path.slack_multipliers,

@@ -103,16 +103,6 @@ class Sites:
     right_controls: tuple[Symbol, ...]
     stage_controls: tuple[tuple[Symbol, ...], ...] = ()
 
-    @property
-    def of_interval(self) -> tuple[Symbol, ...]:
-        """Return the controls of an interval, stage by stage."""
-        return tuple(u for stage in self.stage_controls for u in stage) if self.stage_controls else self.left_controls
-
-    @property
-    def controlled(self) -> str:
-        """Return the place of controls: interval, nodal or stages."""
-        return "stages" if self.stage_controls else "nodal" if self.nodal else "interval"
-
     def controls_at(self, point: int, c: Expr) -> list[Expr]:
         """Return the controls at a point of the scheme, whose abscissa in the step is c.
 

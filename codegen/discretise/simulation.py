@@ -141,8 +141,10 @@ class _System:
                 (y,) = present
                 solution = self._solution(i, y)
                 if solution is not None:
+                    # The name of the unknown remains in other equations: its value depends on no open unknown.
                     del self.equations[i]
-                    self._assign(y, solution[1])
+                    self.open.discard(y)
+                    self.assignments.append((y, solution[1]))
                     return True
         return False
 
@@ -177,7 +179,8 @@ class _System:
                 changed = {j for j, e in others.items() if e is not self.equations[j]}
                 self.rejected = {(j, z) for j, z in self.rejected if j not in changed}
                 self.equations = others
-                self._assign(y, solution[1])
+                self.open.discard(y)
+                self.assignments.append((y, solution[1]))
                 return True
             self.rejected.add((i, y))
         return False
@@ -193,11 +196,6 @@ class _System:
             return None
         rest = equation.xreplace({y: S.Zero})
         return coefficient, rest if coefficient == -1 else -rest / coefficient
-
-    def _assign(self, y: Symbol, value: Expr) -> None:
-        """Close an unknown; its name remains in other equations if its value depends on no open unknown."""
-        self.open.discard(y)
-        self.assignments.append((y, value))
 
 
 def linear_in(expression: Expr, y: Symbol, variables: AbstractSet[Symbol]) -> Expr | None:
@@ -318,7 +316,7 @@ class _Elimination:
                 if entry != zero:
                     column[j] = entry
             for j, entry in column.items():
-                self.factors[i, j] = self._divided(entry, self.pivots[j])
+                self.factors[i, j] = self.graph.product([(entry, ONE), (self.pivots[j], -ONE)])
             self.pivots[i] = self._reduced(mass[i, i], [(self.factors[i, j], entry) for j, entry in column.items()])
 
     def forward(self, right: Sequence[int]) -> int:
@@ -334,11 +332,9 @@ class _Elimination:
         solution: dict[int, int] = {}
         for i in reversed(self.order):
             products = [(self.factors[j, i], v) for j, v in solution.items() if (j, i) in self.factors]
-            solution[i] = self._reduced(self._divided(self.solved[i], self.pivots[i]), products)
+            scaled = self.graph.product([(self.solved[i], ONE), (self.pivots[i], -ONE)])
+            solution[i] = self._reduced(scaled, products)
         return solution
-
-    def _divided(self, node: int, by: int) -> int:
-        return self.graph.product([(node, ONE), (by, -ONE)])
 
     def _reduced(self, node: int, products: Sequence[tuple[int, int]]) -> int:
         """Return a value minus some products."""
