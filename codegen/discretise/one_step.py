@@ -16,7 +16,7 @@ from codegen.discretise.conditions import holonomic, path
 from codegen.discretise.conditions.ends import End, conditioned_end, with_bounds
 from codegen.discretise.conditions.linking import joined_unknowns, shared_unknowns
 from codegen.discretise.conditions.path import nodal_conditions
-from codegen.discretise.conditions.periodic import periodic_unknowns, periodic_velocities_in_momenta
+from codegen.discretise.conditions.periodic import periodic_unknowns, periodic_velocities
 from codegen.discretise.forms import in_momenta, with_symbolic_boundaries
 from codegen.discretise.interval import at_nodes, one_step_interval
 from codegen.discretise.model.definitions import Boundary, Model
@@ -42,7 +42,7 @@ def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> Contro
     states = (*phase.coordinates, *phase.rates)
     periodic = periodic_unknowns(model, states, guesses, names) + joined_unknowns(phase, states, guesses, names)
     if model.form == "lagrangian":
-        periodic += periodic_velocities_in_momenta(model, phase, names)
+        periodic += periodic_velocities(model, names, phase)
     shared = shared_unknowns(model, periodic, guesses, names)
     free_rates = (None,) * len(phase.rates)  # their values may be velocities
     placed = replace(

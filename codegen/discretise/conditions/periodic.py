@@ -140,25 +140,26 @@ def periodic_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Seque
     return out
 
 
-def periodic_velocities(model: Model, names: Names) -> Periodic:
-    """Return the periodicity of the velocities of a model in Lagrangian form, by momenta where these are equivalent.
+def periodic_velocities(model: Model, names: Names, phase: Model | None = None) -> Periodic:
+    """Return the periodicity of the velocities of a Lagrangian, by momenta where these are equivalent.
 
-    A velocity in a condition or in the terminal cost is an unknown of the end, and keeps a condition of its own.
+    `phase` is the model in Hamiltonian form, if momenta are unknowns of nodes. Otherwise a velocity in a condition or
+    in the terminal cost is an unknown of the end, and keeps a condition of its own.
     """
     shifts = dict(model.periodic)
     chosen = [i for i, v in enumerate(model.rates) if v in shifts]
     conditions = (*model.start_conditions, *model.end_conditions)
     at_ends = occurring(model.rates, model.terminal_cost, *(condition.expression for condition in conditions))
-    by_momentum = set(equivalent_momenta(model, [i for i in chosen if i not in at_ends]))
+    by_momentum = set(equivalent_momenta(model, [i for i in chosen if phase is not None or i not in at_ends]))
     out = Periodic()
     for i in chosen:
-        guess = momentum_guess(model)[i].subs(model.time, 0)
+        velocity, guess = model.rates[i], momentum_guess(model)[i].subs(model.time, 0)
         if i in by_momentum:
-            out += _matched(model, i, S.Zero, guess, names)
+            out += _tied(phase.rates[i], S.Zero, guess, names) if phase else _matched(model, i, S.Zero, guess, names)
         else:
-            velocity = model.rates[i]
+            value = sympy.diff(phase.function, phase.rates[i]) if phase else velocity
             speed = sympy.diff(coordinate_guess(model)[i], model.time).subs(model.time, 0)
-            out += _by_conditions(velocity, velocity, shifts[velocity], speed, names)
+            out += _by_conditions(velocity, value, shifts[velocity], speed, names)
     return out
 
 
@@ -169,23 +170,6 @@ def periodic_momenta(original: Model, model: Model, names: Names) -> Periodic:
     for i, p in enumerate(original.rates):
         if p in shifts:
             out += _matched(model, i, shifts[p], momentum_guess(model)[i].subs(model.time, 0), names)
-    return out
-
-
-def periodic_velocities_in_momenta(model: Model, phase: Model, names: Names) -> Periodic:
-    """Return the periodicity of the velocities of a Lagrangian that is transcribed in Hamiltonian form."""
-    shifts = dict(model.periodic)
-    chosen = [i for i, v in enumerate(model.rates) if v in shifts]
-    by_momentum = set(equivalent_momenta(model, chosen))
-    out = Periodic()
-    for i in chosen:
-        p, guess = phase.rates[i], momentum_guess(model)[i].subs(model.time, 0)
-        if i in by_momentum:
-            out += _tied(p, S.Zero, guess, names)
-        else:
-            velocity = sympy.diff(phase.function, p)
-            speed = sympy.diff(coordinate_guess(model)[i], model.time).subs(model.time, 0)
-            out += _by_conditions(model.rates[i], velocity, shifts[model.rates[i]], speed, names)
     return out
 
 
