@@ -104,7 +104,7 @@ def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tupl
             output=element.cost,
             unknowns=program.element_symbols,
             indices=tuple(range(len(program.element_symbols))),
-            pattern=_pattern(guessed.module, ""),
+            pattern=pattern_of(guessed.module, "HESSIAN"),
             gradient=f"{stem}_gradient",
             hessian=f"{stem}_hessian",
             call_gradient=calling(begins_at),
@@ -122,14 +122,15 @@ def _mixed(
 ) -> list[tuple[Share, Values]]:
     """Return the shares with derivatives by data in place of derivatives by unknowns."""
     mixed, count = [], len(program.interval_elements)
+    module = text.interpreted(*(f"{s}MIXED_{side}" for s in ("", "START_", "END_") for side in ("ROWS", "COLUMNS")))
     for number, (share, near) in enumerate((*intervals, *samples)):
         columns = columns_of(program, -1 if count <= number < len(intervals) else 0)
         kernel = share.gradient.removesuffix("gradient") + "mixed"
-        mixed += [(one, near) for one in mixed_shares(share, kernel, pattern_of(text), columns)]
+        mixed += [(one, near) for one in mixed_shares(share, kernel, pattern_of(module, "MIXED"), columns)]
     for (share, near), name in zip(ends, ("start", "end"), strict=True):
         columns, first = columns_of(program, -1), len(data_of(program))
         columns |= {first + i: s for i, s in enumerate(share.unknowns) if i not in share.indices}
-        pattern = pattern_of(text, f"{name.upper()}_")
+        pattern = pattern_of(module, f"{name.upper()}_MIXED")
         mixed += [(one, near) for one in mixed_shares(share, f"{name}_mixed", pattern, columns)]
     return mixed
 
@@ -222,18 +223,13 @@ def _ends(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Sha
             output=end.cost,
             unknowns=unknowns,
             indices=tuple(index for index in range(len(unknowns)) if index not in pinned),
-            pattern=_pattern(guessed.module, f"{name.upper()}_"),
+            pattern=pattern_of(guessed.module, f"{name.upper()}_HESSIAN"),
             gradient=f"{name}_gradient",
             hessian=f"{name}_hessian",
             call_gradient=call,
             call_hessian=call,
         )
         yield share, guessed.at_node(name == "end", node, others)
-
-
-def _pattern(module: Mapping[str, Operand], prefix: str) -> tuple[tuple[int, int], ...]:
-    rows, columns = (module.get(f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
-    return tuple((int(r), int(c)) for r, c in zip(rows, columns, strict=True))
 
 
 def verify_step(program: StepProgram, text: Text) -> None:

@@ -192,11 +192,10 @@ def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], 
     return [of_slopes, of_mixed]
 
 
-def pattern_of(text: Text, prefix: str = "") -> tuple[tuple[int, int], ...]:
-    """Return unknowns and columns of the mixed derivatives of intervals, or of an end."""
-    names = f"{prefix}MIXED_ROWS", f"{prefix}MIXED_COLUMNS"
-    module = text.interpreted(*names)
-    return tuple((int(row), int(column)) for row, column in zip(*(module[name] for name in names), strict=True))
+def pattern_of(module: Mapping[str, Operand], name: str) -> tuple[tuple[int, int], ...]:
+    """Return the pairs of indices in the arrays `<name>_ROWS` and `<name>_COLUMNS` of a module, if it has them."""
+    rows, columns = (module.get(f"{name}_{side}", ()) for side in ("ROWS", "COLUMNS"))
+    return tuple((int(row), int(column)) for row, column in zip(rows, columns, strict=True))
 
 
 _DRAWN = 30
