@@ -88,7 +88,6 @@ def assemble(
     start += End(aliases=shared.start_aliases) + pinned_at_zero(nodal.start_pins)
     end += End(aliases=shared.end_aliases) + end_share(integrals) + pinned_at_zero(nodal.end_pins)
     discrete, sites = motion.discrete, motion.discrete.q
-    stage_controls = sites.stage_controls or (sites.left_controls,)
     stages = bounded_stages(model, discrete.inside, motion.interval)
     on_interval = (*discrete.path, *stage_inequalities(model, discrete.inside))
     path = interval_terms(model, on_interval, len(stages), names)
@@ -114,6 +113,7 @@ def assemble(
     pinned = [{index for index, _ in each.pins} for each in (start_element, end_element)]
     first = len(before) - len(at_inner_times.unknowns)
     guess = dict(model.guess)
+    control_guess = tuple(at_guess(model, guess.get(u, S.Zero)) for u in model.controls)
     quadratures = (Equation(value, f"Gd_{i}") for i, value in enumerate(discrete.integrals, start=1))
     program = ControlProgram(
         model=model,
@@ -125,7 +125,7 @@ def assemble(
         controls=() if sites.nodal else controls,
         left_symbols=left_symbols,
         interval_symbols=(*motion.interval_symbols, *symbols([y.name for y in path.multipliers], "_k")),
-        control_symbols=() if sites.nodal else tuple(u for stage in stage_controls for u in stage),
+        control_symbols=() if sites.nodal else sites.of_interval,
         right_symbols=right_symbols,
         element=element,
         cost=discrete.cost,
@@ -136,7 +136,7 @@ def assemble(
         boundary_values=boundary_values,
         node_guess=motion.node_guess,
         stage_guess=motion.stage_guess,
-        control_guess=tuple(at_guess(model, guess.get(u, S.Zero)) for _ in stage_controls for u in model.controls),
+        control_guess=control_guess * max(1, len(sites.stage_controls)),
         slacks=path.slacks,
         slack_symbols=symbols([slack.name for slack in path.slacks], "_k"),
         slack_multipliers=path.slack_multipliers,

@@ -103,6 +103,11 @@ class Sites:
     right_controls: tuple[Symbol, ...]
     stage_controls: tuple[tuple[Symbol, ...], ...] = ()
 
+    @property
+    def of_interval(self) -> tuple[Symbol, ...]:
+        """Return the controls of an interval, stage by stage."""
+        return tuple(u for stage in self.stage_controls or (self.left_controls,) for u in stage)
+
     def controls_at(self, point: int, c: Expr) -> list[Expr]:
         """Return the controls at a point of the scheme, whose abscissa in the step is c.
 
