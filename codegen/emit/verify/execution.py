@@ -186,8 +186,9 @@ class Text:
         if key not in self._codes:
             needed = self._needed(names, {*STEMS, *self._tables})
             functions = [node for node in needed if isinstance(node, ast.FunctionDef)]
-            body = [_Rewritten().visit(node) for node in functions]
-            module = ast.fix_missing_locations(ast.Module(body=body, type_ignores=[]))
+            for function in functions:
+                _Rewritten().visit(function)
+            module = ast.fix_missing_locations(ast.Module(body=[*functions], type_ignores=[]))
             self._codes[key] = compile(module, "<kernels>", "exec")
 
         def compared(operation: Function) -> Function:
