@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import ast
 import re
-import symtable
 import sys
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib import resources
@@ -240,7 +239,7 @@ class File:
         defined = {name for block in self.blocks for name in block.names}
         self.bound |= {name: Target(self.name, name) for name in defined}
         for block in self.blocks:
-            block.references += _references(self, block)
+            _Names(self, block).visit_top()
 
     def statement(self, block: Block) -> ast.stmt:
         """Return the syntax tree of a block."""
@@ -282,40 +281,110 @@ def _runtime_files() -> dict[str, str]:
     return texts
 
 
-def _references(file: File, block: Block) -> Iterator[Reference]:
-    """Yield the names of a block that are neither arguments nor locals of functions, and note its inner imports."""
-    node, inner = file.statement(block), dict[str, Target]()
-    for part in ast.walk(node):
-        if isinstance(part, ast.ImportFrom) and (part.module or "").startswith(RUNTIME):
-            inner |= _bindings(part)
-            block.dropped += range(part.lineno, (part.end_lineno or 0) + 1)
-    tables = [symtable.symtable("\n".join(file.lines[block.first - 1 : block.last]), file.name, "exec")]
-    for table in tables:
-        tables += table.get_children()
-    local, read = set[str](), set[str]()
-    for table in tables[1:]:
-        for symbol in table.get_symbols():
-            # A function does not see the methods of its class.
-            if symbol.is_local() and not (table.get_type() == "class" and symbol.is_namespace()):
-                local.add(symbol.get_name())
-            elif symbol.is_global():
-                read.add(symbol.get_name())
-    local -= inner.keys()
-    assert not local & read & file.bound.keys(), f"a name of {file.name} has two meanings in one definition"
-    bound = {name: target for name, target in file.bound.items() if name not in local} | inner
-    if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-        match = re.match(r"\s*(async def|def|class)\s+", file.lines[node.lineno - 1])
-        assert match is not None, "a definition begins its line"
-        start = len(match[0].encode())
-        yield Reference(node.lineno, start, start + len(node.name.encode()), file.bound[node.name])
-    for part in ast.walk(node):
-        if isinstance(part, ast.Attribute) and isinstance(part.value, ast.Name):
-            target = bound.get(part.value.id)
-            if target is not None and not target.name:  # a name in another file
-                position = part.lineno, part.col_offset, part.end_col_offset or 0
-                yield Reference(*position, Target(target.file, part.attr))
-        elif isinstance(part, ast.Name) and part.id in bound and bound[part.id].name:
-            yield Reference(part.lineno, part.col_offset, part.end_col_offset or 0, bound[part.id])
+class _Names(ast.NodeVisitor):
+    """Collects the references of a block: names that are neither arguments nor locals of the functions around them."""
+
+    def __init__(self, file: File, block: Block) -> None:
+        self.file, self.block, self.scopes = file, block, list[set[str]]()
+        self.imported: list[dict[str, Target]] = []
+
+    def visit_top(self) -> None:
+        node = self.file.statement(self.block)
+        self.visit(node)
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            match = re.match(r"\s*(async def|def|class)\s+", self.file.lines[node.lineno - 1])
+            assert match is not None, "a definition begins its line"
+            start = len(match[0].encode())
+            self._add(node.lineno, start, start + len(node.name.encode()), node.name)
+
+    def _add(self, line: int, start: int, end: int, name: str) -> None:
+        target = self._target(name)
+        if target is not None:
+            self.block.references.append(Reference(line, start, end, target))
+
+    def _target(self, name: str) -> Target | None:
+        """Return the meaning of a name, or None for a local name and for a name of Python."""
+        if any(name in scope for scope in self.scopes):
+            return None
+        return next((bound[name] for bound in self.imported if name in bound), self.file.bound.get(name))
+
+    def visit_Name(self, node: ast.Name) -> None:
+        self._add(node.lineno, node.col_offset, node.end_col_offset or 0, node.id)
+
+    def visit_Attribute(self, node: ast.Attribute) -> None:
+        target = self._target(node.value.id) if isinstance(node.value, ast.Name) else None
+        if target is None or target.name:
+            self.generic_visit(node)
+        else:  # a name in another file
+            position = node.lineno, node.col_offset, node.end_col_offset or 0
+            self.block.references.append(Reference(*position, Target(target.file, node.attr)))
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
+        arguments = node.args
+        annotations = [a.annotation for a in ast.walk(arguments) if isinstance(a, ast.arg) and a.annotation]
+        for part in (*node.decorator_list, *arguments.defaults, *filter(None, arguments.kw_defaults), *annotations):
+            self.visit(part)
+        if node.returns:
+            self.visit(node.returns)
+        self._inside({a.arg for a in ast.walk(arguments) if isinstance(a, ast.arg)} | _locals(node.body), node.body)
+
+    def visit_Lambda(self, node: ast.Lambda) -> None:
+        for default in (*node.args.defaults, *filter(None, node.args.kw_defaults)):
+            self.visit(default)
+        self._inside({a.arg for a in ast.walk(node.args) if isinstance(a, ast.arg)}, [node.body])
+
+    def visit_ClassDef(self, node: ast.ClassDef) -> None:
+        for part in (*node.decorator_list, *node.bases):
+            self.visit(part)
+        own = _locals(node.body)
+        for statement in node.body:
+            # Functions do not see the names of their class, but the rest of its body does.
+            if isinstance(statement, ast.FunctionDef):
+                self.visit(statement)
+            else:
+                self._inside(own, [statement])
+
+    def _visit_comprehension(self, node: ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp) -> None:
+        targets = {n.id for g in node.generators for n in ast.walk(g.target) if isinstance(n, ast.Name)}
+        self.visit(node.generators[0].iter)
+        rest = [*(g.iter for g in node.generators[1:]), *(test for g in node.generators for test in g.ifs)]
+        values = [node.key, node.value] if isinstance(node, ast.DictComp) else [node.elt]
+        self._inside(targets, [*rest, *values])
+
+    visit_ListComp = visit_SetComp = visit_DictComp = visit_GeneratorExp = _visit_comprehension
+
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> None:
+        if (node.module or "").startswith(RUNTIME):
+            self.imported.append(_bindings(node))
+            self.block.dropped += range(node.lineno, (node.end_lineno or 0) + 1)
+
+    def _inside(self, names: set[str], nodes: Sequence[ast.AST]) -> None:
+        self.scopes.append(names)
+        for node in nodes:
+            self.visit(node)
+        self.scopes.pop()
+
+
+_SCOPES = (ast.FunctionDef, ast.ClassDef, ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
+"""Parts of a function with names of their own."""
+
+
+def _locals(body: list[ast.stmt]) -> set[str]:
+    """Return the names that a function assigns, without those of functions and comprehensions inside."""
+    names, waiting = set[str](), list[ast.AST](body)
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            names.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.add(node.id)
+        elif isinstance(node, ast.ExceptHandler) and node.name:
+            names.add(node.name)
+        elif isinstance(node, (ast.Import, ast.ImportFrom)) and not getattr(node, "module", "").startswith(RUNTIME):
+            names |= {alias.asname or alias.name.partition(".")[0] for alias in node.names}
+        if not isinstance(node, _SCOPES):
+            waiting += ast.iter_child_nodes(node)
+    return names
 
 
 def _numerics(name: str, text: str) -> str:
