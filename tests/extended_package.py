@@ -215,7 +215,7 @@ REGISTRIES = {
     ],
     "discretise/assembly.py": [
         ("from codegen", "from codegen.discretise.conditions.balance import balances\nfrom codegen"),
-        ("    inner = ", "    nodal += balances(model, names)\n    inner = "),
+        ("    at_inner_times, ", "    nodal += balances(model, names)\n    at_inner_times, "),
     ],
     "batch/cases.py": [("METHODS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
 }

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from sympy import Expr, S, Symbol
+from sympy import Add, Expr, S, Symbol
 
-from codegen.discretise.conditions.ends import End, Ends, pinned_at_zero, with_bounds
-from codegen.discretise.conditions.inner_times import InnerTerms, clock_of, inner_terms
-from codegen.discretise.conditions.integral import end_share, integral_equations, interval_share, own_unknowns
+from codegen.discretise.conditions.ends import End, indexed, pinned_at_zero, with_bounds
+from codegen.discretise.conditions.inner_times import clock_of, inner_terms
+from codegen.discretise.conditions.integral import end_share, integral_equations, own_unknowns
 from codegen.discretise.conditions.linking import Shared
 from codegen.discretise.conditions.measurements import sample_element
 from codegen.discretise.conditions.path import NodalTerms, bounded_stages, interval_terms, stage_inequalities
 from codegen.discretise.determined_values import with_determined_values
 from codegen.discretise.interval import STEP, OneStepInterval, VariationalInterval, at_nodes
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.guesses import at_guess, control_guess, inner_guess
-from codegen.discretise.program import BoundaryValue, ControlProgram, EndElement, InnerTimes, Names, Unknown, symbols
+from codegen.discretise.model.guesses import DURATION, at_guess, inner_guess
+from codegen.discretise.program import (
+    BoundaryValue,
+    ControlProgram,
+    EndElement,
+    Equation,
+    Names,
+    Unknown,
+    in_scales,
+    symbols,
+)
 from codegen.errors import ExpressionError
 from codegen.runtime.record import Kind, Meaning
 
@@ -37,7 +46,7 @@ class Motion:
     interval_symbols: tuple[Symbol, ...]
     discrete: VariationalInterval | OneStepInterval
     element: Expr
-    equations: tuple[tuple[str, Expr], ...]
+    equations: tuple[Equation, ...]
     node_guess: tuple[Expr, ...]
     left_rates: Callable[[], tuple[Expr, ...]]
     stage_guess: tuple[Expr, ...] = ()
@@ -56,14 +65,14 @@ def assemble(
     """Lay out all unknowns, and add up the shares of the interval and of both ends."""
     clock = clock_of(model, names)
     if clock is not None:
-        start, end = start + clock.start(), end + clock.end(names)
+        start, end = start + clock.start, end + clock.end
         zeros = (S.Zero,) * len(motion.node[len(motion.node_guess) :])
         motion = replace(
             motion,
             node=(*motion.node, *clock.node),
-            node_guess=(*motion.node_guess, *zeros, *clock.guess),
+            node_guess=(*motion.node_guess, *zeros, model.time, DURATION),  # intervals of the same length
             interval=(*motion.interval, *clock.interval),
-            interval_symbols=(*motion.interval_symbols, *symbols(clock.multipliers, "_k")),
+            interval_symbols=(*motion.interval_symbols, *symbols([mu.name for mu in clock.interval], "_k")),
         )
 
     def at_left_node(expression: Expr) -> Expr:
@@ -73,36 +82,44 @@ def assemble(
             left |= dict(zip(model.rates, motion.left_rates(), strict=True))
         return expression.subs(left, simultaneous=True)
 
-    inner = inner_terms(model, at_left_node, names, clock)
-    nodal += inner.nodal
+    at_inner_times, times = inner_terms(model, at_left_node, names, clock)
+    nodal += at_inner_times
     integrals = integral_equations(model, names)
-    ends = Ends(
-        start + End(aliases=shared.start_aliases) + pinned_at_zero(nodal.start_pins),
-        end + End(aliases=shared.end_aliases) + end_share(integrals) + pinned_at_zero(nodal.end_pins),
-    )
+    start += End(aliases=shared.start_aliases) + pinned_at_zero(nodal.start_pins)
+    end += End(aliases=shared.end_aliases) + end_share(integrals) + pinned_at_zero(nodal.end_pins)
     discrete, sites = motion.discrete, motion.discrete.q
     stages = bounded_stages(model, discrete.inside, motion.interval)
     on_interval = (*discrete.path, *stage_inequalities(model, discrete.inside))
     path = interval_terms(model, on_interval, len(stages), names)
     before = with_bounds((*motion.node, *nodal.unknowns), model)
     controls = _controls(model, len(sites.stage_controls))
-    node = (*before, *ends.extra, *(controls if sites.nodal else ()))
+    # The own unknowns of both ends become unknowns of every node, with value zero wherever they have no meaning.
+    of_ends = tuple({unknown.name: unknown for unknown in (*start.extra, *end.extra)}.values())
+    node = (*before, *of_ends, *(controls if sites.nodal else ()))
     left_symbols, right_symbols = (symbols([unknown.name for unknown in node], end) for end in ("_k", "_k1"))
-    element = motion.element + path.element + interval_share(integrals, discrete.integrals)
-    element += nodal.element + ends.filling()
-    # A one-sided scheme reads the nodal controls of the left node alone, so that those of the last node are idle.
+    element = motion.element + path.element
+    element += Add(*(e.multiplier * value for e, value in zip(integrals, discrete.integrals, strict=True)))
+    element += nodal.element + _filling(unknown.name for unknown in of_ends)
+    # A one-sided scheme reads the nodal controls of the left node alone, so that the last node has idle ones.
     nodal_controls = zip(controls, right_symbols[len(node) - len(controls) :], strict=True) if sites.nodal else ()
     idle = [u.name for u, symbol in nodal_controls if symbol not in element.free_symbols]
     linking = (*shared.own, *own_unknowns(integrals), *shared.common)
     shared_unknowns = tuple(own.unknown for own in linking)
-    start_element = ends.start_element(node, shared_unknowns)
-    end_element = ends.end_element(node, shared_unknowns, idle)
-    quadratures = ((f"Gd_{i}", value) for i, value in enumerate(discrete.integrals, start=1))
+    of_start, of_end = ({unknown.name for unknown in each.extra} for each in (start, end))
+    start += pinned_at_zero([unknown.name for unknown in of_ends if unknown.name not in of_start])
+    start += End(element=-_filling(sorted(of_start)))
+    end += pinned_at_zero([*(unknown.name for unknown in of_ends if unknown.name not in of_end), *idle])
+    start_element, end_element = (indexed(each, node, shared_unknowns) for each in (start, end))
+    pinned = [{index for index, _ in each.pins} for each in (start_element, end_element)]
+    first = len(before) - len(at_inner_times.unknowns)
+    guess = dict(model.guess)
+    control_guess = tuple(at_guess(model, guess.get(u, S.Zero)) for u in model.controls)
+    quadratures = (Equation(value, f"Gd_{i}") for i, value in enumerate(discrete.integrals, start=1))
     program = ControlProgram(
         model=model,
         method=motion.method,
         scheme=motion.scheme,
-        controlled=sites.controlled,
+        controlled="stages" if sites.stage_controls else "nodal" if sites.nodal else "interval",
         node=node,
         interval=(*stages, *path.multipliers),
         controls=() if sites.nodal else controls,
@@ -113,13 +130,13 @@ def assemble(
         element=element,
         cost=discrete.cost,
         equations=(*motion.equations, *path.equations, *nodal.equations, *quadratures),
-        only_at_ends=tuple(range(len(before), len(before) + len(ends.extra))),
+        only_at_ends=tuple(range(len(before), len(before) + len(of_ends))),
         start=start_element,
         end=end_element,
         boundary_values=boundary_values,
         node_guess=motion.node_guess,
         stage_guess=motion.stage_guess,
-        control_guess=control_guess(model) * max(1, len(sites.stage_controls)),
+        control_guess=control_guess * max(1, len(sites.stage_controls)),
         slacks=path.slacks,
         slack_symbols=symbols([slack.name for slack in path.slacks], "_k"),
         slack_multipliers=path.slack_multipliers,
@@ -134,7 +151,14 @@ def assemble(
         redundant_couplings=shared.redundant,
         coupling_symbols=shared.coupling_symbols,
         integrals=integrals,
-        inner=_in_node(model, inner, motion, len(before), (start_element, end_element)),
+        inner=replace(
+            times,
+            unknowns=tuple(first + i for i in times.unknowns),
+            multipliers=tuple((name, time, first + i) for name, time, i in times.multipliers),
+            guess=tuple((i, values, i in pinned[0], i in pinned[1]) for i, values in inner_guess(model)),
+            clock=len(motion.node) - 2 if clock else None,
+            lacking=(len(motion.interval) - 1,) if clock else (),
+        ),
         sample=sample_element(model, discrete.observed, names),
     )
     for what, share in (
@@ -149,20 +173,9 @@ def assemble(
     return with_determined_values(program, path.inequalities)
 
 
-def _in_node(
-    model: Model, inner: InnerTerms, motion: Motion, behind: int, ends: tuple[EndElement, EndElement]
-) -> InnerTimes:
-    """Count the unknowns of inner times in a node, where they are the last ones before the index `behind`."""
-    pinned = [[i for i, _ in end.pins] for end in ends]
-    first, times = behind - len(inner.nodal.unknowns), inner.times
-    return replace(
-        times,
-        unknowns=tuple(first + i for i in times.unknowns),
-        multipliers=tuple((name, time, first + i) for name, time, i in times.multipliers),
-        guess=tuple((i, values, i in pinned[0], i in pinned[1]) for i, values in inner_guess(model)),
-        clock=len(motion.node) - 2 if times.scales else None,
-        lacking=(len(motion.interval) - 1,) if times.scales else (),
-    )
+def _filling(names: Iterable[str]) -> Expr:
+    """Return a share that makes unknowns of the left node vanish."""
+    return sum((x**2 / 2 for x in symbols(names, "_k")), S.Zero)
 
 
 def _controls(model: Model, stages: int) -> tuple[Unknown, ...]:
@@ -189,24 +202,19 @@ def in_scaled_time(program: ControlProgram) -> ControlProgram:
     scales = _scales(model)
     on_interval = clock or scales
 
-    def pairs(
-        written: Sequence[tuple[str, Expr]], scales: Mapping[Symbol, Expr] = scales
-    ) -> tuple[tuple[str, Expr], ...]:
-        return tuple((name, value.xreplace(scales)) for name, value in written)
-
     def end(element: EndElement) -> EndElement:
         return replace(
             element,
             element=element.element.xreplace(scales),
             cost=element.cost.xreplace(scales),
-            conditions=pairs(element.conditions),
+            conditions=in_scales(element.conditions, scales),
         )
 
     return replace(
         program,
         element=program.element.xreplace(on_interval),
         cost=program.cost.xreplace(on_interval),
-        equations=pairs(program.equations, on_interval),
+        equations=in_scales(program.equations, on_interval),
         start=end(program.start),
         end=end(program.end),
         scaled_time=True,

@@ -14,9 +14,8 @@ decides. A value that depends on the others everywhere is left out, and a contra
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import sympy
@@ -104,7 +103,7 @@ class EndEquations:
         excess = expressions.rounded_at(value, self.numbers)
         if excess is None:
             return ""
-        # The terms of the expression may be larger than those of its value, where numbers are combined.
+        # The terms of the expression may be larger than the terms of its value, where numbers are combined.
         known = {**self.fixed, **self.solved}
         numbers = {s: expressions.rounded_at(known[s], self.numbers) for s in expression.free_symbols & set(known)}
         at = {**self.numbers, **{symbol: number for symbol, number in numbers.items() if number is not None}}
@@ -160,26 +159,7 @@ def _bounded(program: ControlProgram, node: Sequence[Symbol], without: Collectio
 def _with_determined_values(program: ControlProgram, where: str, inequalities: Sequence[PathValue]) -> EndElement:
     end = program.start if where == "start" else program.end
     node = program.left_symbols if where == "start" else program.right_symbols
-    equations = _end_equations(program, where, {node[index]: value for index, value in end.pins})
-    candidates = _on_interval(program, inequalities)
-    if equations.solved or equations.others:
-        slacks = {f"-{program.node[slack].name}": program.node[slack].name for slack, _ in end.slacks}
-        for left_side, value in end.conditions:
-            slack, _, condition = left_side.partition(" ")
-            if slack in slacks:
-                candidates.append((slacks[slack], condition[1:-1], value))
-        fixed = {index for index, _ in end.pins} | {index for index, _, _ in end.shared}
-        candidates += _bounded(program, node, fixed)
-    determined = dict[str, str]()
-    for name, condition, value in candidates:
-        touched = equations.touched(condition, value)
-        if touched is not None:
-            determined[name] = determined.get(name) or touched
-    return replace(end, determined=tuple(determined.items()))
-
-
-def _end_equations(program: ControlProgram, where: str, fixed: Mapping[Symbol, Expr]) -> EndEquations:
-    """Return the author's equations on coordinates and rates of an end, in the symbols of its node."""
+    fixed = {node[index]: value for index, value in end.pins}
     model, suffix = program.model, "_k" if where == "start" else "_k1"
     boundary = model.start if where == "start" else model.end
     assert boundary is not None, "a control problem has an end"
@@ -195,13 +175,25 @@ def _end_equations(program: ControlProgram, where: str, fixed: Mapping[Symbol, E
     conditions = model.start_conditions if where == "start" else model.end_conditions
     numbers = {**model.default_values, STEP: 0.0, model.time: 0.0 if where == "start" else duration}
     numbers |= {v.symbol: expressions.rounded_at(v.value, model.default_values) for v in program.boundary_values}
-    return EndEquations.of(
+    equations = EndEquations.of(
         where,
         [g.expression.subs(substitution, simultaneous=True).xreplace(fixed) for g in conditions if g.equality],
         frozenset(unknowns),
         {symbol: number for symbol, number in numbers.items() if number is not None},
         fixed,
     )
+    candidates = _on_interval(program, inequalities)
+    if equations.solved or equations.others:
+        slacks = {program.node[slack].name for slack, _ in end.slacks}
+        candidates += [(e.slack, e.condition, e.value) for e in end.conditions if e.slack in slacks]
+        without = {index for index, _ in end.pins} | {index for index, _, _ in end.shared}
+        candidates += _bounded(program, node, without)
+    determined = dict[str, str]()
+    for name, condition, value in candidates:
+        touched = equations.touched(condition, value)
+        if touched is not None:
+            determined[name] = determined.get(name) or touched
+    return replace(end, determined=tuple(determined.items()))
 
 
 def _determined_at_inner_time(
@@ -353,7 +345,7 @@ def _agrees(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram, 
 class ChainJacobian:
     """All equations of one body on `steps` intervals, and their derivatives by all unknowns, at a random point.
 
-    Unknowns are those of node 0, interval 0, node 1, ..., the last node, then the shared ones.
+    The order of unknowns is node 0, interval 0, node 1, ..., the last node, then the shared ones.
     """
 
     def __init__(self, program: ControlProgram, steps: int, generator: np.random.Generator) -> None:
@@ -384,7 +376,11 @@ class ChainJacobian:
         ):
             shares.append((end.element, (*symbols, *program.shared_symbols), self.node, range(k, k + 1)))
         for share, unknowns, width, places in shares:
-            (rows, columns), evaluate = _derivatives(share, unknowns, [model.time, *constants])
+            slopes = [sympy.diff(share, x) for x in unknowns]
+            pattern = [(i, j) for i, g in enumerate(slopes) for j, x in enumerate(unknowns) if x in g.free_symbols]
+            rows, columns = [i for i, _ in pattern], [j for _, j in pattern]
+            second = [sympy.diff(slopes[i], unknowns[j]) for i, j in pattern]
+            evaluate = sympy.lambdify([*unknowns, model.time, *constants], [slopes, second], modules=NUMPY, cse=True)
             for k in places:
                 indices = np.concatenate([k * self.stride + np.arange(width), shared])
                 with np.errstate(all="ignore"):
@@ -437,15 +433,3 @@ class ChainJacobian:
             for index, other, offset in end.shared:
                 point[k * self.stride + index] = point[shared + other] + (expressions.rounded_at(offset, values) or 0.0)
         return np.where(self.is_multiplier, 0.0, point)
-
-
-_Share = tuple[tuple[list[int], list[int]], Callable[..., Any]]
-"""Rows and columns of the nonzero entries of a Hessian, and a function that evaluates the gradient and the entries."""
-
-
-def _derivatives(share: Expr, unknowns: Sequence[Symbol], others: Sequence[Symbol]) -> _Share:
-    gradient = [sympy.diff(share, x) for x in unknowns]
-    indices = [(i, j) for i, g in enumerate(gradient) for j, x in enumerate(unknowns) if x in g.free_symbols]
-    entries = [sympy.diff(gradient[i], unknowns[j]) for i, j in indices]
-    function = sympy.lambdify([*unknowns, *others], [gradient, entries], modules=NUMPY, cse=True)
-    return ([i for i, _ in indices], [j for _, j in indices]), function

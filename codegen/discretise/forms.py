@@ -7,7 +7,6 @@ become conditions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -41,7 +40,26 @@ def in_velocities(model: Model) -> Model:
             conditions.append(condition)
     if conditions:
         model = replace(model, bounds=tuple(kept), path=(*model.path, *conditions))
-    return _rates_as_conditions(rewritten(model, legendre.lagrangian_form(model)))
+    model = rewritten(model, legendre.lagrangian_form(model))
+    # Velocities at the ends that depend on free parameters, as p/m does, become end conditions.
+    free = {parameter.symbol for parameter in model.free_parameters}
+    if not free or model.end is None:
+        return model
+
+    def split(boundary: Boundary) -> tuple[Boundary, tuple[Condition, ...]]:
+        pairs = zip(model.rates, boundary.rates, strict=True)
+        tied = {v: value for v, value in pairs if value is not None and value.free_symbols & free}
+        fixed = tuple(None if v in tied else value for v, value in zip(model.rates, boundary.rates, strict=True))
+        return replace(boundary, rates=fixed), tuple(Condition(f"{v} = {x}", v - x) for v, x in tied.items())
+
+    (start, at_start), (end, at_end) = split(model.start), split(model.end)
+    return replace(
+        model,
+        start=start,
+        end=end,
+        start_conditions=(*model.start_conditions, *at_start),
+        end_conditions=(*model.end_conditions, *at_end),
+    )
 
 
 def in_momenta(model: Model) -> Model:
@@ -66,28 +84,6 @@ def rewritten(original: Model, transformed: Model) -> Model:
     return replace(transformed, **written, terminal_cost=original.terminal_cost.xreplace(values))
 
 
-def _rates_as_conditions(model: Model) -> Model:
-    """Turn velocities at the ends that depend on free parameters, as p/m does, into end conditions."""
-    free = {parameter.symbol for parameter in model.free_parameters}
-    if not free or model.end is None:
-        return model
-
-    def split(boundary: Boundary) -> tuple[Boundary, tuple[Condition, ...]]:
-        pairs = zip(model.rates, boundary.rates, strict=True)
-        tied = {v: value for v, value in pairs if value is not None and value.free_symbols & free}
-        fixed = tuple(None if v in tied else value for v, value in zip(model.rates, boundary.rates, strict=True))
-        return replace(boundary, rates=fixed), tuple(Condition(f"{v} = {x}", v - x) for v, x in tied.items())
-
-    (start, at_start), (end, at_end) = split(model.start), split(model.end)
-    return replace(
-        model,
-        start=start,
-        end=end,
-        start_conditions=(*model.start_conditions, *at_start),
-        end_conditions=(*model.end_conditions, *at_end),
-    )
-
-
 def with_symbolic_boundaries(model: Model) -> tuple[Model, tuple[BoundaryValue, ...]]:
     """Replace each boundary value by a symbol (`start_r`, `end_dphi`, ...), an argument of the generated module.
 
@@ -97,10 +93,9 @@ def with_symbolic_boundaries(model: Model) -> tuple[Model, tuple[BoundaryValue, 
     declared = (*model.coordinates, *model.rates, *model.controls, *model.parameters)
     taken = {symbol.name for symbol in (*declared, *(free.symbol for free in model.free_parameters))}
 
-    def symbolic(
-        where: str, quantities: Sequence[Symbol], prescribed: Sequence[Expr | None]
-    ) -> tuple[Expr | None, ...]:
+    def symbolic(where: str, end: Boundary) -> Boundary:
         symbols: list[Expr | None] = []
+        quantities, prescribed = (*model.coordinates, *model.rates), (*end.positions, *end.rates)
         for quantity, value in zip(quantities, prescribed, strict=True):
             symbol = None
             if value is not None:
@@ -109,11 +104,9 @@ def with_symbolic_boundaries(model: Model) -> tuple[Model, tuple[BoundaryValue, 
                     raise SymbolError(f"{symbol} names the value of {quantity} at the {where}", "choose another name")
                 values.append(BoundaryValue(where, quantity.name, symbol, value))
             symbols.append(symbol)
-        return tuple(symbols)
+        count = len(model.coordinates)
+        return Boundary(tuple(symbols[:count]), tuple(symbols[count:]))
 
-    def boundary(where: str, end: Boundary) -> Boundary:
-        return Boundary(symbolic(where, model.coordinates, end.positions), symbolic(where, model.rates, end.rates))
-
-    start = boundary("start", model.start)
-    end = boundary("end", model.end) if model.end is not None else None
+    start = symbolic("start", model.start)
+    end = symbolic("end", model.end) if model.end is not None else None
     return replace(model, start=start, end=end), tuple(values)

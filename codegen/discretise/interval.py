@@ -7,7 +7,7 @@ suffixes `_k` and `_k1`; h is the length of the interval and t the time at its l
 
 Measurements need the motion at any fraction of an interval. For a scheme in states this is the polynomial with the
 values, and as many derivatives as the scheme declares, at both nodes. Without derivatives it is a straight line, of
-order two, the collocation polynomial of the midpoint rule. With first derivatives it is a cubic, of order four, that of
+order two, the collocation polynomial of the midpoint rule. With first derivatives it is a cubic, of order four, as in
 Hermite-Simpson and, where it is a parabola, of the trapezoidal rule. With second derivatives it has order six. A
 discrete Lagrangian has its own polynomial (`PolynomialMotion`). Source: Hairer, Norsett and Wanner (1993), Solving
 ordinary differential equations I, II.6.
@@ -106,17 +106,12 @@ class Sites:
     @property
     def of_interval(self) -> tuple[Symbol, ...]:
         """Return the controls of an interval, stage by stage."""
-        return tuple(u for stage in self.stage_controls for u in stage) if self.stage_controls else self.left_controls
-
-    @property
-    def controlled(self) -> str:
-        """Return the place of controls: interval, nodal or stages."""
-        return "stages" if self.stage_controls else "nodal" if self.nodal else "interval"
+        return tuple(u for stage in self.stage_controls or (self.left_controls,) for u in stage)
 
     def controls_at(self, point: int, c: Expr) -> list[Expr]:
         """Return the controls at a point of the scheme, whose abscissa in the step is c.
 
-        They are the point's own, or the interval's, or on the line between those of both nodes.
+        They are the point's own, or the interval's, or on the line between the controls of both nodes.
         """
         if self.stage_controls:
             return list(self.stage_controls[point])
@@ -222,7 +217,7 @@ def continued(
 ) -> list[Expr]:
     """Return the states at FRACTION, from time derivatives at both nodes, the first of which is the `field`.
 
-    Without `derivatives`, controls have no effect. `abscissae` are those of controls at stages.
+    Without `derivatives`, controls have no effect. `abscissae` belong to controls at stages.
     """
     control_rates = [Dummy(f"rate of {u}", real=True) for u in model.controls]
     functions = [tuple(field)][:derivatives]
@@ -275,11 +270,11 @@ class VariationalInterval:
     """Discrete Lagrangian Ld(q_k, q_k1), discrete forces f-, f+ and discrete cost Cd on one interval.
 
     `integrals` are the integrands of the model's conditions on integrals, integrated by the same rule as the cost.
-    `observed` are the quantities of the model's measurements, at FRACTION of the interval.
-    Where the motion of an interval is no straight line, Ld depends also on the coordinates at `inner` points, one point
-    after the other, at the fractions `inner_abscissae` of the step, and is stationary there up to `force_inner`. Then
-    `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points and at the right node,
-    made from those of L: the differentiation of Ld itself would take long. `impulse` is the gain of momentum on an
+    `observed` are the quantities of the model's measurements, at FRACTION of the interval. Where the motion of an
+    interval is no straight line, Ld depends also on the coordinates at `inner` points, one point after the other, at
+    the fractions `inner_abscissae` of the step, and is stationary there up to `force_inner`. Then `slopes` holds the
+    derivatives of Ld by the coordinates at the left node, at inner points and at the right node, made from the
+    derivatives of L: the differentiation of Ld itself would take long. `impulse` is the gain of momentum on an
     interval, sum_i w_i h (L_q + f): the sum of all balances, in which velocities and their coefficients cancel.
     `inside` are the values of coordinates at inner points, and at quadrature points inside the interval.
     """
@@ -412,7 +407,7 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
 class OneStepInterval:
     """Equations of one step in (q_k, p_k), inner stages and (q_k1, p_k1), each an expression that must vanish.
 
-    The equations for the stages come first, then those of the coordinates, then those of the momenta. A first-order
+    The equations for the stages come first, then the coordinates, then the momenta. A first-order
     system has no momenta. `integrals` are the integrands of the model's conditions on integrals, integrated like the
     cost. `observed` are the quantities of the model's measurements, at FRACTION of the interval. `inside` are the
     values of states where an implicit scheme evaluates the dynamics inside the interval, and of the inner stages.

@@ -9,19 +9,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import sympy
-from sympy import Expr, S, Symbol
+from sympy import S, Symbol
 
 from codegen.discretise.assembly import Motion, assemble
 from codegen.discretise.conditions import holonomic, path
 from codegen.discretise.conditions.ends import End, conditioned_end, with_bounds
 from codegen.discretise.conditions.linking import joined_unknowns, shared_unknowns
 from codegen.discretise.conditions.path import nodal_conditions
-from codegen.discretise.conditions.periodic import periodic_unknowns, periodic_velocities_in_momenta
+from codegen.discretise.conditions.periodic import periodic_unknowns, periodic_velocities
 from codegen.discretise.forms import in_momenta, with_symbolic_boundaries
 from codegen.discretise.interval import at_nodes, one_step_interval
 from codegen.discretise.model.definitions import Boundary, Model
 from codegen.discretise.model.guesses import coordinate_guess, momentum_guess
-from codegen.discretise.program import ControlProgram, Names, Unknown, symbols
+from codegen.discretise.program import ControlProgram, Equation, Names, Unknown, symbols
 from codegen.discretise.schemes.base import FIRST_ORDER, Scheme
 from codegen.runtime.record import Kind, Meaning
 
@@ -35,14 +35,14 @@ def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> Contro
     holonomic.refuse(model, method)
     model, boundary_values = with_symbolic_boundaries(model)
     assert model.end is not None, "a control problem has an end"
-    # Boundary values are those of `model`; dynamics, conditions and terminal cost those of `phase`.
+    # `model` has the boundary values; `phase` has dynamics, conditions and terminal cost.
     phase = model if method == FIRST_ORDER else in_momenta(model)
     names = Names(phase)
     guesses = (*coordinate_guess(model), *momentum_guess(model))
     states = (*phase.coordinates, *phase.rates)
     periodic = periodic_unknowns(model, states, guesses, names) + joined_unknowns(phase, states, guesses, names)
     if model.form == "lagrangian":
-        periodic += periodic_velocities_in_momenta(model, phase, names)
+        periodic += periodic_velocities(model, names, phase)
     shared = shared_unknowns(model, periodic, guesses, names)
     free_rates = (None,) * len(phase.rates)  # their values may be velocities
     placed = replace(
@@ -66,9 +66,31 @@ def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> Contro
         bounded = with_bounds([Unknown(x.name, Meaning(Kind.STATE, x.name)) for x in free], placed)
         own = dict(zip((at_end[x] for x in free), bounded, strict=True))
         ends.append(values + conditioned_end(conditions, cost, at_end, suffix, unknowns, names, own, model.parameters))
+    interval = one_step_interval(path.with_inner_path(phase), scheme, controls)
+    state_names = [s.name for s in (*phase.coordinates, *phase.rates)]
+    stage_names = [s.name for s in interval.stages]
+    multipliers = {f"mu_{name}": name for name in (*stage_names, *state_names)}
+    mu = symbols(multipliers, "_k")
+    coordinate = Kind.STATE if phase.form == "first-order" else Kind.COORDINATE
+    kinds = [coordinate] * len(phase.coordinates) + [Kind.MOMENTUM] * len(phase.rates)
     return assemble(
         phase,
-        _motion(phase, scheme, method, controls, guesses),
+        Motion(
+            method=method,
+            scheme=scheme.name,
+            node=tuple(Unknown(n, Meaning(kind, n)) for n, kind in zip(state_names, kinds, strict=True)),
+            interval=(
+                *(Unknown(n, Meaning(Kind.STAGE_VALUE, n)) for n in stage_names),
+                *(Unknown(m, Meaning(Kind.STEP, n)) for m, n in multipliers.items()),
+            ),
+            interval_symbols=(*interval.stages, *mu),
+            discrete=interval,
+            element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
+            equations=(*map(Equation, interval.equations), Equation(interval.cost, "Cd")),
+            node_guess=guesses,
+            left_rates=lambda: at_nodes(phase.rates, "_k"),
+            stage_guess=tuple(guesses[state_names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),
+        ),
         boundary_values,
         path.nodal_equalities(placed, nodal_conditions(phase, equality=True), "y", names),
         ends[0],
@@ -85,7 +107,7 @@ def _prescribed_values(model: Model, phase: Model, boundary: Boundary, suffix: s
     fixed |= {v: x for v, x in zip(model.rates, boundary.rates, strict=True) if x is not None}
     quantities = (*phase.coordinates, *phase.rates)
     node = dict(zip(quantities, symbols([s.name for s in quantities], suffix), strict=True))
-    extra, element, conditions = list[Unknown](), S.Zero, list[tuple[str, Expr]]()
+    extra, element, conditions = list[Unknown](), S.Zero, list[Equation]()
     for i, value in enumerate(boundary.rates):
         if value is None:
             continue
@@ -94,39 +116,12 @@ def _prescribed_values(model: Model, phase: Model, boundary: Boundary, suffix: s
             momentum = sympy.diff(model.function, model.rates[i]).subs(fixed, simultaneous=True)
         if momentum.free_symbols <= constants:
             pins.append((phase.rates[i].name, momentum))
-            conditions.append((phase.rates[i].name, momentum))
+            conditions.append(Equation(momentum, phase.rates[i].name))
             continue
         velocity = sympy.diff(phase.function, phase.rates[i]).subs(node, simultaneous=True)
         name = model.rates[i].name
         extra.append(Unknown(f"nu_{name}", Meaning(Kind.VELOCITY, name)))
         (nu,) = symbols([extra[-1].name], suffix)
         element += nu * (velocity - value)
-        conditions.append((name, velocity))
+        conditions.append(Equation(velocity, name))
     return End(pins=tuple(pins), extra=tuple(extra), element=element, conditions=tuple(conditions))
-
-
-def _motion(phase: Model, scheme: Scheme, method: str, controls: str, guesses: tuple[Expr, ...]) -> Motion:
-    """Return the equations of one step times their multipliers."""
-    interval = one_step_interval(path.with_inner_path(phase), scheme, controls)
-    names = [s.name for s in (*phase.coordinates, *phase.rates)]
-    stage_names = [s.name for s in interval.stages]
-    multipliers = {f"mu_{name}": name for name in (*stage_names, *names)}
-    mu = symbols(multipliers, "_k")
-    coordinate = Kind.STATE if phase.form == "first-order" else Kind.COORDINATE
-    kinds = [coordinate] * len(phase.coordinates) + [Kind.MOMENTUM] * len(phase.rates)
-    return Motion(
-        method=method,
-        scheme=scheme.name,
-        node=tuple(Unknown(n, Meaning(kind, n)) for n, kind in zip(names, kinds, strict=True)),
-        interval=(
-            *(Unknown(n, Meaning(Kind.STAGE_VALUE, n)) for n in stage_names),
-            *(Unknown(m, Meaning(Kind.STEP, n)) for m, n in multipliers.items()),
-        ),
-        interval_symbols=(*interval.stages, *mu),
-        discrete=interval,
-        element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
-        equations=(*(("0", r) for r in interval.equations), ("Cd", interval.cost)),
-        node_guess=guesses,
-        left_rates=lambda: at_nodes(phase.rates, "_k"),
-        stage_guess=tuple(guesses[names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),
-    )

@@ -1,7 +1,7 @@
 """Pairwise model x scheme x method -> the program of a module about particles.
 
-The interval's residual is that of a one-step method, r = z_k1 - z_k - h F, with the derivatives of H at each point
-where the field F = (H_p, -H_q) is evaluated. Methods of the task connect:
+The interval's residual is the residual of a one-step method, r = z_k1 - z_k - h F, with the derivatives of H at each
+point where the field F = (H_p, -H_q) is evaluated. Methods of the task connect:
 
 - stepping: shoot; unknowns are the initial momenta, equations say where the last step arrives.
 - full: unknowns are all inner positions and all momenta, equations are all steps.
@@ -33,7 +33,7 @@ PARTICLE_SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in schemes
 class PairwiseProgram:
     """A pairwise model with the tables of its scheme.
 
-    `substeps` are (fraction, position, momentum) of a composition. Otherwise `rows` and `weights` are those of an
+    `substeps` are (fraction, position, momentum) of a composition. Otherwise `rows` and `weights` are the table of an
     explicit Runge-Kutta method, which serves for the derivatives alone where a scheme is adaptive. `adaptive` is the
     name of an adaptive scheme in scipy. `abscissa` is the point of an interval at which the method action takes H.
     """

@@ -12,8 +12,8 @@ slacks of these conditions are shared unknowns, which no node has: a chain of in
 since often the length of the phase satisfies a condition.
 
 The variational method has no velocities or momenta at nodes. The equation of motion there says that the momentum of the
-interval before equals that of the interval after, which is correct where momenta do not change. Where they change, the
-velocity (of a Hamiltonian: the momentum) w before the switch is an unknown, and both sides match it,
+interval before equals the momentum of the interval after, which is correct where momenta do not change. Where they
+change, the velocity (of a Hamiltonian: the momentum) w before the switch is an unknown, and both sides match it,
 
     D2 Ld(q_{k-1}, q_k) + f+_{k-1} = P(q_k, w),    -D1 Ld(q_k+, q_{k+1}) - f-_k = P+(q_k+, w+),
 
@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 import sympy
 from sympy import Add, Expr, S, Symbol
 
-from codegen.discretise.conditions.ends import Imposed, imposed
+from codegen.discretise.conditions.ends import imposed
 from codegen.discretise.conditions.integral import end_share, own_unknowns, with_distinct_integral_names
 from codegen.discretise.conditions.path import nodal_conditions
 from codegen.discretise.interval import STEP
@@ -39,10 +39,12 @@ from codegen.discretise.model.guesses import coordinate_guess, momentum_guess, w
 from codegen.discretise.program import (
     ControlProgram,
     EndElement,
+    Equation,
     IntervalElement,
     Names,
     Phase,
     Unknown,
+    in_scales,
     occurring,
     symbols,
 )
@@ -70,8 +72,26 @@ def chained(model: Model, transcribed: Callable[[Model], ControlProgram]) -> Con
         )
         for index, phase in enumerate(model.phases)
     ]
-    programs, slots = _with_common_names(programs)
-    programs = with_distinct_integral_names(programs, slots.names)
+    # Path conditions of different phases have multipliers and slacks of the same names. Unknowns of the end alone have
+    # other names than unknowns of the start alone.
+    initial, final = programs[0], programs[-1]
+    from_start, from_end = _of_end(initial, initial.start), _of_end(final, final.end)
+    names = Names(initial.model)
+    names.reserve(unknown.name for unknown in (*from_start, *from_end))
+    for program in programs:
+        others = (*(program.node[i] for i in program.only_at_ends), *_path_multipliers(program))
+        names.reserve(u.name for u in (*program.node, *program.interval) if u not in others)
+    taken = {unknown.name for unknown in from_start}
+    new = {u.name: names.named("end", Symbol(u.name)) for u in from_end if u.name in taken}
+    slots, renamed = Slots(names), list[ControlProgram]()
+    for program in (*programs[:-1], _renamed(final, new)):
+        inequalities = {program.interval[i].name: slack for slack, i in _slack_pairs(program)}
+        equalities = [u.name for u in _path_multipliers(program) if u.name not in inequalities]
+        new = {name: slots.numbered("y", True, index) for index, name in enumerate(equalities)}
+        for index, (name, slack) in enumerate(inequalities.items()):
+            new |= {name: slots.numbered("y", False, index), slack.name: slots.numbered("s", False, index)}
+        renamed.append(_renamed(program, new))
+    programs = with_distinct_integral_names(renamed, slots.names)
     switches = [_switch(model, i, programs, slots) for i in range(1, len(programs))]
     return _Chain(model, programs, [None, *switches]).program()
 
@@ -96,32 +116,6 @@ class Slots:
         if (stem, quantity) not in self._named:
             self._named[stem, quantity] = self.names.named(stem, quantity)
         return self._named[stem, quantity]
-
-
-def _with_common_names(programs: Sequence[ControlProgram]) -> tuple[list[ControlProgram], Slots]:
-    """Return the programs of all phases with names that fit together, and a source of further names.
-
-    Path conditions of different phases have multipliers and slacks of the same names. Unknowns of the end alone have
-    other names than unknowns of the start alone.
-    """
-    first, last = programs[0], programs[-1]
-    from_start, from_end = _of_end(first, first.start), _of_end(last, last.end)
-    names = Names(first.model)
-    names.reserve(unknown.name for unknown in (*from_start, *from_end))
-    for program in programs:
-        others = (*(program.node[i] for i in program.only_at_ends), *_path_multipliers(program))
-        names.reserve(u.name for u in (*program.node, *program.interval) if u not in others)
-    taken = {unknown.name for unknown in from_start}
-    new = {u.name: names.named("end", Symbol(u.name)) for u in from_end if u.name in taken}
-    slots, renamed = Slots(names), []
-    for program in (*programs[:-1], _renamed(last, new)):
-        inequalities = {program.interval[i].name: slack for slack, i in _slack_pairs(program)}
-        equalities = [u.name for u in _path_multipliers(program) if u.name not in inequalities]
-        new = {name: slots.numbered("y", True, index) for index, name in enumerate(equalities)}
-        for index, (name, slack) in enumerate(inequalities.items()):
-            new |= {name: slots.numbered("y", False, index), slack.name: slots.numbered("s", False, index)}
-        renamed.append(_renamed(program, new))
-    return renamed, slots
 
 
 def _path_multipliers(program: ControlProgram) -> tuple[Unknown, ...]:
@@ -151,11 +145,8 @@ def _renamed(program: ControlProgram, new: Mapping[str, str]) -> ControlProgram:
     def put(old: Iterable[Symbol]) -> tuple[Symbol, ...]:
         return tuple(substitution.get(symbol, symbol) for symbol in old)
 
-    def written(old: Iterable[tuple[str, Expr]]) -> tuple[tuple[str, Expr], ...]:
-        # The left side of an inequality names its slack.
-        names = {f"-{slack}": f"-{name}" for slack, name in new.items()}
-        parts = [(left.partition(" "), value) for left, value in old]
-        return tuple((names.get(a, a) + blank + rest, v.xreplace(substitution)) for (a, blank, rest), v in parts)
+    def written(old: Iterable[Equation]) -> tuple[Equation, ...]:
+        return tuple(replace(e, slack=new.get(e.slack, e.slack)) for e in in_scales(old, substitution))
 
     def end(old: EndElement) -> EndElement:
         determined = tuple((new.get(name, name), condition) for name, condition in old.determined)
@@ -197,12 +188,7 @@ class Switch:
     given: tuple[str, ...] = ()
     broken: tuple[str, ...] = ()
     guess: tuple[tuple[str, Expr], ...] = ()
-    equations: tuple[tuple[str, Expr], ...] = ()
-
-    @property
-    def is_idle(self) -> bool:
-        """Return True if the first interval is like any other."""
-        return not self.values and self.element == 0
+    equations: tuple[Equation, ...] = ()
 
 
 class Transition:
@@ -217,12 +203,6 @@ class Transition:
         self.slots, self.variational = slots, programs[0].method == "variational"
         self.left = dict(zip((u.name for u in programs[number].node), programs[number].left_symbols, strict=True))
         self.quantities = (*self.before.coordinates, *self.before.rates)
-        self.conditions = self._conditions()
-        self.matched = self._matched() if self.variational else set()
-        self.substitution = self._substitution()
-
-    def _conditions(self) -> tuple[Condition, ...]:
-        """Return prescribed values and conditions before the jump, and new inequalities of the later phase."""
         fixed = prescribed(self.before, "end")
         values = tuple(Condition(f"{symbol} = {value}", symbol - value) for symbol, value in fixed.items())
         earlier = [g.expression for g in nodal_conditions(self.before, equality=False)]
@@ -233,7 +213,20 @@ class Transition:
             and not g.expression.free_symbols & set(self.jump)
             and not g.expression.free_symbols & set(self.quantities) <= set(fixed)
         )
-        return (*values, *self.before.end_conditions, *new)
+        self.conditions = (*values, *self.before.end_conditions, *new)
+        self.matched = self._matched() if self.variational else set()
+        substitution: dict[Symbol, Expr] = {q: self.left[q.name] for q in self.before.coordinates}
+        for i, rate in enumerate(self.before.rates):
+            if self.variational:
+                if i in self.matched:
+                    (substitution[rate],) = symbols([self.slots.named("switch", rate)], "_k")
+            elif self.before.form == "hamiltonian":
+                substitution[rate] = self.left[rate.name]
+            else:
+                phase = self.programs[0].model
+                node = {s: self.left[s.name] for s in (*phase.coordinates, *phase.rates)}
+                substitution[rate] = sympy.diff(phase.function, phase.rates[i]).subs(node, simultaneous=True)
+        self.substitution = substitution
 
     def _matched(self) -> set[int]:
         """Return indices of the momenta that differ before and after, or on which a term at the switch depends."""
@@ -249,21 +242,6 @@ class Transition:
             if further <= matched:
                 return matched
             matched |= further
-
-    def _substitution(self) -> dict[Symbol, Expr]:
-        """Return coordinates and rates before the jump in symbols of the interval."""
-        substitution: dict[Symbol, Expr] = {q: self.left[q.name] for q in self.before.coordinates}
-        for i, rate in enumerate(self.before.rates):
-            if self.variational:
-                if i in self.matched:
-                    (substitution[rate],) = symbols([self.slots.named("switch", rate)], "_k")
-            elif self.before.form == "hamiltonian":
-                substitution[rate] = self.left[rate.name]
-            else:
-                phase = self.programs[0].model
-                node = {s: self.left[s.name] for s in (*phase.coordinates, *phase.rates)}
-                substitution[rate] = sympy.diff(phase.function, phase.rates[i]).subs(node, simultaneous=True)
-        return substitution
 
     def at(self, expression: Expr) -> Expr:
         """Write an expression in coordinates and rates before the jump in symbols of the interval."""
@@ -292,10 +270,10 @@ def _switch(chain: Model, number: int, programs: Sequence[ControlProgram], slots
     motion = _matched_momenta(transition) if transition.variational else _replaced_states(transition)
     # Conditions and terminal cost of the phase before.
     cost = transition.at(transition.before.terminal_cost)
-    shared, equations, element = list[Unknown](), list[tuple[str, Expr]](), motion.element + cost
+    shared, equations, element = list[Unknown](), list[Equation](), motion.element + cost
     for condition in transition.conditions:
-        how = Imposed("nu", Kind.SWITCH_CONDITION, "", number)
-        unknowns, term, equation = imposed(condition, transition.at(condition.expression), how, slots.names, S.Zero)
+        value, kind = transition.at(condition.expression), Kind.SWITCH_CONDITION
+        unknowns, term, equation = imposed(condition, value, slots.names, kind, "", number, S.Zero)
         shared += unknowns
         element += term
         equations.append(equation)
@@ -305,7 +283,7 @@ def _switch(chain: Model, number: int, programs: Sequence[ControlProgram], slots
         cost=cost,
         shared=tuple(shared),
         given=tuple(s.name for s in prescribed(transition.before, "end") if s.name in transition.left),
-        equations=(*equations, *motion.equations, *([("cost", cost)] if cost != 0 else [])),
+        equations=(*equations, *motion.equations, *([Equation(cost, "cost")] if cost != 0 else [])),
     )
 
 
@@ -321,7 +299,7 @@ def _replaced_states(transition: Transition) -> Switch:
         {transition.left[name]: value for name, value in changed.items()},
         jumping=tuple(changed),
         broken=tuple(changed),
-        equations=tuple((f"{name} after the switch", value) for name, value in changed.items()),
+        equations=tuple(Equation(value, f"{name} after the switch") for name, value in changed.items()),
     )
 
 
@@ -330,7 +308,7 @@ def _matched_momenta(transition: Transition) -> Switch:
     model = transition.before
     jumping = [q for q in model.coordinates if q in transition.jump]
     values = {transition.left[q.name]: transition.jumped(q) for q in jumping}
-    equations = [(f"{q} after the switch", transition.jumped(q)) for q in jumping]
+    equations = [Equation(transition.jumped(q), f"{q} after the switch") for q in jumping]
     has_velocities = model.form == "lagrangian"
     kind = Kind.SWITCH_VELOCITY if has_velocities else Kind.SWITCH_MOMENTUM
     guesses = [sympy.diff(q, model.time) for q in coordinate_guess(model)] if has_velocities else momentum_guess(model)
@@ -349,7 +327,8 @@ def _matched_momenta(transition: Transition) -> Switch:
         element += pi * leaving - node_multiplier * arriving
         guess.append((name, guesses[i]))
         broken.append(f"p_{q}" if has_velocities else rate.name)
-        equations += [(f"p_{q} before the switch", arriving), (f"p_{q} after the switch", leaving)]
+        equations.append(Equation(arriving, f"p_{q} before the switch", momentum=True))
+        equations.append(Equation(leaving, f"p_{q} after the switch", momentum=True))
     return Switch(
         values,
         element=element,
@@ -456,7 +435,7 @@ class _Chain:
             return tuple((_index(self.inside, name), value) for name, value in guesses)
 
         at_switch = None
-        if switch is not None and not switch.is_idle:
+        if switch is not None and (switch.values or switch.element != 0):
             own = {unknown.name for unknown in switch.unknowns}
             first, cost = (part.xreplace(dict(switch.values)) for part in (element, program.cost))
             at_switch = scaled(first + switch.element, cost + switch.cost, present | own)
@@ -475,8 +454,8 @@ class _Chain:
             node_guess=program.node_guess,
             inside_guess=by_index(pair for pair in guesses if pair[0] in present),
             switch_guess=() if switch is None else by_index(switch.guess),
-            equations=_scaled(program.equations, scales),
-            switch_equations=() if switch is None else _scaled(switch.equations, scales),
+            equations=in_scales(program.equations, scales),
+            switch_equations=() if switch is None else in_scales(switch.equations, scales),
             integrals=program.integrals,
         )
 
@@ -492,7 +471,7 @@ class _Chain:
             pins=tuple(pins.items()),
             element=(end.element + added).xreplace(scales),
             cost=end.cost.xreplace(scales),
-            conditions=_scaled(end.conditions, scales),
+            conditions=in_scales(end.conditions, scales),
             shared=tuple((moved[i], j, offset) for i, j, offset in end.shared),
             slacks=tuple((moved[i], moved[j]) for i, j in end.slacks),
             bounds=tuple((moved[i], bound) for i, bound in end.bounds),
@@ -518,7 +497,3 @@ def _index(unknowns: Sequence[Unknown], name: str) -> int:
 def _filling(unknowns: Sequence[Unknown], suffix: str) -> Expr:
     """Return a share that makes unknowns vanish."""
     return Add(*(symbol**2 / 2 for symbol in symbols([u.name for u in unknowns], suffix)))
-
-
-def _scaled(pairs: Iterable[tuple[str, Expr]], scales: Mapping[Symbol, Expr]) -> tuple[tuple[str, Expr], ...]:
-    return tuple((name, value.xreplace(scales)) for name, value in pairs)

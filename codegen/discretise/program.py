@@ -6,8 +6,8 @@ explicitly as far as possible.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from sympy import Expr, S, Symbol
@@ -49,6 +49,31 @@ class BoundaryValue:
 
 
 @dataclass(frozen=True)
+class Equation:
+    """An equation or inequality to read: `left` = `value`, or 0 >= `value` with a `slack` for the difference.
+
+    An imposed condition has the author's words in `condition`. Some conditions hold `at_nodes`, not on intervals. The
+    value may be a `momentum`.
+    """
+
+    value: Expr
+    left: str = "0"
+    condition: str = ""
+    slack: str = ""
+    at_nodes: bool = False
+    momentum: bool = False
+
+    def __str__(self) -> str:
+        left = f"-{self.slack}" if self.slack else self.left
+        return f"{left} ({self.condition})" if self.condition else left
+
+
+def in_scales(equations: Iterable[Equation], scales: Mapping[Symbol, Expr]) -> tuple[Equation, ...]:
+    """Replace the symbols of lengths and times in equations."""
+    return tuple(replace(equation, value=equation.value.xreplace(scales)) for equation in equations)
+
+
+@dataclass(frozen=True)
 class EndBound:
     """The bounds of an unknown at one end alone, of parameters, and the condition that implies them."""
 
@@ -74,7 +99,7 @@ class EndElement:
 
     pins: tuple[tuple[int, Expr], ...]
     element: Expr
-    conditions: tuple[tuple[str, Expr], ...]
+    conditions: tuple[Equation, ...]
     cost: Expr = S.Zero
     shared: tuple[tuple[int, int, Expr], ...] = ()
     slacks: tuple[tuple[int, int], ...] = ()
@@ -211,8 +236,8 @@ class Phase:
     node_guess: tuple[Expr, ...]
     inside_guess: tuple[tuple[int, Expr], ...]
     switch_guess: tuple[tuple[int, Expr], ...]
-    equations: tuple[tuple[str, Expr], ...]
-    switch_equations: tuple[tuple[str, Expr], ...]
+    equations: tuple[Equation, ...]
+    switch_equations: tuple[Equation, ...]
     integrals: tuple[IntegralEquation, ...] = ()
 
     @property
@@ -228,11 +253,11 @@ class ControlProgram:
     Unknowns are ordered node_k, interval_k, control_k, slack_k, node_k1; `controls` and `slacks` live on intervals.
     `controlled` is the place of controls: the interval, its stages (all of the first, then of the next), or the nodes
     (nodal).
-    The last `path_multipliers` of `interval` are those of path conditions. A slack belongs to the unknown of
+    The last `path_multipliers` of `interval` belong to path conditions. A slack belongs to the unknown of
     `interval` at the same index of `slack_multipliers`, and is not negative.
 
     `shared` unknowns belong to no node: first the `own` ones of each body (its coordinates at the end where bodies are
-    coupled, or at both ends of a periodic motion), then those of the whole problem (static parameters).
+    coupled, or at both ends of a periodic motion), then the unknowns of the whole problem (static parameters).
     `shared_symbols` has the own ones once for all bodies. All `bodies` have the same elements; `body` is the symbol of
     a body's number, and it may occur in boundary values, bounds and guesses only. `couplings` are written in the
     symbols of `coupling_symbols` (symbol, body, index among `own`) and of the problem's own shared unknowns; the
@@ -241,13 +266,12 @@ class ControlProgram:
     `inner` are the conditions at inner times.
 
     With `scaled_time` the symbols t and h are fractions of the duration, an expression of parameters and shared
-    unknowns that is already inside `element`.
-    `only_at_ends` are indices in a node of unknowns that only the first or last node has; elsewhere they are zero.
-    Where there are `phases`, intervals of equal number for each follow each other in one chain; `element`, `cost`,
-    bounds, guesses and equations are then those of the first. Where there are measurements, every `sample` of them adds
-    to the share of its interval.
-    `equations` are the discrete equations for people to read, the guesses are expressions of time, duration and
-    parameters, for the primal unknowns of a node, the stages of an interval and the controls.
+    unknowns that is already inside `element`. `only_at_ends` are indices in a node of unknowns that only the first or
+    last node has; elsewhere they are zero. Where there are `phases`, intervals of equal number for each follow each
+    other in one chain; `element`, `cost`, bounds, guesses and equations are then taken from the first. Where there are
+    measurements, every `sample` of them adds to the share of its interval. `equations` are the discrete equations for
+    people to read, the guesses are expressions of time, duration and parameters, for the primal unknowns of a node, the
+    stages of an interval and the controls.
     """
 
     model: Model
@@ -263,7 +287,7 @@ class ControlProgram:
     right_symbols: tuple[Symbol, ...]
     element: Expr
     cost: Expr
-    equations: tuple[tuple[str, Expr], ...]
+    equations: tuple[Equation, ...]
     only_at_ends: tuple[int, ...]
     start: EndElement
     end: EndElement

@@ -35,7 +35,6 @@ from sympy import Add, Expr, S, Symbol, diff, expand, expand_mul
 from codegen.discretise.forms import with_symbolic_boundaries
 from codegen.discretise.interval import (
     STEP,
-    VariationalInterval,
     at_nodes,
     one_step_interval,
     repeated,
@@ -103,9 +102,6 @@ class _Equation:
     def of(cls, expression: Expr) -> _Equation:
         return cls(expression, frozenset(expression.free_symbols), int(expression.count_ops()))
 
-    def with_value(self, y: Symbol, value: Expr) -> _Equation:
-        return _Equation.of(self.expression.xreplace({y: value})) if y in self.symbols else self
-
 
 class _System:
     """The open equations and unknowns, and the assignments of the solved unknowns."""
@@ -145,8 +141,10 @@ class _System:
                 (y,) = present
                 solution = self._solution(i, y)
                 if solution is not None:
+                    # The name of the unknown remains in other equations: its value depends on no open unknown.
                     del self.equations[i]
-                    self._assign(y, solution[1])
+                    self.open.discard(y)
+                    self.assignments.append((y, solution[1]))
                     return True
         return False
 
@@ -172,12 +170,17 @@ class _System:
             if solution is None or not solution[0].free_symbols <= trusted:
                 self.rejected.add((i, y))
                 continue
-            others = {j: e.with_value(y, solution[1]) for j, e in self.equations.items() if j != i}
+            others = {
+                j: (_Equation.of(e.expression.xreplace({y: solution[1]})) if y in e.symbols else e)
+                for j, e in self.equations.items()
+                if j != i
+            }
             if sum(e.operations for e in others.values()) <= self.limit:
                 changed = {j for j, e in others.items() if e is not self.equations[j]}
                 self.rejected = {(j, z) for j, z in self.rejected if j not in changed}
                 self.equations = others
-                self._assign(y, solution[1])
+                self.open.discard(y)
+                self.assignments.append((y, solution[1]))
                 return True
             self.rejected.add((i, y))
         return False
@@ -193,11 +196,6 @@ class _System:
             return None
         rest = equation.xreplace({y: S.Zero})
         return coefficient, rest if coefficient == -1 else -rest / coefficient
-
-    def _assign(self, y: Symbol, value: Expr) -> None:
-        """Close an unknown; its name remains in other equations if its value depends on no open unknown."""
-        self.open.discard(y)
-        self.assignments.append((y, value))
 
 
 def linear_in(expression: Expr, y: Symbol, variables: AbstractSet[Symbol]) -> Expr | None:
@@ -318,7 +316,7 @@ class _Elimination:
                 if entry != zero:
                     column[j] = entry
             for j, entry in column.items():
-                self.factors[i, j] = self._divided(entry, self.pivots[j])
+                self.factors[i, j] = self.graph.product([(entry, ONE), (self.pivots[j], -ONE)])
             self.pivots[i] = self._reduced(mass[i, i], [(self.factors[i, j], entry) for j, entry in column.items()])
 
     def forward(self, right: Sequence[int]) -> int:
@@ -334,11 +332,9 @@ class _Elimination:
         solution: dict[int, int] = {}
         for i in reversed(self.order):
             products = [(self.factors[j, i], v) for j, v in solution.items() if (j, i) in self.factors]
-            solution[i] = self._reduced(self._divided(self.solved[i], self.pivots[i]), products)
+            scaled = self.graph.product([(self.solved[i], ONE), (self.pivots[i], -ONE)])
+            solution[i] = self._reduced(scaled, products)
         return solution
-
-    def _divided(self, node: int, by: int) -> int:
-        return self.graph.product([(node, ONE), (by, -ONE)])
 
     def _reduced(self, node: int, products: Sequence[tuple[int, int]]) -> int:
         """Return a value minus some products."""
@@ -430,6 +426,30 @@ def _variational_step(
     differences = [(q1, q, STEP) for q1, q in zip(interval.q.right, interval.q.left, strict=True)]
     for i, (q, c) in enumerate(zip(interval.inner, interval.inner_abscissae, strict=True)):
         differences.append((q, interval.q.left[i % dimension], c * STEP))
+    dimension = len(model.coordinates)
+    arriving = interval.right_momentum
+    if interval.inner:
+        # All equations together: rounded coefficients of velocities would make the energy drift.
+        arriving = tuple(p + gained for p, gained in zip(left[dimension:], interval.impulse, strict=True))
+    arrival: dict[Symbol, Expr] = {
+        q1: q + STEP * v for q1, q, v in zip(interval.q.right, interval.q.left, velocities, strict=False)
+    }
+    inside = zip(interval.inner, interval.inner_abscissae, velocities[dimension:], strict=True)
+    for i, (q, c, v) in enumerate(inside):
+        arrival[q] = interval.q.left[i % dimension] + c * STEP * v
+
+    def in_velocities(momentum: Expr) -> Expr:
+        # (q_k1 - q_k)/h stands in one sum, so that sympy cancels q_k by itself and v_k remains.
+        terms = Add.make_args(momentum.xreplace(arrival))
+        return Add(*(expand_mul(term, deep=False) if term.has(1 / STEP) else term for term in terms))
+
+    equations = [
+        *(p - in_velocities(value) for p, value in zip(left[dimension:], interval.left_momentum, strict=True)),
+        *(in_velocities(value) for value in interval.inner_balance),
+        *(q1 - value for q1, value in arrival.items()),
+        *(p - in_velocities(value) for p, value in zip(right[dimension:], arriving, strict=True)),
+    ]
+    unknowns = (*velocities, *arrival, *right[dimension:])
     return _Step(
         equations=(*inner, *((p.name, p - momentum) for p, momentum in transforms)),
         summary=(
@@ -439,7 +459,7 @@ def _variational_step(
         ),
         velocities=tuple((v, *d) for v, d in zip(velocities, differences, strict=True)),
         stages=interval.inner,
-        solution=_solved_for_velocities(model, interval, velocities, left, right),
+        solution=eliminate(equations, unknowns, model.parameters),
         guesses=dict(zip(velocities, list(mean_velocities) * (1 + len(points)), strict=True)),
     )
 
@@ -470,44 +490,6 @@ def _one_step(
         solution=eliminate(interval.equations, unknowns, (*phase.parameters, *lengths)),
         guesses=guesses,
     )
-
-
-def _solved_for_velocities(
-    model: Model,
-    interval: VariationalInterval,
-    velocities: Sequence[Symbol],
-    left: Sequence[Symbol],
-    right: Sequence[Symbol],
-) -> Elimination:
-    """Eliminate from the position-momentum form, after the substitution q_k1 = q_k + h v_k.
-
-    Inner points become q_k + c h v with their abscissa c.
-    """
-    dimension = len(model.coordinates)
-    arriving = interval.right_momentum
-    if interval.inner:
-        # All equations together: rounded coefficients of velocities would make the energy drift.
-        arriving = tuple(p + gained for p, gained in zip(left[dimension:], interval.impulse, strict=True))
-    arrival: dict[Symbol, Expr] = {
-        q1: q + STEP * v for q1, q, v in zip(interval.q.right, interval.q.left, velocities, strict=False)
-    }
-    inside = zip(interval.inner, interval.inner_abscissae, velocities[dimension:], strict=True)
-    for i, (q, c, v) in enumerate(inside):
-        arrival[q] = interval.q.left[i % dimension] + c * STEP * v
-
-    def in_velocities(momentum: Expr) -> Expr:
-        # (q_k1 - q_k)/h stands in one sum, so that sympy cancels q_k by itself and v_k remains.
-        terms = Add.make_args(momentum.xreplace(arrival))
-        return Add(*(expand_mul(term, deep=False) if term.has(1 / STEP) else term for term in terms))
-
-    equations = [
-        *(p - in_velocities(value) for p, value in zip(left[dimension:], interval.left_momentum, strict=True)),
-        *(in_velocities(value) for value in interval.inner_balance),
-        *(q1 - value for q1, value in arrival.items()),
-        *(p - in_velocities(value) for p, value in zip(right[dimension:], arriving, strict=True)),
-    ]
-    unknowns = (*velocities, *arrival, *right[dimension:])
-    return eliminate(equations, unknowns, model.parameters)
 
 
 def _mean_velocities(phase: Model, left: Sequence[Symbol]) -> list[Expr]:

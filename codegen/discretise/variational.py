@@ -5,10 +5,10 @@ Galerkin variational integrator (Ober-Bloebaum and Saake 2015). Summed over inte
 multiply both halves of its forced discrete Euler-Lagrange equation.
 
 The momentum boundary conditions arise at the two end nodes. The shares +lambda_0 . D2 L(q(0), v(0)) at the start and
--lambda_N . D2 L(q(T), v(T)) at the end make the discrete momenta of the ends match those of the velocities. A free
-velocity is an unknown of its end if a matched momentum, a condition or the terminal cost depends on it. Its momentum
-is matched too, so that each fixed velocity and each condition counts once. The multiplier of an unmatched momentum is
-zero. Source: Ober-Bloebaum, Junge and Marsden (2011), Discrete mechanics and optimal control: an analysis.
+-lambda_N . D2 L(q(T), v(T)) at the end make the discrete momenta of the ends match the momenta of the velocities. A
+free velocity is an unknown of its end if a matched momentum, a condition or the terminal cost depends on it. Its
+momentum is matched too, so that each fixed velocity and each condition counts once. The multiplier of an unmatched
+momentum is zero. Source: Ober-Bloebaum, Junge and Marsden (2011), Discrete mechanics and optimal control: an analysis.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from codegen.discretise.interval import VariationalInterval, at_nodes, variation
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Boundary, Condition, Model
 from codegen.discretise.model.guesses import coordinate_guess
-from codegen.discretise.program import ControlProgram, Names, Unknown, occurring, symbols
+from codegen.discretise.program import ControlProgram, Equation, Names, Unknown, occurring, symbols
 from codegen.discretise.schemes.base import Scheme
 from codegen.errors import BoundaryError, SchemeError
 from codegen.runtime.record import Kind, Meaning
@@ -153,7 +153,7 @@ def _momentum_end(
         pins=tuple((q.name, value) for q, value in prescribed.items() if value is not None),
         extra=tuple(Unknown(v.name, Meaning(Kind.END_VELOCITY, v.name)) for v in free_rates),
         element=sum((end.sign * multipliers[i] * p for i, p in momenta.items()), S.Zero),
-        conditions=tuple((f"p_{model.coordinates[i].name}", p) for i, p in momenta.items()),
+        conditions=tuple(Equation(p, f"p_{model.coordinates[i].name}", momentum=True) for i, p in momenta.items()),
     )
     unmatched = [name for i, name in enumerate(multiplier_names) if i not in momenta]
     free = {q: symbol for q, symbol in positions.items() if prescribed[q] is None} | velocities
@@ -206,7 +206,11 @@ def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraint
         interval_symbols=(*interval.inner, *inner),
         discrete=interval,
         element=interval.cost + interval.virtual_work(displacements, impulses),
-        equations=(("Ld", interval.lagrangian), *((n, f) for n, f in forces if f != 0), ("Cd", interval.cost)),
+        equations=(
+            Equation(interval.lagrangian, "Ld"),
+            *(Equation(f, name) for name, f in forces if f != 0),
+            Equation(interval.cost, "Cd"),
+        ),
         node_guess=guess,
         left_rates=lambda: _left_velocities(model, interval),
         stage_guess=guess * (len(interval.inner) // len(names)),

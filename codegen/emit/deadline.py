@@ -14,11 +14,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from codegen.errors import SizeError
 
 if TYPE_CHECKING:
+    from sympy import Basic
+
     from codegen.discretise.model.definitions import Model
     from codegen.discretise.model.pairwise import PairwiseModel
     from codegen.discretise.particles import PairwiseProgram
@@ -78,7 +80,7 @@ def interrupted_after(seconds: float) -> Iterator[None]:
         yield
         return
 
-    def ring(*_: Any) -> None:
+    def ring(*_: object) -> None:
         raise Overdue
 
     former = signal.signal(signal.SIGPROF, ring)
@@ -132,9 +134,9 @@ def extent(program: ControlProgram | StepProgram | PairwiseProgram, problem: str
     return f"{problem}; the equations of an interval have {len(unknowns)} unknowns and {parts} parts"
 
 
-def parts_of(*expressions: Any) -> int:
+def parts_of(*expressions: Basic) -> int:
     """Return the number of different parts of some expressions, at most a million."""
-    seen: set[Any] = set()
+    seen: set[Basic] = set()
     waiting = list(expressions)
     while waiting and len(seen) < _COUNTED:
         part = waiting.pop()

@@ -1,4 +1,4 @@
-"""Program -> first and second derivatives, their exact sparsity, and what is provably constant.
+"""Program -> first and second derivatives, their exact sparsity, and provably constant entries.
 
 Sensitivities of a solution also need derivatives of the Lagrangian's shares by data, and mixed ones by unknowns and
 data. Data are parameters, boundary values, conditions at inner times, and the time and length of an interval.
@@ -50,7 +50,7 @@ class ElementDerivatives:
     """Gradient (dense) and Hessian (lower triangle, structural nonzeros) of a scalar in its local unknowns, and a cost.
 
     Derivatives of a long scalar are straight-line programs. Gradient and cost may read the symbols of one list of
-    assignments, the Hessian those of the other. An entry that does not depend on unknowns reads no such symbol.
+    assignments, the Hessian the symbols of the other. An entry that does not depend on unknowns reads no such symbol.
     """
 
     unknowns: tuple[Symbol, ...]

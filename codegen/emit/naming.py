@@ -106,15 +106,10 @@ def module_name(problem: Source | Path | str, arguments: Mapping[str, str], choi
     return f"{plain}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
 
 
-def versions() -> tuple[str, ...]:
-    """Return the versions that a generated text depends on."""
-    return (f"codegen {__version__}", f"sympy {_version_of('sympy')}")
-
-
 @cache
-def _version_of(library: str) -> str:
-    """Return the version of an installed library; reading its metadata takes longer than a solve."""
-    return metadata.version(library)
+def versions() -> tuple[str, ...]:
+    """Return the versions that a generated text depends on; reading metadata takes longer than a solve."""
+    return (f"codegen {__version__}", f"sympy {metadata.version('sympy')}")
 
 
 def choice_texts(choices: Choices) -> tuple[str, ...]:

@@ -207,7 +207,8 @@ def tracer_derivatives(model: PairwiseModel, derivatives: PairDerivatives) -> Tr
             "the system has no tracer points: where one meets a particle, its velocity has no limit",
             "leave out passive=True, or write a pair_term that is continuous",
         )
-    # A tracer point that lies on a particle has its velocity: the limit of the pair term gives that of self_term.
+    # A tracer point that lies on a particle has its velocity: the limit of the pair term gives the velocity of
+    # self_term.
     alone = dict(zip((*model.second.p, *model.second.own), (*model.first.p, *model.first.own), strict=True))
     for p in model.first.p:
         met = sympy.diff(model.limit, p).xreplace(rest).xreplace(alone)

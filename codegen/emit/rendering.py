@@ -17,13 +17,14 @@ from enum import Enum
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from codegen.files import refused, write_text
 from codegen.identifiers import renamed, renamed_arguments
 
 if TYPE_CHECKING:
     import jinja2
+    from _typeshed import DataclassInstance
 
     from codegen.emit.lower.module import Module, Origin
 
@@ -65,11 +66,17 @@ def render(module: Module, origin: Origin) -> str:
     values = {field.name: getattr(module, field.name) for field in fields(module)}
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
     names = [argument.name for argument in (*module.arguments, *getattr(module, "own", ()))]
+    record = replace(module.metadata, inputs=origin.inputs)
+    of_record = {entry.name: getattr(record, entry.name) for entry in fields(record)}
+    long = {name: value for name, value in of_record.items() if isinstance(value, tuple) and len(_code(value)) > _WIDTH}
+    lines = _filled(a for a in _arguments(record) if a.partition("=")[0] not in long)
+    for name, value in long.items():
+        lines += [f"{name}=(", *(f"    {line}" for line in _filled(map(_code, value))), "),"]
     values |= {
         "description": (*module.description, *renamed_arguments(names)),
         "title": module.title.replace("\\", "\\\\").replace('"', '\\"'),  # as between triple quotes
         "record_type": type(module.metadata).__name__,
-        "record_lines": _record_lines(replace(module.metadata, inputs=origin.inputs)),
+        "record_lines": lines,
         "imports": (),
         "numba_imports": (),
     }
@@ -84,9 +91,9 @@ def render(module: Module, origin: Origin) -> str:
         )
     template = _environment().get_template(module.template)
     body = template.render(values, identity=_DIGEST)
-    lines = _imports_of(body, values["public"], _IMPORTED[module.template])
-    values["numba_imports"] = [line for line in lines if line.startswith("from numba ")]
-    values["imports"] = [line for line in lines if not line.startswith("from numba ")]
+    imports = _imports_of(body, values["public"], _IMPORTED[module.template])
+    values["numba_imports"] = [line for line in imports if line.startswith("from numba ")]
+    values["imports"] = [line for line in imports if not line.startswith("from numba ")]
     written = template.render(values, identity=_DIGEST)
     # No trailing blanks, two empty lines at most, one newline at the end.
     written = "\n".join(line.rstrip() for line in written.splitlines())
@@ -114,12 +121,7 @@ def _environment() -> jinja2.Environment:
 def _imports_of(text: str, public: Iterable[str], files: tuple[str, ...]) -> tuple[str, ...]:
     """Return the lines that import the public names and all names that a text uses and does not define."""
     tree, wanted = ast.parse(text), dict[str, set[str]]()
-    used = set(public)
-    for part in tree.body:
-        names = {node for node in ast.walk(part) if isinstance(node, ast.Name)}
-        own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
-        own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
-        used |= {node.id for node in names} - (own if isinstance(part, ast.FunctionDef) else set())
+    used = set(public).union(*map(names_read, tree.body))
     defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
     for name in used - defined:
         if name in _importable(files):
@@ -127,6 +129,14 @@ def _imports_of(text: str, public: Iterable[str], files: tuple[str, ...]) -> tup
         elif name in _OF_NUMBA:
             wanted.setdefault("numba", set()).add(name)
     return tuple(f"from {module} import {', '.join(sorted(wanted[module]))}" for module in sorted(wanted))
+
+
+def names_read(part: ast.stmt) -> set[str]:
+    """Return the names that a statement reads and, if it is a function, does not assign."""
+    names = [node for node in ast.walk(part) if isinstance(node, ast.Name)]
+    own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
+    own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
+    return {node.id for node in names} - (own if isinstance(part, ast.FunctionDef) else set())
 
 
 @cache
@@ -142,16 +152,6 @@ def _importable(files: tuple[str, ...]) -> dict[str, str]:
     return modules
 
 
-def _record_lines(record: Any) -> list[str]:
-    """Return lines with the arguments of a record; a long tuple has lines of its own."""
-    values = {entry.name: getattr(record, entry.name) for entry in fields(record)}
-    long = {name: value for name, value in values.items() if isinstance(value, tuple) and len(_code(value)) > _WIDTH}
-    lines = _filled(a for a in _arguments(record) if a.partition("=")[0] not in long)
-    for name, value in long.items():
-        lines += [f"{name}=(", *(f"    {line}" for line in _filled(map(_code, value))), "),"]
-    return lines
-
-
 def _filled(arguments: Iterable[str]) -> list[str]:
     """Return lines of as many arguments as fit, or of a single long argument."""
     lines = list[str]()
@@ -163,7 +163,7 @@ def _filled(arguments: Iterable[str]) -> list[str]:
     return lines
 
 
-def _arguments(record: Any) -> Iterator[str]:
+def _arguments(record: DataclassInstance) -> Iterator[str]:
     """Yield the arguments of the call that makes a dataclass, without those that equal their default."""
     positional = True
     for entry in fields(record):
@@ -174,11 +174,11 @@ def _arguments(record: Any) -> Iterator[str]:
         yield _code(value) if positional and not entry.kw_only else f"{entry.name}={_code(value)}"
 
 
-def _code(value: Any) -> str:
+def _code(value: object) -> str:
     """Return the code of data."""
     if isinstance(value, Enum):
         return f"{type(value).__name__}.{value.name}"
-    if is_dataclass(value):
+    if is_dataclass(value) and not isinstance(value, type):
         return f"{type(value).__name__}({', '.join(_arguments(value))})"
     if isinstance(value, tuple):
         return f"({', '.join(map(_code, value))}{',' * (len(value) == 1)})"
@@ -204,7 +204,11 @@ def specialise(text: str, sizes: Mapping[str, int]) -> str:
         lines, chosen = text.splitlines(), list[_Site]()
         # Sites inside, or on a line of, another site wait for the next round.
         for node in ast.walk(ast.parse(text)):
-            if isinstance(node, _Site) and _decided(node, lines, sizes) and not any(_meet(node, c) for c in chosen):
+            if (
+                isinstance(node, _Site)
+                and _decided(node, lines, sizes)
+                and not any((node.lineno <= (c.end_lineno or 0) and c.lineno <= (node.end_lineno or 0)) for c in chosen)
+            ):
                 chosen.append(node)
         if not chosen:
             return text
@@ -212,11 +216,6 @@ def specialise(text: str, sizes: Mapping[str, int]) -> str:
             lines = _decided(node, lines, sizes) or lines
         text = "\n".join(lines) + "\n"
     return text
-
-
-def _meet(one: _Site, other: _Site) -> bool:
-    """Return True if two sites have a line in common."""
-    return one.lineno <= (other.end_lineno or 0) and other.lineno <= (one.end_lineno or 0)
 
 
 def _decided(node: _Site, lines: list[str], sizes: Mapping[str, int]) -> list[str] | None:
@@ -236,9 +235,9 @@ def _decided(node: _Site, lines: list[str], sizes: Mapping[str, int]) -> list[st
     name = getattr(node.test.values[0] if isinstance(node.test, ast.BoolOp) and combined else node.test, "id", "")
     if name not in sizes:
         return None
-    # The syntax tree of an `elif` is that of an `if` in an `else`.
+    # An `elif` has the syntax tree of an `if` in an `else`.
     elifs = [s for s in node.orelse if isinstance(s, ast.If) and lines[s.lineno - 1].lstrip().startswith("elif ")]
-    assert not elifs, f"an elif beside {name}"
+    assert not elifs, f"an elif after {name}"
     if sizes[name] == 0:
         return _replaced(lines, node, node.orelse)
     if combined:
@@ -259,7 +258,7 @@ def _replaced(lines: list[str], node: ast.If | ast.For, kept: list[ast.stmt]) ->
 
 
 def is_whole(text: str) -> bool:
-    """Return True if a text is unchanged since rendering: the digest in it is that of all the rest."""
+    """Return True if a text is unchanged since rendering: the digest in it belongs to all the rest."""
     match = _IDENTITY.search(text)
     return match is not None and _digest(text.replace(match[1], "", 1)) == match[1]
 

@@ -10,7 +10,7 @@ import ast
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib import resources
@@ -124,8 +124,31 @@ def bundle(text: str) -> str:
             files[name] = File(name, _numerics(name, text))
         return files[name]
 
-    wanted = _reached(module, file_of)
-    order = _in_order(wanted, files)
+    wanted, waiting = set[tuple[str, str]](), [r.target for b in module.blocks for r in b.references]
+    waiting += [target for target in module.bound.values() if not target.external and target.file]
+    while waiting:
+        target = waiting.pop()
+        if target.external or not target.file or (target.file, target.name) in wanted:
+            continue
+        file = file_of(target.file)
+        assert file.bound.get(target.name) == target, f"{target.file} does not define {target.name}"
+        for block in file.blocks:
+            if target.name in block.names:
+                wanted |= {(target.file, name) for name in block.names}
+                waiting += [reference.target for reference in block.references]
+    order: list[str] = []
+
+    def add(name: str, above: tuple[str, ...]) -> None:
+        if name in order or name in above:
+            return
+        references = [reference for block in files[name].kept(wanted) for reference in block.references]
+        used = {r.target.file for r in references if not r.target.external and r.target.file}
+        for other in sorted(used - {name}):
+            add(other, (*above, name))
+        order.append(name)
+
+    for name in sorted({file for file, _ in wanted}):
+        add(name, ())
     names = _new_names(module, order, wanted, files)
     parts = []
     for name in order:
@@ -209,7 +232,10 @@ class File:
                 first = min([node.lineno, *(decorator.lineno for decorator in decorators)])
                 while first > 1 and self.lines[first - 2].startswith("#"):
                     first -= 1
-                self.blocks.append(Block(first, node.end_lineno or 0, tuple(_defined(node))))
+                names = [node.name] if isinstance(node, (ast.FunctionDef, ast.ClassDef)) else []
+                targets = getattr(node, "targets", [node.target] if isinstance(node, ast.AnnAssign) else [])
+                names += [part.id for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)]
+                self.blocks.append(Block(first, node.end_lineno or 0, tuple(names)))
         defined = {name for block in self.blocks for name in block.names}
         self.bound |= {name: Target(self.name, name) for name in defined}
         for block in self.blocks:
@@ -222,15 +248,6 @@ class File:
     def kept(self, wanted: set[tuple[str, str]]) -> list[Block]:
         """Return the blocks that define wanted names, pairs of file and name."""
         return [block for block in self.blocks if any((self.name, name) in wanted for name in block.names)]
-
-
-def _defined(node: ast.stmt) -> Iterator[str]:
-    """Yield the names that a statement defines at the top of a file."""
-    if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-        yield node.name
-    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
-    for target in targets:
-        yield from (part.id for part in ast.walk(target) if isinstance(part, ast.Name))
 
 
 def _bindings(node: ast.Import | ast.ImportFrom) -> dict[str, Target]:
@@ -405,41 +422,6 @@ def _shape_of(text: str) -> Shape:
     exec(compile(text, "<module>", "exec"), values)
     shape: Shape = values["problem"].structure.shape  # type: ignore[attr-defined]
     return shape
-
-
-def _reached(module: File, file_of: Callable[[str], File]) -> set[tuple[str, str]]:
-    """Return files and names of all definitions that a module uses, directly or not."""
-    wanted, waiting = set[tuple[str, str]](), [r.target for b in module.blocks for r in b.references]
-    waiting += [target for target in module.bound.values() if not target.external and target.file]
-    while waiting:
-        target = waiting.pop()
-        if target.external or not target.file or (target.file, target.name) in wanted:
-            continue
-        file = file_of(target.file)
-        assert file.bound.get(target.name) == target, f"{target.file} does not define {target.name}"
-        for block in file.blocks:
-            if target.name in block.names:
-                wanted |= {(target.file, name) for name in block.names}
-                waiting += [reference.target for reference in block.references]
-    return wanted
-
-
-def _in_order(wanted: set[tuple[str, str]], files: Mapping[str, File]) -> list[str]:
-    """Return the files with wanted definitions, each after the files that it uses."""
-    order: list[str] = []
-
-    def add(name: str, above: tuple[str, ...]) -> None:
-        if name in order or name in above:
-            return
-        references = [reference for block in files[name].kept(wanted) for reference in block.references]
-        used = {r.target.file for r in references if not r.target.external and r.target.file}
-        for other in sorted(used - {name}):
-            add(other, (*above, name))
-        order.append(name)
-
-    for name in sorted({file for file, _ in wanted}):
-        add(name, ())
-    return order
 
 
 def _new_names(

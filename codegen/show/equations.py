@@ -368,9 +368,9 @@ def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
         rows += [(_named(u.name + mark), pins[s]) for u, s in node if s in pins and not u.multiplier]
         named = {u.name for u, s in node if s in pins}
         rows += [
-            (_named(name + mark), _shortest(condition.xreplace(pins).xreplace(values)))
-            for name, condition in end.conditions
-            if name not in named
+            (_named(f"{condition}{mark}"), _shortest(condition.value.xreplace(pins).xreplace(values)))
+            for condition in end.conditions
+            if str(condition) not in named
         ]
     remarks = [_MOMENTA] if program.method == "variational" else []
     for where, end in (("start", program.start), ("end", program.end)):

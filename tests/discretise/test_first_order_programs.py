@@ -57,7 +57,7 @@ def test_double_integrator_has_its_discrete_closed_form(scheme):
 def test_the_trapezoidal_rule_has_no_stage():
     program = transcribe(normalise(double_integrator()), "trapezoidal")
     assert [u.name for u in program.interval] == ["mu_x", "mu_v"]
-    assert str(program.equations[0][1].expand()) == "-h*v_k/2 - h*v_k1/2 - x_k + x_k1"
+    assert str(program.equations[0].value.expand()) == "-h*v_k/2 - h*v_k1/2 - x_k + x_k1"
 
 
 def test_free_duration_with_a_cost_on_time():

@@ -178,8 +178,8 @@ def test_a_wrong_quadrature_is_found():
     context = Context(Choices(), model, program, scheme, None)
     (finding,) = CHECKS["integrals"].findings(context)
     assert finding.passed
-    *others, (name, quadrature) = program.equations
-    wrong = replace(program, equations=(*others, (name, 2 * quadrature)))
+    *others, quadrature = program.equations
+    wrong = replace(program, equations=(*others, replace(quadrature, value=2 * quadrature.value)))
     (finding,) = CHECKS["integrals"].findings(replace(context, program=wrong))
     assert not finding.passed
     with pytest.raises(ExpressionError):

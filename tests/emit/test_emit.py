@@ -19,7 +19,7 @@ from jinja2 import meta
 from codegen import identifiers
 from codegen.emit import rendering
 from codegen.emit.lower.module import ControlModule, Origin, SimulateModule
-from codegen.emit.lower.particles import ConnectModule, ParticlesModule
+from codegen.emit.lower.particles import ParticlesModule
 from codegen.errors import FileError
 from codegen.runtime.record import Task
 from codegen.solving.compiler import build
@@ -212,7 +212,7 @@ def test_templates_ask_only_for_what_modules_supply():
     ("template", "kind"),
     [
         ("control.py.j2", ControlModule), ("simulate.py.j2", SimulateModule),
-        ("connect.py.j2", ConnectModule), ("particles.py.j2", ParticlesModule),
+        ("connect.py.j2", ParticlesModule), ("particles.py.j2", ParticlesModule),
     ],
 )  # fmt: skip
 def test_templates_name_nothing_that_is_not_supplied(template, kind):

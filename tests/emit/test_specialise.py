@@ -31,7 +31,7 @@ def test_other_branch():
 @pytest.mark.parametrize("size", [0, 1])
 def test_elif_is_refused(size):
     """It looks like an `if` inside an `else`, and would become unconditional."""
-    with pytest.raises(AssertionError, match="an elif beside X"):
+    with pytest.raises(AssertionError, match="an elif after X"):
         specialise("if X:\n    a\nelif b:\n    c\n", {"X": size})
 
 

@@ -161,7 +161,7 @@ def test_coordinates_of_a_lagrangian(method):
     assert points(problem, "midpoint", method) == [MIDDLE, RIGHT]
     program = transcribe(normalise(problem), "midpoint", method)
     (left, right) = (at_nodes([Symbol("x")], suffix)[0] for suffix in ("_k", "_k1"))
-    values = [value for name, value in program.equations if "x**2" in name]
+    values = [e.value for e in program.equations if "x**2" in e.condition]
     middle, at_right = (value.diff(right) for value in values)
     assert middle.equals(-(left + right) / 2)
     assert at_right.equals(-2 * right)

@@ -12,7 +12,7 @@ from sympy import Expr
 from codegen.discretise.model.definitions import Condition, Model
 from codegen.discretise.model.relations import Entry, relation_entries
 from codegen.errors import CodegenError
-from codegen.problem.problem import Control
+from codegen.problem.problem import Control, Expression, Relation, Relations
 from codegen.problem.symbols import Quantity
 from codegen.symbolic import checks as expressions
 
@@ -27,13 +27,13 @@ class Latex(Protocol):
     first: str
     last: str
 
-    def __call__(self, value: Any) -> str: ...
+    def __call__(self, value: Expression) -> str: ...
 
-    def relation(self, value: Any) -> str: ...
+    def relation(self, value: Relation) -> str: ...
 
-    def at(self, value: Any, time: str) -> str: ...
+    def at(self, value: Expression, time: str) -> str: ...
 
-    def between(self, written: str, limits: Sequence[Any]) -> str: ...
+    def between(self, written: str, limits: Sequence[Expression | None]) -> str: ...
 
 
 class ConditionKind:
@@ -61,7 +61,7 @@ class ConditionKind:
     def require_fitting(self, entry: Entry, control: Control, form: str) -> None:
         """Refuse an expression that contradicts other arguments, independently of numbers."""
 
-    def of_model(self, model: Model) -> tuple[Any, ...]:
+    def of_model(self, model: Model) -> tuple[Condition, ...]:
         """Return the conditions of this kind in a model."""
         return tuple(getattr(model, self.field))
 
@@ -70,7 +70,7 @@ class ConditionKind:
         fields: dict[str, Any] = {self.field: (*self.of_model(model), *self.conditions(entries))}
         return replace(model, **fields)
 
-    def conditions(self, entries: Sequence[Entry]) -> tuple[Any, ...]:
+    def conditions(self, entries: Sequence[Entry]) -> tuple[object, ...]:
         """Return the conditions in the order in which they were written."""
         return conditions_of(entries, self.argument)
 
@@ -111,7 +111,7 @@ class ConditionKind:
         yield from ()
 
 
-def listed(given: Any) -> Sequence[Any]:
+def listed(given: Relations) -> Sequence[Relation]:
     """Return relations without the author's names."""
     return list(given.values()) if isinstance(given, Mapping) else given
 

@@ -25,11 +25,11 @@ from codegen.discretise.conditions.base import (
 )
 from codegen.discretise.model.definitions import Condition, Model, prescribed
 from codegen.discretise.model.relations import MOVING, STATIC, Entry
-from codegen.discretise.program import EndBound, EndElement, Names, Unknown, symbols
+from codegen.discretise.program import EndBound, EndElement, Equation, Names, Unknown, symbols
 from codegen.errors import BoundaryError
 from codegen.problem.bodies import require_single_bodies
 from codegen.problem.symbols import ControlInput, EndValue, Time
-from codegen.runtime.record import Kind, Meaning
+from codegen.runtime.record import Kind, Meaning, Place
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.terms import distinct
 
@@ -134,7 +134,7 @@ class End:
     pins: tuple[tuple[str, Expr], ...] = ()
     extra: tuple[Unknown, ...] = ()
     element: Expr = S.Zero
-    conditions: tuple[tuple[str, Expr], ...] = ()
+    conditions: tuple[Equation, ...] = ()
     cost: Expr = S.Zero
     aliases: tuple[tuple[str, str, Expr], ...] = ()
     slacks: tuple[tuple[str, str], ...] = ()
@@ -187,7 +187,7 @@ def conditioned_end(
                 out += End(bounds=(bound,))
                 continue
         kind = Kind.START_CONDITION if suffix == "_k" else Kind.END_CONDITION
-        extra, term, equation = imposed(condition, value, Imposed("nu", kind, suffix), names)
+        extra, term, equation = imposed(condition, value, names, kind, suffix)
         slacks = tuple((slack.name, extra[0].name) for slack in extra[1:])
         out += End(extra=extra, element=term, conditions=(equation,), slacks=slacks)
     return out
@@ -223,16 +223,6 @@ def _as_bound(
     return unknown.name, EndBound(None if is_upper else limit, limit if is_upper else None, condition.name)
 
 
-@dataclass(frozen=True)
-class Imposed:
-    """The form of an imposed condition: stem and kind of the multiplier, suffix of symbols, abscissa or switch."""
-
-    stem: str
-    kind: Kind
-    suffix: str
-    at: float = 0
-
-
 _SLACKS = {
     Kind.PATH: Kind.PATH_SLACK,
     Kind.BOUND: Kind.BOUND_SLACK,
@@ -244,53 +234,23 @@ _SLACKS = {
 
 
 def imposed(
-    condition: Condition, value: Expr, how: Imposed, names: Names, least: Expr | None = None
-) -> tuple[tuple[Unknown, ...], Expr, tuple[str, Expr]]:
-    """Impose g = 0 by y g, or g <= 0 by y (g + s) with a slack s >= `least`.
+    condition: Condition, value: Expr, names: Names, kind: Kind, suffix: str, at: float = 0, least: Expr | None = None
+) -> tuple[tuple[Unknown, ...], Expr, Equation]:
+    """Impose g = 0 by y g, or g <= 0 by y (g + s) with a slack s >= `least`; `at` is the abscissa, or the switch.
 
-    Return the multiplier and the slack, the share of l, and the equation to read.
+    Return the multiplier and the slack, the share of l in symbols with a `suffix`, and the equation to read.
     """
-    meaning = Meaning(how.kind, condition.name, how.at, condition.segment)
-    unknowns, left_side = [Unknown(names.numbered(how.stem), meaning)], "0"
+    meaning, stem = Meaning(kind, condition.name, at, condition.segment), "y" if kind.place is Place.INTERVAL else "nu"
+    unknowns, equation = [Unknown(names.numbered(stem), meaning)], Equation(value, condition=meaning.subject)
     if not condition.equality:
-        slack_meaning = replace(meaning, kind=_SLACKS[how.kind])
+        slack_meaning = replace(meaning, kind=_SLACKS[kind])
         unknowns.append(Unknown(names.numbered("s"), slack_meaning, lower=least))
-        left_side = f"-{unknowns[1].name}"
-    multiplier, *slack = symbols([unknown.name for unknown in unknowns], how.suffix)
-    return tuple(unknowns), multiplier * sum(slack, value), (f"{left_side} ({meaning.subject})", value)
+        equation = replace(equation, slack=unknowns[1].name)
+    multiplier, *slack = symbols([unknown.name for unknown in unknowns], suffix)
+    return tuple(unknowns), multiplier * sum(slack, value), equation
 
 
-@dataclass(frozen=True)
-class Ends:
-    """Both ends, whose own unknowns become unknowns of every node, with value zero wherever they have no meaning."""
-
-    start: End
-    end: End
-
-    @property
-    def extra(self) -> tuple[Unknown, ...]:
-        """The own unknowns of both ends, each name once."""
-        return tuple({unknown.name: unknown for unknown in (*self.start.extra, *self.end.extra)}.values())
-
-    def filling(self) -> Expr:
-        """Return a share of every interval that makes the ends' unknowns vanish at its left node."""
-        return sum((x**2 / 2 for x in symbols([unknown.name for unknown in self.extra], "_k")), S.Zero)
-
-    def start_element(self, node: Sequence[Unknown], shared: Sequence[Unknown]) -> EndElement:
-        """Return the start's share, without the filling of its own unknowns; the unknowns of the end are pinned."""
-        own = {unknown.name for unknown in self.start.extra}
-        filling = sum((x**2 / 2 for x in symbols(sorted(own), "_k")), S.Zero)
-        foreign = [unknown.name for unknown in self.extra if unknown.name not in own]
-        return _element(self.start + pinned_at_zero(foreign) + End(element=-filling), node, shared)
-
-    def end_element(self, node: Sequence[Unknown], shared: Sequence[Unknown], idle: Sequence[str]) -> EndElement:
-        """Return the end's share; unknowns of the start, and `idle` unknowns without effect, are pinned."""
-        own = {unknown.name for unknown in self.end.extra}
-        foreign = [unknown.name for unknown in self.extra if unknown.name not in own]
-        return _element(self.end + pinned_at_zero([*foreign, *idle]), node, shared)
-
-
-def _element(end: End, node: Sequence[Unknown], shared: Sequence[Unknown]) -> EndElement:
+def indexed(end: End, node: Sequence[Unknown], shared: Sequence[Unknown]) -> EndElement:
     """Replace the names of unknowns by their indices in the node and among the shared unknowns."""
     index = {unknown.name: i for i, unknown in enumerate(node)}
     shared_index = {unknown.name: i for i, unknown in enumerate(shared)}

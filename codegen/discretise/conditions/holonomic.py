@@ -24,7 +24,16 @@ from typing import ClassVar
 import sympy
 from sympy import Expr, S, Symbol
 
-from codegen.discretise.conditions.base import ConditionKind, Latex, Points, Scope, dependent, is_constant, listed
+from codegen.discretise.conditions.base import (
+    ConditionKind,
+    Latex,
+    Points,
+    Scope,
+    conditions_of,
+    dependent,
+    is_constant,
+    listed,
+)
 from codegen.discretise.conditions.path import NodalTerms, nodal_equalities
 from codegen.discretise.interval import STEP, at_nodes
 from codegen.discretise.model.definitions import Boundary, Condition, Model
@@ -55,7 +64,7 @@ class Holonomic(ConditionKind):
             raise ExpressionError(f"{entry.what} is an inequality", "write it in path")
 
     def conditions(self, entries: Sequence[Entry]) -> tuple[Expr, ...]:
-        return tuple(condition.expression for condition in super().conditions(entries))
+        return tuple(condition.expression for condition in conditions_of(entries, self.argument))
 
     def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
         yield from ((f"constraint {text(c)}", c) for c in model.holonomic)

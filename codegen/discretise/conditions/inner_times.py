@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import sympy
@@ -45,11 +45,10 @@ from codegen.discretise.conditions.ends import End
 from codegen.discretise.conditions.path import NodalTerms, nodal_conditions
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Condition, InnerCondition, InnerTime, Model
-from codegen.discretise.model.guesses import DURATION
 from codegen.discretise.model.relations import MOVING, STATIC, Entry, checked_sequence, entry_of, relation_entries, text
-from codegen.discretise.program import InnerTimes, Names, Unknown, symbols
+from codegen.discretise.program import Equation, InnerTimes, Names, Unknown, symbols
 from codegen.errors import BoundaryError, ExpressionError
-from codegen.problem.problem import Control, Waypoint
+from codegen.problem.problem import Control, Relations, Waypoint
 from codegen.problem.symbols import ControlInput, Parameter, Time
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic import checks as expressions
@@ -83,7 +82,7 @@ class AtTimes(ConditionKind):
             yield replace(entry, what=f"the time {name} of at")
             yield from _conditions(self.argument, f"at[{name}]", name, relations)
 
-    def of_model(self, model: Model) -> tuple[Any, ...]:
+    def of_model(self, model: Model) -> tuple[InnerCondition, ...]:
         return () if any(inner.time is None for inner in model.inner_times) else model.inner_conditions
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
@@ -174,7 +173,7 @@ class Waypoints(ConditionKind):
                     yield entry_of(role, f"the {role} time of {what}", limit)
             yield from _conditions(self.argument, what, f"waypoint {number + 1}", waypoint.conditions)
 
-    def of_model(self, model: Model) -> tuple[Any, ...]:
+    def of_model(self, model: Model) -> tuple[InnerCondition, ...]:
         return model.inner_conditions if any(inner.time is None for inner in model.inner_times) else ()
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
@@ -209,11 +208,11 @@ class Waypoints(ConditionKind):
             yield "&" + " < ".join([latex.first, *times, latex.last])
 
 
-def _waypoint(written: Any) -> Waypoint:
+def _waypoint(written: Waypoint | Relations) -> Waypoint:
     return written if isinstance(written, Waypoint) else Waypoint(written)
 
 
-def _conditions(role: str, what: str, where: str, relations: Any) -> Iterator[Entry]:
+def _conditions(role: str, what: str, where: str, relations: Relations) -> Iterator[Entry]:
     """Yield the conditions at one inner time; ExpressionError where there are none."""
     entries = list(relation_entries(what, relations))
     if not entries:
@@ -272,26 +271,50 @@ def _require_order(model: Model) -> None:
             raise BoundaryError(f"waypoint {index} is to be at {earliest:g} or later, after the end", _ORDER)
 
 
-@dataclass(frozen=True)
-class InnerTerms:
-    """The unknowns of nodes with their share of l, and the times, whose indices count these unknowns from zero."""
-
-    nodal: NodalTerms
-    times: InnerTimes
-
-
-def inner_terms(original: Model, at_left: Callable[[Expr], Expr], names: Names, clock: Clock | None) -> InnerTerms:
+def inner_terms(
+    model: Model, at_left: Callable[[Expr], Expr], names: Names, clock: Clock | None
+) -> tuple[NodalTerms, InnerTimes]:
     """Impose the conditions of a model; `at_left` writes an expression in the symbols of an interval's left node.
 
+    Return the unknowns of nodes with their share of l, and the times, whose indices count these unknowns from zero.
     With a `clock` the times are free.
     """
-    if not original.inner_conditions:
-        return InnerTerms(NodalTerms(), InnerTimes())
-    model = original if clock is None else clock.with_fixed_times(original)
-    table = _Table(model, names, clock)
-    unknowns, element = list[Unknown](), S.Zero if clock is None else clock.share(table.is_inner)
+    if not model.inner_conditions:
+        return NodalTerms(), InnerTimes()
+    numbers, element = range(len(model.inner_times)), S.Zero
+    if clock is None:
+        times = tuple(inner.time for inner in model.inner_times if inner.time is not None)
+        table = _Table(model, names, clock)
+    else:
+        times = tuple(Rational(i + 1, len(numbers) + 1) for i in numbers)  # equal shares of the chain
+        # Fixed times, and windows without length, are conditions on the clock.
+        conditions, inner_times = list(model.inner_conditions), list(model.inner_times)
+        for number, inner in enumerate(model.inner_times):
+            window = inner.earliest if inner.earliest == inner.latest else None
+            fixed = inner.time if inner.time is not None else window
+            if fixed is not None:
+                conditions.append(InnerCondition(f"the time {text(fixed)}", clock.symbol - fixed, True, number))
+                inner_times[number] = replace(inner, earliest=None, latest=None)
+        conditions = [replace(c, expression=c.expression.xreplace({model.time: clock.symbol})) for c in conditions]
+        model = replace(model, inner_conditions=tuple(conditions), inner_times=tuple(inner_times))
+        table = _Table(model, names, clock)
+        # The share before lengths are replaced.
+        left, right = (symbols([unknown.name for unknown in clock.node], end) for end in ("_k", "_k1"))
+        mu_time, mu_pace = symbols([unknown.name for unknown in clock.interval], "_k")
+        constant, is_inner = mu_pace * (right[1] - left[1]), table.symbol(dict.fromkeys(numbers, S.One))
+        element = mu_time * (right[0] - left[0] - STEP) + constant + is_inner * (mu_pace**2 / 2 - constant)
+    unknowns = list[Unknown]()
     present, multipliers = dict[int, list[int]](), list[tuple[str, int, int]]()
-    for lane in _lanes(model.inner_conditions):
+    at: dict[int, list[InnerCondition]] = {}
+    for condition in model.inner_conditions:
+        at.setdefault(condition.number, []).append(condition)
+    lanes: list[list[InnerCondition]] = [[] for _ in range(max(map(len, at.values())))]
+    for simultaneous in at.values():
+        for rank, condition in zip(lanes, (c for c in simultaneous if c.equality), strict=False):
+            rank.append(condition)
+        for rank, condition in zip(reversed(lanes), (c for c in simultaneous if not c.equality), strict=False):
+            rank.append(condition)
+    for lane in lanes:
         first = len(unknowns)
         unknowns.append(Unknown(names.numbered("nu"), Meaning(Kind.INNER_CONDITION)))
         slack = S.Zero
@@ -304,12 +327,7 @@ def inner_terms(original: Model, at_left: Callable[[Expr], Expr], names: Names, 
             present.setdefault(c.number, []).extend([first] if c.equality else [first, first + 1])
             multipliers.append((c.name, c.number, first))
     pins = tuple(unknown.name for unknown in unknowns)
-    numbers = range(len(model.inner_times))
-    if clock is None:
-        times = tuple(inner.time for inner in model.inner_times if inner.time is not None)
-    else:  # equal shares of the chain
-        times = tuple(Rational(i + 1, len(numbers) + 1) for i in numbers)
-    return InnerTerms(
+    return (
         NodalTerms(tuple(unknowns), element, pins, pins),
         InnerTimes(
             times=times,
@@ -328,20 +346,6 @@ def inner_terms(original: Model, at_left: Callable[[Expr], Expr], names: Names, 
     )
 
 
-def _lanes(conditions: Sequence[InnerCondition]) -> list[list[InnerCondition]]:
-    """Group the conditions that share a multiplier, at most one of each time, so that few groups need slacks."""
-    at: dict[int, list[InnerCondition]] = {}
-    for condition in conditions:
-        at.setdefault(condition.number, []).append(condition)
-    lanes: list[list[InnerCondition]] = [[] for _ in range(max(map(len, at.values())))]
-    for simultaneous in at.values():
-        for lane, condition in zip(lanes, (c for c in simultaneous if c.equality), strict=False):
-            lane.append(condition)
-        for lane, condition in zip(reversed(lanes), (c for c in simultaneous if not c.equality), strict=False):
-            lane.append(condition)
-    return lanes
-
-
 class _Table:
     """The numbers of nodes, a row for each symbol: its value at each inner time, by the number of the time."""
 
@@ -351,13 +355,8 @@ class _Table:
         self._at_node: dict[Symbol, Expr] = {}
         if clock is not None:
             self._moving.add(clock.symbol)
-            self._at_node = {clock.symbol: symbols([clock.time], "_k")[0]}
+            self._at_node = {clock.symbol: dict(clock.scales)[model.time]}
         self.rows: dict[Symbol, dict[int, Expr]] = {}
-
-    @property
-    def is_inner(self) -> Symbol:
-        """The symbol that is one at inner times, and zero elsewhere."""
-        return self._symbol(dict.fromkeys(range(len(self._model.inner_times)), S.One))
 
     def share(
         self, lane: Sequence[InnerCondition], multiplier: Symbol, slack: Expr, at_left: Callable[[Expr], Expr]
@@ -372,9 +371,9 @@ class _Table:
                 at_times.append(c.expression if time is None else c.expression.xreplace({self._model.time: time}))
             for form in common_forms(at_times, self._moving):
                 members = {alike[i].number: values for i, values in form.members.items()}
-                is_here = self._symbol(dict.fromkeys(members, S.One))
+                is_here = self.symbol(dict.fromkeys(members, S.One))
                 columns = [{time: values[i] for time, values in members.items()} for i in range(len(form.places))]
-                numbers = dict(zip(form.places, (self._symbol(column) for column in columns), strict=True))
+                numbers = dict(zip(form.places, (self.symbol(column) for column in columns), strict=True))
                 value = at_left(self._defined_everywhere(form, numbers, is_here)).xreplace(self._at_node)
                 element += is_here * multiplier * (value + (0 if equality else slack))
                 present, slacked = present + is_here, slacked + (0 if equality else is_here)
@@ -396,7 +395,7 @@ class _Table:
         values |= {place: symbol + (1 - is_here) * first[place] for place, symbol in numbers.items()}
         return form.expression.xreplace(values)
 
-    def _symbol(self, row: Mapping[int, Expr]) -> Symbol:
+    def symbol(self, row: Mapping[int, Expr]) -> Symbol:
         """Return the symbol of a number of nodes; equal rows have one symbol."""
         for symbol, numbers in self.rows.items():
             if numbers == row:
@@ -422,81 +421,41 @@ def _regular_point(expression: Expr, moving: Sequence[Symbol], values: Mapping[S
 
 @dataclass(frozen=True)
 class Clock:
-    """The names of time and pace at nodes, and of the multipliers of their equations on intervals."""
+    """Time and pace as unknowns of nodes, and the multipliers of their equations on intervals.
 
-    model: Model
-    time: str
-    pace: str
-    multipliers: tuple[str, str]
+    `symbol` is the time in conditions at inner times. `scales` are the length of an interval and the time at its left
+    node, by the symbols that they replace. The start is at time zero, the end at the duration.
+    """
 
-    @property
-    def node(self) -> tuple[Unknown, Unknown]:
-        """The unknowns of a node."""
-        return Unknown(self.time, Meaning(Kind.TIME)), Unknown(self.pace, Meaning(Kind.PACE), lower=S.Zero)
-
-    @property
-    def interval(self) -> tuple[Unknown, Unknown]:
-        """The unknowns of an interval."""
-        mu_time, mu_pace = self.multipliers
-        return Unknown(mu_time, Meaning(Kind.PASSING_TIME)), Unknown(mu_pace, Meaning(Kind.CONSTANT_PACE))
-
-    @property
-    def symbol(self) -> Symbol:
-        """The symbol of time in conditions at inner times."""
-        return Symbol(self.time, real=True)
-
-    @property
-    def guess(self) -> tuple[Expr, Expr]:
-        """Time and pace where all intervals have the same length."""
-        return self.model.time, DURATION
-
-    @property
-    def scales(self) -> tuple[tuple[Symbol, Expr], ...]:
-        """The length of an interval and the time at its left node, by the symbols that they replace."""
-        (pace,), (time,) = symbols([self.pace], "_k1"), symbols([self.time], "_k")
-        return (STEP, pace * STEP), (self.model.time, time)
-
-    def share(self, at_inner_time: Expr) -> Expr:
-        """Return the share of l before lengths are replaced; the symbol is one after an inner time, else zero."""
-        left, right = symbols([self.time, self.pace], "_k"), symbols([self.time, self.pace], "_k1")
-        mu_time, mu_pace = symbols(self.multipliers, "_k")
-        constant = mu_pace * (right[1] - left[1])
-        return mu_time * (right[0] - left[0] - STEP) + constant + at_inner_time * (mu_pace**2 / 2 - constant)
-
-    def start(self) -> End:
-        """Return the start, at time zero."""
-        return End(pins=((self.time, S.Zero),))
-
-    def end(self, names: Names) -> End:
-        """Return the end, at the duration."""
-        duration = self.model.duration
-        if not duration.free_symbols & {parameter.symbol for parameter in self.model.free_parameters}:
-            return End(pins=((self.time, duration),))
-        multiplier = Unknown(names.numbered("nu"), Meaning(Kind.DURATION))
-        (nu,), (time,) = symbols([multiplier.name], "_k1"), symbols([self.time], "_k1")
-        return End(
-            extra=(multiplier,), element=nu * (time - duration), conditions=((f"0 ({self.time})", time - duration),)
-        )
-
-    def with_fixed_times(self, model: Model) -> Model:
-        """Turn fixed times, and windows without length, into conditions on the clock."""
-        conditions, times = list(model.inner_conditions), list(model.inner_times)
-        for number, inner in enumerate(model.inner_times):
-            window = inner.earliest if inner.earliest == inner.latest else None
-            fixed = inner.time if inner.time is not None else window
-            if fixed is not None:
-                conditions.append(InnerCondition(f"the time {text(fixed)}", self.symbol - fixed, True, number))
-                times[number] = replace(inner, earliest=None, latest=None)
-        conditions = [replace(c, expression=c.expression.xreplace({model.time: self.symbol})) for c in conditions]
-        return replace(model, inner_conditions=tuple(conditions), inner_times=tuple(times))
+    symbol: Symbol
+    node: tuple[Unknown, Unknown]
+    interval: tuple[Unknown, Unknown]
+    scales: tuple[tuple[Symbol, Expr], ...]
+    start: End
+    end: End
 
 
 def clock_of(model: Model, names: Names) -> Clock | None:
     """Return the clock of a model that has free times between start and end."""
-    if not model.has_free_times:
+    free, duration = {parameter.symbol for parameter in model.free_parameters}, model.duration
+    if not any(inner.time is None or duration.free_symbols & free for inner in model.inner_times):
         return None
     time, pace = names.named("time", model.time), names.named("pace", model.time)
-    return Clock(model, time, pace, (names.numbered("mu_time"), names.numbered("mu_pace")))
+    mu_time, mu_pace = names.numbered("mu_time"), names.numbered("mu_pace")
+    (left_time,), (right_time, right_pace) = symbols([time], "_k"), symbols([time, pace], "_k1")
+    end = End(pins=((time, duration),))
+    if duration.free_symbols & free:
+        multiplier, excess = Unknown(names.numbered("nu"), Meaning(Kind.DURATION)), right_time - duration
+        (nu,) = symbols([multiplier.name], "_k1")
+        end = End(extra=(multiplier,), element=nu * excess, conditions=(Equation(excess, condition=time),))
+    return Clock(
+        symbol=Symbol(time, real=True),
+        node=(Unknown(time, Meaning(Kind.TIME)), Unknown(pace, Meaning(Kind.PACE), lower=S.Zero)),
+        interval=(Unknown(mu_time, Meaning(Kind.PASSING_TIME)), Unknown(mu_pace, Meaning(Kind.CONSTANT_PACE))),
+        scales=((STEP, right_pace * STEP), (model.time, left_time)),
+        start=End(pins=((time, S.Zero),)),
+        end=end,
+    )
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from sympy import Add, Expr, S, Symbol, sstr
 
@@ -37,7 +37,24 @@ class Integrals(ConditionKind):
         """Yield integrands, each followed by the value of its integral or its limit."""
         given = named_relations(self.argument, getattr(control, self.argument))
         for entry, (_, written) in zip(super().written(control), given, strict=True):
-            integrand, limit = _sides(written, entry.what)
+            left, right, sign = sides(written)
+            left, right = (expressions.checked(side, entry.what) for side in (left, right))
+            moves = [
+                any(isinstance(s, (*MOVING, ControlInput, Time)) for s in side.free_symbols) for side in (left, right)
+            ]
+            if all(moves):
+                raise ExpressionError(
+                    f"both sides of {entry.what} move",
+                    "write the integrand on one side, its integral's value on the other",
+                )
+            if not any(moves):
+                raise ExpressionError(
+                    f"{entry.what} has no integrand, since nothing in it moves",
+                    "write Eq(integrand, value), or leave it out",
+                )
+            integrand, limit = (left, right) if moves[0] else (right, left)
+            at_least = (sign == ">=") == moves[0] and sign != "="
+            integrand, limit = (-integrand, -limit) if at_least else (integrand, limit)
             yield replace(entry, expression=integrand)
             yield replace(entry, role=f"{self.argument} value", what=f"value of {entry.what}", expression=limit)
 
@@ -67,27 +84,6 @@ class Integrals(ConditionKind):
         return rf"\text{{for the integral over }} [{latex.first}, {latex.last}]"
 
 
-def _sides(value: Any, what: str) -> tuple[Expr, Expr]:
-    """Return the integrand, and the value or upper limit of its integral, with matching signs.
-
-    The integrand is the side that moves. Raises ExpressionError unless exactly one side moves.
-    """
-    left, right, sign = sides(value)
-    left, right = (expressions.checked(side, what) for side in (left, right))
-    moves = [any(isinstance(s, (*MOVING, ControlInput, Time)) for s in side.free_symbols) for side in (left, right)]
-    if all(moves):
-        raise ExpressionError(
-            f"both sides of {what} move", "write the integrand on one side, its integral's value on the other"
-        )
-    if not any(moves):
-        raise ExpressionError(
-            f"{what} has no integrand, since nothing in it moves", "write Eq(integrand, value), or leave it out"
-        )
-    integrand, limit = (left, right) if moves[0] else (right, left)
-    at_least = (sign == ">=") == moves[0] and sign != "="
-    return (-integrand, -limit) if at_least else (integrand, limit)
-
-
 def integral_equations(model: Model, names: Names) -> tuple[IntegralEquation, ...]:
     """Return the equations of the conditions on integrals, with names for their unknowns."""
     equations = []
@@ -107,11 +103,6 @@ def own_unknowns(equations: Sequence[IntegralEquation]) -> tuple[Own, ...]:
         if (slack := equation.slack) is not None:
             own.append(Own(Unknown(slack.name, Meaning(Kind.INTEGRAL_SLACK, name), lower=S.Zero), slack, S.Zero))
     return tuple(own)
-
-
-def interval_share(equations: Sequence[IntegralEquation], quadratures: Sequence[Expr]) -> Expr:
-    """Return the terms of an interval's l."""
-    return Add(*(equation.multiplier * value for equation, value in zip(equations, quadratures, strict=True)))
 
 
 def end_share(equations: Sequence[IntegralEquation]) -> End:

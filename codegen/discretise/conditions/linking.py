@@ -7,7 +7,7 @@ The value w where two segments meet is a shared unknown. The quantity at the sta
 the quantity x at the end of the earlier one the end gains zeta (x - w), with a shared multiplier zeta. Each segment by
 itself is then an initial value problem with a solution, also without controls. A velocity is no unknown of a node:
 since all segments have the same Lagrangian, equal velocities mean equal momenta. The discrete momenta of both segments
-match a shared unknown pi, that of the earlier segment by a shared multiplier.
+match a shared unknown pi, the momentum of the earlier segment by a shared multiplier.
 
 Couplings between bodies may be redundant although no two of them are alike: of the sides, centre, height and interior
 angles of a regular polygon with H corners, 2 H + 3 equations, only 2 H are independent. A solver needs independent
@@ -18,22 +18,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import sympy
 from numpy.typing import NDArray
 from sympy import Expr, Max, Min, S, Symbol
 
-from codegen.discretise.conditions.periodic import Alias, Own, Periodic
+from codegen.discretise.conditions.periodic import Alias, Own, Periodic, own_unknown
 from codegen.discretise.model.definitions import Model, prescribed
-from codegen.discretise.model.guesses import at_end, at_start, momentum_guess
+from codegen.discretise.model.guesses import DURATION, momentum_guess
 from codegen.discretise.model.values import values_at_guess
 from codegen.discretise.program import Coupling, Names, Unknown, symbols
 from codegen.errors import BoundaryError
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic import checks as expressions
-from codegen.symbolic.terms import Kind as TermKind
 from codegen.symbolic.terms import sorted_terms
 
 _DEPENDENT = 1e-7
@@ -74,8 +72,8 @@ class Shared:
 def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], names: Names) -> Shared:
     """Collect static parameters, shared unknowns of periodicity, and the coupled coordinates at the end.
 
-    `guesses` are those of the coordinates. Raises BoundaryError when a coupled coordinate is fixed at the end, and for
-    a coupling without a gradient, which no Newton step can reach.
+    `guesses` are the guesses of the coordinates. Raises BoundaryError when a coupled coordinate is fixed at the end,
+    and for a coupling without a gradient, which no Newton step can reach.
     """
     common = tuple(
         Own(Unknown(p.symbol.name, Meaning(Kind.FREE_PARAMETER, p.symbol.name), p.lower, p.upper), p.symbol, p.guess)
@@ -96,8 +94,7 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
             continue
         name = names.named("coupled", q)
         index[i], offset[i] = len(own), S.Zero
-        unknown = Unknown(name, Meaning(Kind.END_VALUE, q.name))
-        own.append(Own(unknown, Symbol(name, real=True), at_end(model, guesses[i])))
+        own.append(own_unknown(name, Kind.END_VALUE, q, guesses[i].subs(model.time, DURATION)))
         aliases.append((q.name, name, S.Zero))
     values = model.end_values
     shifted = {v.symbol: v.symbol + offset[v.coordinate] for v in values if offset[v.coordinate] != 0}
@@ -142,9 +139,9 @@ def joined_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Sequenc
     for group in (model.coordinates, model.rates):
         for i, j in _joined_indices(model) if group and set(group) <= set(quantities) else ():
             last, first = group[i], group[j]
-            start = at_start(model, guess[first])
-            own = _own(names.named("joined", first), Meaning(Kind.START_VALUE, first.name), start)
-            zeta = _own(names.named("nu", first), Meaning(Kind.CONTINUITY, last.name), S.Zero)
+            start = guess[first].subs(model.time, 0)
+            own = own_unknown(names.named("joined", first), Kind.START_VALUE, first, start, follows=True)
+            zeta = own_unknown(names.named("nu", first), Kind.CONTINUITY, last, S.Zero, follows=True)
             (at_end_node,) = symbols([last.name], "_k1")
             share = zeta.symbol * (at_end_node - own.symbol)
             out += Periodic((own, zeta), start_aliases=((first.name, own.unknown.name, S.Zero),), end_share=share)
@@ -156,9 +153,10 @@ def joined_momenta(model: Model, names: Names) -> Periodic:
     out = Periodic()
     for i, j in _joined_indices(model):
         last, first = model.coordinates[i], model.coordinates[j]
-        guess = at_start(model, momentum_guess(model)[j])
-        own = _own(names.named("pi", first), Meaning(Kind.START_MOMENTUM, first.name), guess)
-        zeta = _own(names.named("nu", model.rates[j]), Meaning(Kind.MOMENTUM_CONTINUITY, last.name), S.Zero)
+        guess = momentum_guess(model)[j].subs(model.time, 0)
+        own = own_unknown(names.named("pi", first), Kind.START_MOMENTUM, first, guess, follows=True)
+        name = names.named("nu", model.rates[j])
+        zeta = own_unknown(name, Kind.MOMENTUM_CONTINUITY, last, S.Zero, follows=True)
         out += Periodic(
             (own, zeta),
             end_aliases=((f"lambda_{last}", zeta.unknown.name, S.Zero),),
@@ -171,10 +169,6 @@ def joined_momenta(model: Model, names: Names) -> Periodic:
 def _joined_indices(model: Model) -> list[tuple[int, int]]:
     """Return the indices of joined coordinates: of the one at the end and of the one at the start."""
     return [(model.coordinates.index(last), model.coordinates.index(first)) for last, first in model.joined]
-
-
-def _own(name: str, meaning: Meaning, guess: Expr) -> Own:
-    return Own(Unknown(name, meaning), Symbol(name, real=True), guess, follows=True)
 
 
 @dataclass(frozen=True)
@@ -291,7 +285,13 @@ def _system(equations: _Equations) -> System:
     """Return residuals and Jacobian as a function; all terms of a kind are evaluated at once."""
     size = len(equations.expressions), len(equations.unknowns)
     kinds, instances = sorted_terms(equations.expressions, {s: j for j, s in enumerate(equations.unknowns)})
-    functions = [_with_slopes(kind) for kind in kinds]
+    functions = list[Callable[..., list[Array]]]()
+    for kind in kinds:  # a term and its derivatives by all its arguments
+        value = kind.expression
+        if value.has(sympy.Max, sympy.Min):  # numpy's maximum takes no array with a number
+            value = value.rewrite(sympy.Piecewise)
+        slopes = [sympy.diff(value, argument) for argument in kind.arguments]
+        functions.append(sympy.lambdify(kind.arguments, [value, *slopes], "numpy", cse=True))
     groups = [[instance for instance in instances if instance.kind == kind] for kind in range(len(kinds))]
     rows = [np.array([instance.row for instance in group]) for group in groups]
     indices = [np.array([instance.indices for instance in group], dtype=int).T for group in groups]
@@ -307,15 +307,6 @@ def _system(equations: _Equations) -> System:
         return residuals, jacobian
 
     return system
-
-
-def _with_slopes(kind: TermKind) -> Callable[..., Any]:
-    """Return a term and its derivatives by all its arguments, as a function of arrays."""
-    value = kind.expression
-    if value.has(sympy.Max, sympy.Min):  # numpy's maximum takes no array with a number
-        value = value.rewrite(sympy.Piecewise)
-    slopes = [sympy.diff(value, argument) for argument in kind.arguments]
-    return sympy.lambdify(kind.arguments, [value, *slopes], "numpy", cse=True)  # type: ignore[no-any-return]
 
 
 def _scaled(residuals: Array, jacobian: Array) -> tuple[Array, Array]:

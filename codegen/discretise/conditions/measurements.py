@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from sympy import Add, Expr, Piecewise, Symbol, sqrt, sstr
 
@@ -101,7 +101,7 @@ class Observations(ConditionKind):
 
 def measurements_of(control: Control) -> tuple[Measurements, ...]:
     """Return the measurements of each body; TableError for other objects, or for different layouts."""
-    observations: Any = control.observations
+    observations: object = control.observations
     listed = (observations,) if isinstance(observations, Measurements) else observations
     if not isinstance(listed, (list, tuple)) or not all(isinstance(one, Measurements) for one in listed):
         raise TableError(

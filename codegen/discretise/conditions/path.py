@@ -27,11 +27,11 @@ import sympy
 from sympy import Expr, Rational, S, Symbol
 
 from codegen.discretise.conditions.base import ConditionKind, Latex, Points, Scope, dependent, is_constant
-from codegen.discretise.conditions.ends import Imposed, imposed
+from codegen.discretise.conditions.ends import imposed
 from codegen.discretise.interval import STEP, PathValue, StateValue, at_nodes
 from codegen.discretise.model.definitions import Boundary, Condition, Model
 from codegen.discretise.model.relations import MOVING, STATIC
-from codegen.discretise.program import Names, Unknown, is_invariant_under_shifts, occurring, symbols
+from codegen.discretise.program import Equation, Names, Unknown, is_invariant_under_shifts, occurring, symbols
 from codegen.errors import DegenerateError, ExpressionError
 from codegen.problem.symbols import ControlInput, Delayed, Time
 from codegen.runtime.record import Kind, Meaning
@@ -104,7 +104,7 @@ class IntervalTerms:
     slack_multipliers: tuple[int, ...]
     inequalities: tuple[PathValue, ...]
     element: Expr
-    equations: tuple[tuple[str, Expr], ...]
+    equations: tuple[Equation, ...]
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class NodalTerms:
     element: Expr = S.Zero
     start_pins: tuple[str, ...] = ()
     end_pins: tuple[str, ...] = ()
-    equations: tuple[tuple[str, Expr], ...] = ()
+    equations: tuple[Equation, ...] = ()
 
     def __add__(self, other: NodalTerms) -> NodalTerms:
         """Return the terms of both."""
@@ -182,7 +182,7 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
     nodal = nodal_conditions(model, equality=False)
     values = [v for v in inner if v.is_bound or v.condition not in nodal or not _follows_from_nodes(model, v)]
     values += [PathValue(g, S.One, _at_node(model, g, S.One)) for g in nodal]
-    multipliers, slacks, indices, equations = list[Unknown](), list[Unknown](), list[int](), list[tuple[str, Expr]]()
+    multipliers, slacks, indices, equations = list[Unknown](), list[Unknown](), list[int](), list[Equation]()
     element: Expr = S.Zero
     for value in values:
         condition, kind = value.condition, Kind.BOUND if value.is_bound else Kind.PATH
@@ -190,7 +190,7 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
         yields = (condition, value.is_bound) in others
         least = -YIELDING if yields and value.value == _at_node(model, condition, S.One) else S.Zero
         (multiplier, *slack), term, equation = imposed(
-            condition, value.value, Imposed("y", kind, "_k", float(value.abscissa)), names, least
+            condition, value.value, names, kind, "_k", float(value.abscissa), least
         )
         multipliers.append(multiplier)
         slacks += slack
@@ -241,11 +241,11 @@ def nodal_equalities(
     of a segment that follows another one.
     """
     unknowns, start_pins, end_pins, element = list[Unknown](), list[str](), list[str](), S.Zero
-    equations = list[tuple[str, Expr]]()
+    equations = list[Equation]()
     for condition in conditions:
         name = names.numbered(stem)
         unknowns.append(Unknown(name, Meaning(kind, condition.name, segment=condition.segment)))
-        equations.append((f"0 at every node ({unknowns[-1].meaning.subject})", condition.expression))
+        equations.append(Equation(condition.expression, condition=unknowns[-1].meaning.subject, at_nodes=True))
         for suffix, abscissa in (("_k", S.Zero), ("_k1", S.One)):
             element += symbols([name], suffix)[0] * _at_node(model, condition, abscissa) / 2
         assert model.end is not None, "a control problem has an end"

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import sympy
 from sympy import Expr, S, Symbol, sstr
 
 from codegen.discretise.conditions.base import ConditionKind, Latex, Scope
 from codegen.discretise.model.definitions import Condition, Model
-from codegen.discretise.model.guesses import at_start, coordinate_guess, momentum_guess
+from codegen.discretise.model.guesses import coordinate_guess, momentum_guess
 from codegen.discretise.model.relations import Entry, checked_mapping, checked_sequence, entry_of, require_declared
 from codegen.discretise.program import Names, Unknown, is_invariant_under_shifts, occurring
 from codegen.errors import BoundaryError, ExpressionError
@@ -85,7 +85,7 @@ class PeriodicKind(ConditionKind):
             yield "Periodic ends", rows
 
     def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
-        periodic: Any = control.periodic
+        periodic = control.periodic
         for symbol, shift in periodic.items() if isinstance(periodic, Mapping) else [(s, 0) for s in periodic]:
             added = f" + {latex(shift)}" if shift else ""
             yield f"{latex.at(symbol, latex.last)} &= {latex.at(symbol, latex.first)}{added}"
@@ -135,30 +135,31 @@ def periodic_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Seque
     out = Periodic()
     for quantity, shift in model.periodic:
         if quantity in quantities:
-            guess = at_start(model, guesses[list(quantities).index(quantity)])
+            guess = guesses[list(quantities).index(quantity)].subs(model.time, 0)
             out += _tied(quantity, shift, guess, names)
     return out
 
 
-def periodic_velocities(model: Model, names: Names) -> Periodic:
-    """Return the periodicity of the velocities of a model in Lagrangian form, by momenta where these are equivalent.
+def periodic_velocities(model: Model, names: Names, phase: Model | None = None) -> Periodic:
+    """Return the periodicity of the velocities of a Lagrangian, by momenta where these are equivalent.
 
-    A velocity in a condition or in the terminal cost is an unknown of the end, and keeps a condition of its own.
+    `phase` is the model in Hamiltonian form, if momenta are unknowns of nodes. Otherwise a velocity in a condition or
+    in the terminal cost is an unknown of the end, and keeps a condition of its own.
     """
     shifts = dict(model.periodic)
     chosen = [i for i, v in enumerate(model.rates) if v in shifts]
     conditions = (*model.start_conditions, *model.end_conditions)
     at_ends = occurring(model.rates, model.terminal_cost, *(condition.expression for condition in conditions))
-    by_momentum = set(equivalent_momenta(model, [i for i in chosen if i not in at_ends]))
+    by_momentum = set(equivalent_momenta(model, [i for i in chosen if phase is not None or i not in at_ends]))
     out = Periodic()
     for i in chosen:
-        guess = at_start(model, momentum_guess(model)[i])
+        velocity, guess = model.rates[i], momentum_guess(model)[i].subs(model.time, 0)
         if i in by_momentum:
-            out += _matched(model, i, S.Zero, guess, names)
+            out += _tied(phase.rates[i], S.Zero, guess, names) if phase else _matched(model, i, S.Zero, guess, names)
         else:
-            velocity = model.rates[i]
-            speed = at_start(model, sympy.diff(coordinate_guess(model)[i], model.time))
-            out += _by_conditions(velocity, velocity, shifts[velocity], speed, names)
+            value = sympy.diff(phase.function, phase.rates[i]) if phase else velocity
+            speed = sympy.diff(coordinate_guess(model)[i], model.time).subs(model.time, 0)
+            out += _by_conditions(velocity, value, shifts[velocity], speed, names)
     return out
 
 
@@ -168,24 +169,7 @@ def periodic_momenta(original: Model, model: Model, names: Names) -> Periodic:
     out = Periodic()
     for i, p in enumerate(original.rates):
         if p in shifts:
-            out += _matched(model, i, shifts[p], at_start(model, momentum_guess(model)[i]), names)
-    return out
-
-
-def periodic_velocities_in_momenta(model: Model, phase: Model, names: Names) -> Periodic:
-    """Return the periodicity of the velocities of a Lagrangian that is transcribed in Hamiltonian form."""
-    shifts = dict(model.periodic)
-    chosen = [i for i, v in enumerate(model.rates) if v in shifts]
-    by_momentum = set(equivalent_momenta(model, chosen))
-    out = Periodic()
-    for i in chosen:
-        p, guess = phase.rates[i], at_start(model, momentum_guess(model)[i])
-        if i in by_momentum:
-            out += _tied(p, S.Zero, guess, names)
-        else:
-            velocity = sympy.diff(phase.function, p)
-            speed = at_start(model, sympy.diff(coordinate_guess(model)[i], model.time))
-            out += _by_conditions(model.rates[i], velocity, shifts[model.rates[i]], speed, names)
+            out += _matched(model, i, shifts[p], momentum_guess(model)[i].subs(model.time, 0), names)
     return out
 
 
@@ -219,7 +203,7 @@ def equivalent_momenta(model: Model, chosen: Sequence[int]) -> tuple[int, ...]:
 
 def _tied(quantity: Symbol, shift: Expr, guess: Expr, names: Names) -> Periodic:
     """Equate an unknown of the node at both ends to a shared unknown."""
-    own = _own(names.named("periodic", quantity), Meaning(Kind.START_VALUE, quantity.name), guess)
+    own = own_unknown(names.named("periodic", quantity), Kind.START_VALUE, quantity, guess)
     name = own.unknown.name
     return Periodic((own,), ((quantity.name, name, S.Zero),), ((quantity.name, name, shift),))
 
@@ -227,20 +211,21 @@ def _tied(quantity: Symbol, shift: Expr, guess: Expr, names: Names) -> Periodic:
 def _matched(model: Model, index: int, shift: Expr, guess: Expr, names: Names) -> Periodic:
     """Match the discrete momenta of both ends to a shared unknown."""
     q = model.coordinates[index]
-    own = _own(names.named("pi", q), Meaning(Kind.START_MOMENTUM, q.name), guess)
+    own = own_unknown(names.named("pi", q), Kind.START_MOMENTUM, q, guess)
     return Periodic(own=(own,), start_momenta=((index, own.symbol),), end_momenta=((index, own.symbol + shift),))
 
 
 def _by_conditions(quantity: Symbol, value: Expr, shift: Expr, guess: Expr, names: Names) -> Periodic:
     """Impose a condition at each end with a shared unknown."""
-    own = _own(names.named("periodic", quantity), Meaning(Kind.START_VALUE, quantity.name), guess)
+    own = own_unknown(names.named("periodic", quantity), Kind.START_VALUE, quantity, guess)
     at_ends = (Condition(f"{quantity} is periodic", value - own.symbol - offset) for offset in (S.Zero, shift))
     start, end = at_ends
     return Periodic(own=(own,), start_conditions=(start,), end_conditions=(end,))
 
 
-def _own(name: str, meaning: Meaning, guess: Expr) -> Own:
-    return Own(Unknown(name, meaning), Symbol(name, real=True), guess)
+def own_unknown(name: str, kind: Kind, of: Symbol, guess: Expr, follows: bool = False) -> Own:
+    """Return a shared unknown of each body that belongs to a quantity."""
+    return Own(Unknown(name, Meaning(kind, of.name)), Symbol(name, real=True), guess, follows)
 
 
 def require_constraints_return(model: Model, periodic: Periodic) -> None:

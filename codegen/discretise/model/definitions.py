@@ -162,7 +162,7 @@ class Model:
     A problem of P phases has a model for each phase in `phases`. The P - 1 `jumps` give pairs (coordinate or rate,
     value after the switch as an expression of the values before). The model of the problem itself has the start of the
     first phase, the end of the last one, and the sum of all durations. Its controls, parameters and free parameters
-    are those of any phase, and its time runs through all phases.
+    are the ones of all phases, and its time runs through all phases.
     """
 
     task: str
@@ -223,12 +223,6 @@ class Model:
     def authored(self) -> Model:
         """Return the problem as its author gave it, with delays."""
         return self.segments.whole if self.segments else self
-
-    @property
-    def has_free_times(self) -> bool:
-        """Return True if the lengths of the intervals between inner times are unknowns."""
-        free = {parameter.symbol for parameter in self.free_parameters}
-        return any(inner.time is None or self.duration.free_symbols & free for inner in self.inner_times)
 
     @property
     def default_values(self) -> dict[sympy.Symbol, float]:

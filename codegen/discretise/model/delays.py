@@ -17,7 +17,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Any
 
 import sympy
 from sympy import Add, Expr, Rational, S, Symbol
@@ -29,7 +28,7 @@ from codegen.discretise.model.guesses import at_guess, guessed
 from codegen.discretise.model.relations import Entry, entry_of, text, value_entries
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, SizeError, SymbolError
 from codegen.problem.bodies import symbols_of
-from codegen.problem.problem import Control, Phases
+from codegen.problem.problem import Control, Phases, Problem
 from codegen.problem.symbols import ControlInput, Coordinate, Delayed, Momentum, Quantity, State, Time, Velocity
 from codegen.symbolic import checks as expressions
 
@@ -50,7 +49,7 @@ _KEPT = frozenset(
 """Fields that stay as they are; all other fields must have their defaults in a problem with delays."""
 
 
-def require_supported(problem: Any) -> None:
+def require_supported(problem: Problem | Phases) -> None:
     """Refuse delays in phases, in several bodies of one problem, in periodic motions and in simulations."""
     phases = problem.phases if isinstance(problem, Phases) else (problem,)
     if isinstance(problem, Phases) and any(getattr(phase, "history", None) for phase in phases):
@@ -78,7 +77,7 @@ def history_entries(control: Control) -> Iterator[Entry]:
     """Yield the history before t = 0, and the start values that follow from it where the author gives no others."""
     entries = list(value_entries("history", control.history))
     yield from entries
-    conditions: Any = control.start_conditions
+    conditions: object = control.start_conditions
     if not isinstance(conditions, (Mapping, list, tuple)):
         conditions = ()
     relations = conditions.values() if isinstance(conditions, Mapping) else conditions
@@ -273,7 +272,19 @@ def _common_parts(model: Model) -> tuple[int, tuple[int, ...]]:
     number = math.lcm(*(int(ratio.q) for ratio in ratios if ratio < 1))
     quantities = len((*model.coordinates, *model.rates, *model.controls))
     if number * quantities > MOST_QUANTITIES:
-        raise _too_many_segments(model, ratios, number, MOST_QUANTITIES // quantities)
+        most = MOST_QUANTITIES // quantities
+        values = model.default_values
+        duration = expressions.rounded_at(model.duration, values) or 1.0
+        worst = max(range(len(ratios)), key=lambda i: (ratios[i] < 1, ratios[i].q))
+        times = int(1 / ratios[worst])
+        near = [f"{duration / n:.6g}" for n in dict.fromkeys((times + 1, times, most)) if 0 < n <= most][:2]
+        these = f"{' or '.join(near)} {'divide' if len(near) > 1 else 'divides'}"
+        lag = expressions.rounded_at(model.delays[worst].lag, values) or 0.0
+        raise SizeError(
+            f"the delay {lag:g} of {model.delays[worst].quantity} in the duration {duration:g} makes {number} equal "
+            f"segments, where {most} can be derived",
+            f"take a delay that goes into the duration fewer times as a whole; {these} it",
+        )
     return number, tuple(int(ratio * number) if ratio < 1 else 0 for ratio in ratios)
 
 
@@ -292,22 +303,6 @@ def _ratio(model: Model, delay: Delay) -> Rational:
     if not ratio > 0:
         raise ExpressionError(f"{_named(delay)} is no value of the past", "give a positive delay")
     return ratio
-
-
-def _too_many_segments(model: Model, ratios: Sequence[Rational], number: int, most: int) -> SizeError:
-    """Return the error for more than `most` segments; the remedy has the nearest delays that need fewer."""
-    values = model.default_values
-    duration = expressions.rounded_at(model.duration, values) or 1.0
-    worst = max(range(len(ratios)), key=lambda i: (ratios[i] < 1, ratios[i].q))
-    times = int(1 / ratios[worst])
-    near = [f"{duration / n:.6g}" for n in dict.fromkeys((times + 1, times, most)) if 0 < n <= most][:2]
-    these = f"{' or '.join(near)} {'divide' if len(near) > 1 else 'divides'}"
-    lag = expressions.rounded_at(model.delays[worst].lag, values) or 0.0
-    return SizeError(
-        f"the delay {lag:g} of {model.delays[worst].quantity} in the duration {duration:g} makes {number} equal "
-        f"segments, where {most} can be derived",
-        f"take a delay that goes into the duration fewer times as a whole; {these} it",
-    )
 
 
 def _named(delay: Delay) -> str:

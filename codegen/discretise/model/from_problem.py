@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import sympy
 
@@ -26,7 +25,7 @@ from codegen.discretise.model.units import units_of
 from codegen.discretise.model.written import jump_entries, maximises, used_quantities, written_costs, written_entries
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
 from codegen.problem.bodies import has_path_couplings, written_out
-from codegen.problem.problem import Control, Phases, form_of
+from codegen.problem.problem import Control, Phases, Problem, form_of
 from codegen.problem.sources import Source, source_of, with_location
 from codegen.problem.symbols import Quantity
 from codegen.symbolic import checks as expressions
@@ -51,14 +50,16 @@ def load_problem(problem: Source | Path | str, arguments: Mapping[str, str] = {}
         raise with_location(error, source.location) from error
 
 
-def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
+def normalise(
+    problem: Problem | Phases, declared: Sequence[Quantity] = (), name: str = "problem", title: str = ""
+) -> Model:
     """Check an author's problem, of one phase or several, and bring it into canonical form.
 
     `declared` are the quantities that were declared while the problem was made. Raises a kind of CodegenError that
     names the symbol or expression and the remedy.
     """
     delays.require_supported(problem)
-    if has_path_couplings(problem):
+    if isinstance(problem, Control) and has_path_couplings(problem):
         problem, declared = written_out(problem, declared)
     if not isinstance(problem, Phases):
         return normal_form.normalise(problem, declared, name, title)
@@ -67,13 +68,26 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     written = list[list[Entry]]()
     for index, phase in enumerate(problem.phases):
         with _in_phase(index):
-            _require_supported(index, phase)
+            if index and (phase.start or phase.start_conditions):
+                remedy = f"a value in jumps[{index - 1}], or a condition in the end or end_conditions of phase {index}"
+                raise BoundaryError("it says how it starts, but begins where the phase before ends", f"write {remedy}")
+            for kind in CONDITIONS:
+                if kind.not_in_phases and getattr(phase, kind.argument):
+                    error, finding, remedy = kind.not_in_phases
+                    raise error(finding, remedy)
+            if phase.bodies != 1:
+                raise ExpressionError(f"bodies is {phase.bodies!r}", "let one body move in problems of phases")
+            if index and phase.drawing:
+                raise ExpressionError(
+                    "it has a drawing", "give the drawing to the first phase, whose it is in all of them"
+                )
             written.append(written_entries(phase, form, jumps[index - 1] if index else ()))
     used = used_quantities(entry for entries in written for entry in entries)
     drawing = scope.checked_drawing(problem.phases[0])
     scope.require_derived(drawing, used)
     normal_form.require_unique_names([*used, *declared])
-    unused = normal_form.unused_names([*used, *scope.drawn_quantities(drawing)], declared)
+    drawn = scope.drawn_quantities(drawing)
+    unused = tuple(symbol.name for symbol in declared if symbol not in used and symbol not in drawn)
     kinds = kinds_of(used, form)
     normal_form.require_cost(problem.phases, kinds)
     plain = normal_form.plain_symbols(used, "control")
@@ -126,23 +140,6 @@ def _common_form(problem: Phases) -> str:
             remedy = "give all phases the same, with its sign"
             raise ExpressionError("one phase has a cost, another one maximises", remedy)
     return forms[0]
-
-
-def _require_supported(index: int, phase: Control) -> None:
-    """Refuse arguments that a phase cannot have, or that have no meaning between two other phases."""
-    if index and (phase.start or phase.start_conditions):
-        raise BoundaryError(
-            "it says how it starts, but begins where the phase before ends",
-            f"write a value in jumps[{index - 1}], or a condition in the end or end_conditions of phase {index}",
-        )
-    for kind in CONDITIONS:
-        if kind.not_in_phases and getattr(phase, kind.argument):
-            error, finding, remedy = kind.not_in_phases
-            raise error(finding, remedy)
-    if phase.bodies != 1:
-        raise ExpressionError(f"bodies is {phase.bodies!r}", "let one body move in problems of phases")
-    if index and phase.drawing:
-        raise ExpressionError("it has a drawing", "give the drawing to the first phase, whose it is in all of them")
 
 
 def _phase_model(
@@ -239,7 +236,7 @@ def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
         begin += model.duration
 
 
-def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, Any]) -> None:
+def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, sympy.Expr]) -> None:
     """Require that a continuous quantity can satisfy the bounds of both phases, with an interior unless it is fixed."""
     defaults, where = values.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
     fixed = prescribed(before, "end")

@@ -37,39 +37,18 @@ def momentum_guess(model: Model) -> tuple[Expr, ...]:
     return tuple(at_guess(model, momentum) for momentum in momenta)
 
 
-def control_guess(model: Model) -> tuple[Expr, ...]:
-    """Return the author's guess of each control, or zero."""
-    guess = dict(model.guess)
-    return tuple(at_guess(model, guess.get(u, S.Zero)) for u in model.controls)
-
-
 def guessed(model: Model, quantities: Sequence[Symbol], duration: Expr) -> tuple[Expr, ...]:
     """Return the guesses of coordinates or momenta: the author's ones, else straight lines between end values."""
-    guess = dict(model.guess)
     first = known_values(model, model.start, model.start_conditions)
     last = known_values(model, model.end, model.end_conditions)
-
-    def line(x: Symbol) -> Expr:
-        if x in first and x in last:
-            return first[x] + (last[x] - first[x]) * model.time / duration
-        return first.get(x, last.get(x, S.Zero))
-
-    return tuple(at_guess(model, guess[x] if x in guess else line(x)) for x in quantities)
+    lines = last | first | {x: first[x] + (last[x] - first[x]) * model.time / duration for x in first if x in last}
+    guess = lines | dict(model.guess)
+    return tuple(at_guess(model, guess.get(x, S.Zero)) for x in quantities)
 
 
 def at_guess(model: Model, expression: Expr) -> Expr:
     """Replace the free parameters in an expression by their first guesses."""
     return expression.xreplace({parameter.symbol: parameter.guess for parameter in model.free_parameters})
-
-
-def at_start(model: Model, guess: Expr) -> Expr:
-    """Return a guess, which is a function of time, at the start of the time interval."""
-    return guess.subs(model.time, 0)
-
-
-def at_end(model: Model, guess: Expr) -> Expr:
-    """Return a guess, which is a function of time, at the end of the time interval."""
-    return guess.subs(model.time, DURATION)
 
 
 def known_values(model: Model, boundary: Boundary | None, conditions: Sequence[Condition]) -> dict[Symbol, Expr]:
@@ -118,7 +97,8 @@ def measured_guess(model: Model) -> tuple[tuple[int, int], ...]:
     """Return pairs of a coordinate's index and the index of the column of measurements that holds it.
 
     Coordinates with a guess of the author are left out. Near the measurements the parameters that fit them are nearly
-    those of a linear problem. Source: Bock (1983), Recent advances in parameter identification techniques for O.D.E.
+    the parameters of a linear problem. Source: Bock (1983), Recent advances in parameter identification techniques for
+    O.D.E.
     """
     guess, columns = dict(model.guess), [observed.expression for observed in model.observed]
     measured = [(i, q) for i, q in enumerate(model.coordinates) if q in columns and q not in guess]
@@ -136,7 +116,16 @@ def with_guesses(model: Model) -> Model:
             guess.setdefault(q, _line(model, q, i, values.get(q), times))
         phases[i] = replace(phase, guess=tuple(guess.items()))
         if i + 1 < len(phases):
-            values = _values_after_jump(model, i, guess, times[i + 1])
+            time = times[i + 1]
+            before = {q: at_guess(model, value).subs(model.time, time) for q, value in guess.items()}
+            if model.form == "lagrangian":
+                pairs = zip(model.coordinates, model.rates, strict=True)
+                before |= {
+                    v: at_guess(model, sympy.diff(guess[q], model.time)).subs(model.time, time) for q, v in pairs
+                }
+            fixed = known_values(model, model.phases[i].end, model.phases[i].end_conditions)
+            fixed |= {q: at_guess(model, value).xreplace(before | fixed) for q, value in model.jumps[i]}
+            values = {q: value for q, value in (before | fixed).items() if value != 0 or q in fixed}
     return replace(model, phases=tuple(phases))
 
 
@@ -151,14 +140,3 @@ def _line(model: Model, quantity: Symbol, index: int, left: Expr | None, times: 
         if last < len(model.jumps) and quantity in dict(model.jumps[last]):
             break
     return S.Zero if left is None else left
-
-
-def _values_after_jump(model: Model, index: int, guess: dict[Symbol, Expr], time: Expr) -> dict[Symbol, Expr]:
-    """Return the values with which the next phase begins; zeros that no end condition or jump gives are left out."""
-    before = {q: at_guess(model, value).subs(model.time, time) for q, value in guess.items()}
-    if model.form == "lagrangian":
-        pairs = zip(model.coordinates, model.rates, strict=True)
-        before |= {v: at_guess(model, sympy.diff(guess[q], model.time)).subs(model.time, time) for q, v in pairs}
-    fixed = known_values(model, model.phases[index].end, model.phases[index].end_conditions)
-    fixed |= {q: at_guess(model, value).xreplace(before | fixed) for q, value in model.jumps[index]}
-    return {q: value for q, value in (before | fixed).items() if value != 0 or q in fixed}

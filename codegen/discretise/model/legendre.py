@@ -117,7 +117,19 @@ def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sym
     DegenerateError, naming the first row, when a block is singular, and SizeError when one is too large.
     """
     if _inverse_operations(matrix) > _WRITTEN_LIMIT:
-        _require_affordable_blocks(matrix)
+        # Zeros that hide in long entries may separate the blocks.
+        sparse = matrix.applyfunc(lambda entry: sympy.S.Zero if identically_zero(entry) else entry)
+        for block in sparse.connected_components():
+            rows = sorted(block)
+            operations = _inverse_operations(sparse.extract(rows, rows))
+            if operations > _WRITTEN_LIMIT:
+                quantities = ", ".join(sorted(map(str, sparse.free_symbols)))
+                raise SizeError(
+                    f"the inverse of a matrix that couples {len(rows)} coordinates would have about {operations:.0e} "
+                    f"operations in {quantities}",
+                    "use --method variational, which needs no inverse, or coordinates that the kinetic energy couples "
+                    "less",
+                )
     matrix = matrix.applyfunc(_simplified_entry)
     solution = [sympy.S.Zero] * len(right)
     for block in matrix.connected_components():
@@ -134,21 +146,6 @@ def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sym
         for row, value in zip(rows, unknowns, strict=True):
             solution[row] = value
     return tuple(solution)
-
-
-def _require_affordable_blocks(matrix: sympy.Matrix) -> None:
-    """Refuse a block whose inverse would be too long when it is written out, before hours go into it."""
-    matrix = matrix.applyfunc(lambda entry: sympy.S.Zero if identically_zero(entry) else entry)
-    for block in matrix.connected_components():
-        rows = sorted(block)
-        operations = _inverse_operations(matrix.extract(rows, rows))
-        if operations > _WRITTEN_LIMIT:
-            quantities = ", ".join(sorted(map(str, matrix.free_symbols)))
-            raise SizeError(
-                f"the inverse of a matrix that couples {len(rows)} coordinates would have about {operations:.0e} "
-                f"operations in {quantities}",
-                "use --method variational, which needs no inverse, or coordinates that the kinetic energy couples less",
-            )
 
 
 def _inverse_operations(matrix: sympy.Matrix) -> float:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral
-from typing import Any
 
 import sympy
 
@@ -30,7 +29,7 @@ from codegen.symbolic import checks as expressions
 from codegen.symbolic.terms import value_counts
 
 
-def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
+def normalise(problem: Problem, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
     """Check an author's problem and bring it into canonical form.
 
     `declared` are the quantities that were declared while the problem was made; the model lists the unused ones.
@@ -49,7 +48,8 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     drawing = scope.checked_drawing(problem)
     scope.require_derived(drawing, used)
     require_unique_names([*used, *declared])
-    unused = unused_names([*used, *scope.drawn_quantities(drawing)], declared)
+    drawn = scope.drawn_quantities(drawing)
+    unused = tuple(symbol.name for symbol in declared if symbol not in used and symbol not in drawn)
     kinds = kinds_of(used, form)
     if isinstance(problem, Control):
         require_cost([problem], kinds)
@@ -145,11 +145,6 @@ def require_unique_names(quantities: Sequence[Quantity]) -> None:
             continue  # its name was not chosen by the author
         if seen.setdefault(symbol.name, symbol) != symbol:
             raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
-
-
-def unused_names(used: Sequence[Quantity], declared: Sequence[Quantity]) -> tuple[str, ...]:
-    """Return the names of the declared quantities that the problem does not use."""
-    return tuple(symbol.name for symbol in declared if symbol not in used)
 
 
 def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from sympy import Expr, Symbol
@@ -14,12 +14,14 @@ from codegen import identifiers
 from codegen.discretise.model.normal_form import require_unique_names
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.problem.particles import Connect, Pairwise, Particle, ParticleQuantity
-from codegen.problem.problem import Simulate
+from codegen.problem.problem import Problem, Simulate
 from codegen.problem.symbols import Parameter, Quantity
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.functions import tables_of
 from codegen.symbolic.terms import Invariants
 
+Table: TypeAlias = tuple[tuple[float, ...], ...]
+"""Numbers of all particles, a row for each."""
 FRACTION = Symbol("fraction", real=True)
 """The fraction of the way from start to target."""
 
@@ -74,8 +76,8 @@ class PairwiseModel:
     path: tuple[Expr, ...] = ()
     passive: bool = False
     parallel: bool = False
-    start: tuple[tuple[tuple[float, ...], ...], ...] = ()
-    own_values: tuple[tuple[float, ...], ...] = ()
+    start: tuple[Table, ...] = ()
+    own_values: Table = ()
     unused: tuple[str, ...] = ()
     drawing: tuple[()] = ()
 
@@ -85,12 +87,12 @@ class PairwiseModel:
         return self.task == "connect"
 
 
-def is_pairwise(problem: Any) -> bool:
+def is_pairwise(problem: object) -> bool:
     """Return True if an author's problem is about particles that interact in pairs."""
     return isinstance(problem, Connect) or isinstance(getattr(problem, "hamiltonian", None), Pairwise)
 
 
-def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, title: str) -> PairwiseModel:
+def normalise_pairwise(problem: Problem, declared: Sequence[Quantity], name: str, title: str) -> PairwiseModel:
     """Check an author's problem about particles and bring it into canonical form.
 
     Raises a kind of CodegenError that names the symbol or expression and the remedy.
@@ -100,7 +102,15 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         raise ProblemFileError("Connect needs a pairwise Hamiltonian", "write hamiltonian=Pairwise(...)")
     if not isinstance(problem, (Connect, Simulate)):
         raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
-    terms = _terms(system, problem.duration)
+    terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
+    if system.self_term is not None:
+        terms["self_term"] = expressions.checked(system.self_term, "self_term")
+    terms |= {f"domain[{k}]": expressions.checked(value, f"domain[{k}]") for k, value in enumerate(system.domain)}
+    terms["duration"] = expressions.checked(problem.duration, "duration")
+    for what, term in terms.items():
+        if tables := tables_of(term):
+            finding = f"{what} reads table {tables[0].shape.name}"
+            raise ExpressionError(finding, "write a formula; particles have no tables")
     particle_symbols = {s for one in system.pair for s in (*one.q, *one.p, *one.own)}
     for what, expression in terms.items():
         for symbol in sorted(expression.free_symbols, key=str):
@@ -117,7 +127,16 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
     )
     tidied = {what: expressions.tidied(term.xreplace(plain)) for what, term in terms.items()}
     pair, self_term = tidied["pair_term"], tidied.get("self_term")
-    _require_scope(pair, self_term, first, second)
+    of_second = {*second.moving, *second.own}
+    if self_term is not None and self_term.free_symbols & of_second:
+        raise ExpressionError("self_term depends on the second particle", "write it in quantities of the first")
+    one, other = (*first.moving, *first.own), (*second.moving, *second.own)
+    swapped = pair.xreplace(dict(zip((*one, *other), (*other, *one), strict=True)))
+    points = expressions.sample_points(pair.free_symbols | swapped.free_symbols, {}, {})
+    for point in [next(points) for _ in range(4)]:
+        values = [expressions.number_at(e, point) for e in (pair, swapped)]
+        if None not in values and not np.isclose(values[0], values[1], rtol=1e-12):  # type: ignore[arg-type]
+            raise ExpressionError("pair_term changes when the two particles are exchanged", "write a symmetric term")
     limit, smooth = Invariants.of(pair, first.moving, second.moving).coincidence()
     start, own_values = _particles_at_start(problem, system.pair[0]) if isinstance(problem, Simulate) else ((), ())
     if self_term is None:
@@ -156,20 +175,6 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
     )
 
 
-def _terms(system: Pairwise, duration: Any) -> dict[str, Expr]:
-    """Return the author's expressions by their names in messages."""
-    terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
-    if system.self_term is not None:
-        terms["self_term"] = expressions.checked(system.self_term, "self_term")
-    terms |= {f"domain[{k}]": expressions.checked(value, f"domain[{k}]") for k, value in enumerate(system.domain)}
-    terms["duration"] = expressions.checked(duration, "duration")
-    for what, term in terms.items():
-        if tables := tables_of(term):
-            finding = f"{what} reads table {tables[0].shape.name}"
-            raise ExpressionError(finding, "write a formula; particles have no tables")
-    return terms
-
-
 def _plain_symbols(
     pair: tuple[Particle, Particle], parameters: Sequence[Parameter], task: str
 ) -> dict[Quantity, Symbol]:
@@ -187,19 +192,6 @@ def _plain_symbols(
     return plain
 
 
-def _require_scope(pair: Expr, self_term: Expr | None, first: ParticleSymbols, second: ParticleSymbols) -> None:
-    of_second = {*second.moving, *second.own}
-    if self_term is not None and self_term.free_symbols & of_second:
-        raise ExpressionError("self_term depends on the second particle", "write it in quantities of the first")
-    one, other = (*first.moving, *first.own), (*second.moving, *second.own)
-    swapped = pair.xreplace(dict(zip((*one, *other), (*other, *one), strict=True)))
-    points = expressions.sample_points(pair.free_symbols | swapped.free_symbols, {}, {})
-    for point in [next(points) for _ in range(4)]:
-        values = [expressions.number_at(e, point) for e in (pair, swapped)]
-        if None not in values and not np.isclose(values[0], values[1], rtol=1e-12):  # type: ignore[arg-type]
-            raise ExpressionError("pair_term changes when the two particles are exchanged", "write a symmetric term")
-
-
 def _guessed_path(problem: Connect, first: ParticleSymbols, second: ParticleSymbols) -> tuple[Expr, ...]:
     if problem.path is None:
         return tuple(x + FRACTION * (y - x) for x, y in zip(first.q, second.q, strict=True))
@@ -212,7 +204,7 @@ def _guessed_path(problem: Connect, first: ParticleSymbols, second: ParticleSymb
     return path
 
 
-def _particles_at_start(problem: Simulate, one: Particle) -> tuple[Any, Any]:
+def _particles_at_start(problem: Simulate, one: Particle) -> tuple[tuple[Table, Table], Table]:
     """Return the initial values of a simulation, whose arrays have one number for each particle."""
     for key in problem.start:
         if key not in (*one.q, *one.p, *one.own):
@@ -229,7 +221,7 @@ def _particles_at_start(problem: Simulate, one: Particle) -> tuple[Any, Any]:
     if len(sizes) > 1:
         raise BoundaryError("start has different numbers of particles", "give as many values of each quantity")
 
-    def table(symbols: Sequence[ParticleQuantity]) -> tuple[tuple[float, ...], ...]:
+    def table(symbols: Sequence[ParticleQuantity]) -> Table:
         rows = np.stack([columns[s] for s in symbols], axis=1) if symbols else np.empty((sizes.pop(), 0))
         return tuple(tuple(map(float, row)) for row in rows)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import sympy
@@ -13,6 +12,7 @@ from sympy.core import relational
 from sympy.logic import boolalg
 
 from codegen.errors import ExpressionError, SymbolError
+from codegen.problem.problem import Expression
 from codegen.problem.symbols import Coordinate, FreeParameter, Momentum, Parameter, Quantity, State, Velocity
 from codegen.symbolic import checks as expressions
 
@@ -38,12 +38,12 @@ class Entry:
     equality: bool = True
 
 
-def entry_of(role: str, what: str, value: Any, key: Quantity | None = None) -> Entry:
+def entry_of(role: str, what: str, value: Expression, key: Quantity | None = None) -> Entry:
     """Return the entry of an expression; ExpressionError where the value is no expression that can be generated."""
     return Entry(role, what, expressions.checked(value, what), key)
 
 
-def checked_mapping(what: str, mapping: Any, entry: str) -> Mapping[Quantity, Any]:
+def checked_mapping(what: str, mapping: object, entry: str) -> Mapping[Quantity, Expression]:
     """Return a mapping with declared keys; ExpressionError, or SymbolError for a key, shows the notation."""
     if not isinstance(mapping, Mapping):
         relations = f", and relations as {what}_conditions=[...]" if what in ("start", "end") else ""
@@ -53,7 +53,7 @@ def checked_mapping(what: str, mapping: Any, entry: str) -> Mapping[Quantity, An
     return mapping
 
 
-def require_declared(what: str, has: str, symbol: Any) -> None:
+def require_declared(what: str, has: str, symbol: Expression) -> None:
     """Raise SymbolError for a key or an entry of `what` that is no declared symbol."""
     if isinstance(symbol, Quantity):
         return
@@ -66,7 +66,7 @@ def require_declared(what: str, has: str, symbol: Any) -> None:
     )
 
 
-def checked_sequence(what: str, values: Any, entry: str) -> Sequence[Any]:
+def checked_sequence(what: str, values: object, entry: str) -> Sequence[Expression]:
     """Return a list or tuple; ExpressionError shows the notation."""
     if not isinstance(values, (list, tuple)):
         kind = type(values).__name__
@@ -76,7 +76,7 @@ def checked_sequence(what: str, values: Any, entry: str) -> Sequence[Any]:
     return values
 
 
-def value_entries(what: str, mapping: Any) -> Iterator[Entry]:
+def value_entries(what: str, mapping: object) -> Iterator[Entry]:
     """Yield the values that an argument gives to symbols; the argument is their role."""
     for key, value in checked_mapping(what, mapping, "symbol: value").items():
         if what in ("start", "end") and isinstance(value, (tuple, list)):
@@ -92,22 +92,22 @@ def value_entries(what: str, mapping: Any) -> Iterator[Entry]:
         yield entry_of(what, f"{what} of {key}", value, key)
 
 
-def relation_entries(what: str, values: Any) -> Iterator[Entry]:
+def relation_entries(what: str, values: object) -> Iterator[Entry]:
     """Yield the relations of an argument, which is their role; ExpressionError for equal names or relations."""
     seen, named = set[sympy.Expr](), set[str]()
     for index, (chosen_name, written) in enumerate(named_relations(what, values)):
-        checked = relation(written, f"{what}[{chosen_name or index!r}]")
-        name = chosen_name or checked.name
+        written_name, expression, equality = relation(written, f"{what}[{chosen_name or index!r}]")
+        name = chosen_name or written_name
         if chosen_name in named:
             raise ExpressionError(f"{what} has two relations of the name {chosen_name!r}", "give each another name")
         named |= {chosen_name} if chosen_name else set()
-        if checked.expression in seen:
+        if expression in seen:
             raise ExpressionError(f"{what} lists {short(name)} twice", "list it once")
-        seen.add(checked.expression)
-        yield Entry(what, f"{what} {short(name)}", checked.expression, None, name, checked.equality)
+        seen.add(expression)
+        yield Entry(what, f"{what} {short(name)}", expression, None, name, equality)
 
 
-def named_relations(what: str, values: Any) -> Iterator[tuple[str, Any]]:
+def named_relations(what: str, values: object) -> Iterator[tuple[str, Expression]]:
     """Yield pairs of the author's name of a relation, or "", and the relation."""
     for value in [*values.items()] if isinstance(values, Mapping) else checked_sequence(what, values, "relation"):
         if not isinstance(value, tuple):
@@ -120,15 +120,6 @@ def named_relations(what: str, values: Any) -> Iterator[tuple[str, Any]]:
         yield name.strip(), written
 
 
-@dataclass(frozen=True)
-class Relation:
-    """`expression` vanishes, or (`equality` false) is not positive; `name` is the relation as it was written."""
-
-    name: str
-    expression: sympy.Expr
-    equality: bool
-
-
 def text(expression: sympy.Expr) -> str:
     """Return an expression on one line, with decimal numbers no longer than their author wrote them."""
     return str(sympy.sstr(expression, full_prec=False))
@@ -139,9 +130,10 @@ def short(name: str, limit: int = 60) -> str:
     return name if len(name) <= limit else f"{name[:limit].rstrip()} ..."
 
 
-def relation(value: Any, what: str) -> Relation:
+def relation(value: Expression, what: str) -> tuple[str, sympy.Expr, bool]:
     """Read Eq(a, b), a <= b, a >= b, a < b, a > b, or an expression that is to vanish.
 
+    Return the relation as it was written, an expression that vanishes or is not positive, and True if it vanishes.
     A strict inequality means the same as one that is not strict. ExpressionError names `what` when the value is no
     single relation, or when it holds always or never.
     """
@@ -165,7 +157,7 @@ def relation(value: Any, what: str) -> Relation:
     remainder = _expanded_to_number(expressions.tidied(difference))
     if remainder is not None:
         raise _decided(f"{what}, {name},", bool(remainder == 0 or (sign != "=" and remainder.is_negative)))
-    return Relation(name, expressions.checked(difference, what), sign == "=")
+    return name, expressions.checked(difference, what), sign == "="
 
 
 def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:
@@ -183,7 +175,7 @@ def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:
     return remainder if remainder.is_number else None
 
 
-def sides(value: Any) -> tuple[Any, Any, str]:
+def sides(value: Expression) -> tuple[Expression, Expression, str]:
     """Return left side, right side and sign of a relation; an expression is to vanish."""
     if isinstance(value, relational.Equality):
         return value.lhs, value.rhs, "="

@@ -137,7 +137,15 @@ def require_scope(entries: Sequence[Entry], kinds: Kinds, form: str, is_control:
         for symbol in sorted(entry.expression.free_symbols, key=str):
             if not isinstance(symbol, _ALLOWED[entry.role]):
                 raise _out_of_scope(symbol, entry, form)
-        _require_common_to_bodies(entry)
+        # A body's number in an expression that is common to all bodies.
+        if any(isinstance(symbol, BodyNumber) for symbol in entry.expression.free_symbols):
+            if isinstance(entry.key, (Velocity, FreeParameter)) and entry.role.endswith("bound"):
+                kind = "velocity" if isinstance(entry.key, Velocity) else "free parameter"
+                raise ExpressionError(f"{entry.what} depends on body", f"give a {kind} the same bounds for all bodies")
+            unknown = [str(symbol) for symbol in entry.expression.free_symbols if isinstance(symbol, FreeParameter)]
+            if unknown and entry.role != "guess":  # where the parameter has its first guess
+                finding = f"{entry.what} depends on body and on the free parameter {min(unknown)}"
+                raise ExpressionError(finding, "let it depend on one of them")
         for table in tables_of(entry.expression):
             name = table.shape.name
             if entry.role in _CONSTANT:
@@ -156,21 +164,6 @@ def require_scope(entries: Sequence[Entry], kinds: Kinds, form: str, is_control:
     for free in kinds.free:
         if free not in present:
             raise SymbolError(f"free parameter {free} occurs in no expression", "remove it, or use it")
-
-
-def _require_common_to_bodies(entry: Entry) -> None:
-    """Refuse a body's number in expressions that are common to all bodies."""
-    symbols = entry.expression.free_symbols
-    if not any(isinstance(symbol, BodyNumber) for symbol in symbols):
-        return
-    if isinstance(entry.key, (Velocity, FreeParameter)) and entry.role.endswith("bound"):
-        kind = "velocity" if isinstance(entry.key, Velocity) else "free parameter"
-        raise ExpressionError(f"{entry.what} depends on body", f"give a {kind} the same bounds for all bodies")
-    free = [str(symbol) for symbol in symbols if isinstance(symbol, FreeParameter)]
-    if free and entry.role != "guess":  # where the parameter has its first guess
-        raise ExpressionError(
-            f"{entry.what} depends on body and on the free parameter {min(free)}", "let it depend on one of them"
-        )
 
 
 def _out_of_scope(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError | ExpressionError:
@@ -276,7 +269,7 @@ def with_drawing(model: Model, items: Sequence[Item], plain: Mapping[Quantity, s
     return replace(model, drawing=drawing)
 
 
-def _checked_item(item: Any, where: str) -> Item:
+def _checked_item(item: object, where: str) -> Item:
     if not isinstance(item, Item) or type(item) is Item:
         raise ExpressionError(f"{where} is a {type(item).__name__}", "use items of codegen.drawing, such as Rod")
     where = f"{where}, a {type(item).__name__},"

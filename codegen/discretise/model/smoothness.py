@@ -29,7 +29,7 @@ _INSIDE = 0.3137, 0.7713
 _PUSH = 1e-2
 """Distance from the bounds at which optimisers begin, relative to the size of the value."""
 _WITH_ENDS = (sympy.log, sympy.asin, sympy.acos, sympy.acosh, sympy.atanh)
-"""Functions whose domain has ends, as that of powers."""
+"""Functions whose domain has ends, as the domain of powers has."""
 
 
 def sample_points(
@@ -51,7 +51,7 @@ def sample_points(
 def expected_values(model: Model, share: float) -> dict[sympy.Symbol, float]:
     """Return states, controls and time after a share of the duration, as far as the problem gives them.
 
-    A value is that of the guess, else of the line between the values at the ends, or the only one, else the middle of
+    A value comes from the guess, else from the line between the values at the ends, or the only one, else the middle of
     the bounds.
     """
     constants = _constants(model)
@@ -197,7 +197,7 @@ def kinks(expression: Expr, unknowns: Iterable[Symbol]) -> tuple[str, ...]:
         slope = expression.xreplace({bend: value}).diff(value)
         numbers = [argument for argument in bend.args if argument.is_number] or [sympy.S.Zero]
         arguments = [argument for argument in bend.args if not argument.is_number]
-        # At the kink the argument of Abs is zero, and the argument of Max or Min equals the number beside it.
+        # At the kink the argument of Abs is zero, and the argument of Max or Min equals the number next to it.
         if len(arguments) > 1 or slope.subs({value: numbers[0]}).subs(arguments[0], numbers[0]) != 0:
             terms[str(bend)] = None
     return tuple(terms)

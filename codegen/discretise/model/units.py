@@ -1,10 +1,10 @@
 """Units that an author gives: the units that follow from them, and their agreement.
 
 Where every quantity of an expression has a unit, pint gives the unit of the expression. Terms must agree in dimension
-and in size: metres beside kilometres are refused like metres beside seconds. Functions such as sin take pure numbers.
-An angle is a pure number in radians, and a degree is no radian. An expression with a quantity without a unit has no
-unit and is accepted. Numbers are pure numbers in dynamics, forces and costs. Values, bounds and sides of relations may
-be plain numbers: they count in the units of the quantity that they are compared with.
+and in size: metres and kilometres in one sum are refused like metres and seconds. Functions such as sin take pure
+numbers. An angle is a pure number in radians, and a degree is no radian. An expression with a quantity without a unit
+has no unit and is accepted. Numbers are pure numbers in dynamics, forces and costs. Values, bounds and sides of
+relations may be plain numbers: they count in the units of the quantity that they are compared with.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from tokenize import TokenError
-from typing import Any
+from typing import TYPE_CHECKING
 
 import sympy
 
@@ -22,6 +22,11 @@ from codegen.discretise.model.relations import Entry
 from codegen.errors import UnitError, clause
 from codegen.identifiers import written_unit
 from codegen.problem.symbols import Coordinate, Delayed, EndValue, Quantity, Time, Velocity
+
+if TYPE_CHECKING:
+    from pint import Quantity as Measure
+    from pint import UnitRegistry
+    from pint.facets.plain import PlainUnit as Unit
 
 _EQUAL = 1e-9
 """Rounding of pint, relative to one, in the factor between two equal units."""
@@ -37,14 +42,14 @@ _DYNAMICS = frozenset({"lagrangian", "hamiltonian", "dynamics", "force", "cost",
 
 
 @cache
-def _registry() -> Any:
+def _registry() -> UnitRegistry[float]:
     """Return the registry of units of pint, whose import takes a while."""
     import pint
 
     return pint.UnitRegistry()
 
 
-def checked_unit(text: str, name: str) -> Any:
+def checked_unit(text: str, name: str) -> Unit:
     """Return the unit that a text names; UnitError for an unknown unit, or with an offset, as degrees Celsius."""
     import pint
 
@@ -94,15 +99,15 @@ class _Units:
 
     def __init__(self, quantities: Sequence[Quantity]) -> None:
         times = [symbol for symbol in quantities if isinstance(symbol, Time)]
-        self.time: Any = checked_unit(_SECONDS, "the time")
+        self.time: Unit = checked_unit(_SECONDS, "the time")
         for symbol in times:
             self.time = checked_unit(getattr(symbol, "unit", _SECONDS), symbol.name)
         self.units = {s: checked_unit(s.unit, s.name) for s in quantities if hasattr(s, "unit")}
-        self.energy: Any = None
-        self.running: Any = None
-        self.terminal: Any = None
+        self.energy: Unit | None = None
+        self.running: Unit | None = None
+        self.terminal: Unit | None = None
 
-    def unit(self, symbol: sympy.Symbol) -> Any:
+    def unit(self, symbol: sympy.Symbol) -> Unit | None:
         """Return the unit of a quantity as the author gave it, or as it follows; None where it does not."""
         if isinstance(symbol, Time):
             return self.time
@@ -123,26 +128,23 @@ class _Units:
         elif entry.role == "terminal_cost":
             self.terminal = unit
         else:
-            self._require_unit_of_key(entry, unit)
+            # A value has the unit of its quantity, unless it is a plain number.
+            key, described = (self.unit(entry.key) if entry.key is not None else None), str(entry.key)
+            if entry.role == "duration":
+                key, described = self.time, "the time"
+            elif entry.role == "force" and key is not None and self.energy is not None:
+                key, described = self.energy / key, f"the Lagrangian by {entry.key}"
+            elif entry.role == "dynamics" and key is not None:
+                key, described = key / self.time, f"the rate of {entry.key}"
+            elif entry.role not in _VALUES:
+                key = None
+            if unit is not None and key is not None and not entry.expression.is_number:
+                _require_same(unit, key, entry.what, described)
         if self.running is not None and self.terminal is not None:
             whole = self.running * self.time
             _require_same(whole, self.terminal, "the integral of the cost", "the terminal cost")
 
-    def _require_unit_of_key(self, entry: Entry, unit: Any) -> None:
-        """Refuse a value whose unit is not that of its quantity."""
-        key, described = (self.unit(entry.key) if entry.key is not None else None), str(entry.key)
-        if entry.role == "duration":
-            key, described = self.time, "the time"
-        elif entry.role == "force" and key is not None and self.energy is not None:
-            key, described = self.energy / key, f"the Lagrangian by {entry.key}"
-        elif entry.role == "dynamics" and key is not None:
-            key, described = key / self.time, f"the rate of {entry.key}"
-        elif entry.role not in _VALUES:
-            return
-        if unit is not None and key is not None and not entry.expression.is_number:
-            _require_same(unit, key, entry.what, described)
-
-    def _of(self, expression: sympy.Expr, where: str, is_strict: bool) -> Any:
+    def _of(self, expression: sympy.Expr, where: str, is_strict: bool) -> Unit | None:
         """Return the unit of an expression; None where a part has no unit."""
         if isinstance(expression, sympy.Symbol):
             return self.unit(expression)
@@ -152,7 +154,8 @@ class _Units:
             return self._sum(expression.args, where, is_strict)
         parts = [self._of(part, where, True) for part in expression.args]
         if isinstance(expression, sympy.Mul):
-            return None if any(part is None for part in parts) else math.prod(parts[1:], start=parts[0])
+            factors = [part for part in parts if part is not None]
+            return math.prod(factors[1:], start=factors[0]) if len(factors) == len(parts) else None
         if isinstance(expression, sympy.Pow):
             base, exponent = parts
             if exponent is not None:
@@ -174,7 +177,7 @@ class _Units:
             return _registry().Unit("dimensionless")
         return None  # tables and values of bodies have no units
 
-    def _sum(self, terms: Sequence[sympy.Expr], where: str, is_strict: bool) -> Any:
+    def _sum(self, terms: Sequence[sympy.Expr], where: str, is_strict: bool) -> Unit | None:
         """Return the common unit of all terms."""
         counted = terms if is_strict else [term for term in terms if not term.is_number]
         units = [self._of(term, where, True) for term in counted]
@@ -184,24 +187,25 @@ class _Units:
         return present[0][1] if present and len(present) == len(counted) else None
 
 
-def _ratio(unit: Any, other: Any) -> Any:
-    return (1.0 * (unit / other)).to_base_units()
+def _ratio(unit: Unit, other: Unit) -> Measure[float]:
+    ratio: Measure[float] = (1.0 * (unit / other)).to_base_units()
+    return ratio
 
 
-def _require_same(unit: Any, other: Any, what: str, beside: str) -> None:
+def _require_same(unit: Unit, other: Unit, what: str, partner: str) -> None:
     ratio = _ratio(unit, other)
     if not ratio.dimensionless or abs(ratio.magnitude - 1.0) > _EQUAL:
-        finding = f"{what} is in {_text(unit) or 'pure numbers'}, {beside} in {_text(other) or 'pure numbers'}"
+        finding = f"{what} is in {_text(unit) or 'pure numbers'}, {partner} in {_text(other) or 'pure numbers'}"
         raise UnitError(clause(finding), f"let units agree, and {_NUMBERS}")
 
 
-def _require_pure(unit: Any, what: str, where: str) -> None:
+def _require_pure(unit: Unit, what: str, where: str) -> None:
     ratio = (1.0 * unit).to_base_units()
     if not ratio.dimensionless or abs(ratio.magnitude - 1.0) > _EQUAL:
         raise UnitError(clause(f"{where}: {what} is in {_text(unit)}"), f"let it have no dimension, and {_NUMBERS}")
 
 
-def _text(unit: Any) -> str:
+def _text(unit: Unit | None) -> str:
     """Return a unit as axes show it, such as kg·m²/s, without radians among other units; J, N and W are named."""
     if unit is None:
         return ""

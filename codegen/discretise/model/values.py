@@ -8,7 +8,7 @@ import sympy
 
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.conditions.base import Points
-from codegen.discretise.model.definitions import Bounds, Condition, Model, prescribed
+from codegen.discretise.model.definitions import Bounds, Model, prescribed
 from codegen.errors import BoundaryError, DegenerateError, ExpressionError
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.checks import rounding_at, rounding_of
@@ -25,8 +25,8 @@ def values_at_guess(model: Model) -> dict[sympy.Symbol, float]:
 def require_values(model: Model, bounds: Sequence[Bounds], points: Points) -> None:
     """Refuse values that are not finite at the default parameters, and values that contradict each other.
 
-    `bounds` are all bounds of the author, also those of velocities and free parameters. Every expression is expected
-    to have a value at one of the `points`.
+    `bounds` are all bounds of the author, also the bounds of velocities and free parameters. Every expression is
+    expected to have a value at one of the `points`.
     """
     for free in model.free_parameters:
         _number(f"guess of {free.symbol}", free.guess, model.default_values)
@@ -40,7 +40,20 @@ def require_values(model: Model, bounds: Sequence[Bounds], points: Points) -> No
         where = " at the first guess" if model.duration.free_symbols - set(model.parameters) else ""
         raise ExpressionError(f"duration is {duration:g}{where}", "give a positive duration")
     for bound in bounds:
-        _require_order(model, bound)
+        for values in _bodies(model, bound.lower, bound.upper):
+            lower, upper = (
+                _number(f"{side} bound of {bound.symbol}", expression, values) if expression is not None else None
+                for side, expression in (("lower", bound.lower), ("upper", bound.upper))
+            )
+            if lower is None or upper is None or lower < upper:
+                continue
+            finding = f"{bound.symbol} has the lower bound {lower:g} and the upper bound {upper:g}"
+            if lower > upper:
+                raise BoundaryError(finding, "exchange them")
+            if bound.symbol in (*model.controls, *(free.symbol for free in model.free_parameters)):
+                raise BoundaryError(finding, "make it a parameter of that value")
+            remedy = "give it by start or end where it is fixed, or hold it by a path equality, Eq(..., ...)"
+            raise BoundaryError(finding, remedy)
     limits = {bound.symbol: bound for bound in bounds}
     for symbol, what, expression in (
         *((f.symbol, f"guess of {f.symbol}", f.guess) for f in model.free_parameters),
@@ -81,23 +94,19 @@ def require_agreement(model: Model) -> None:
     for end in ("start", "end"):
         fixed = {**prescribed(model, end), model.time: sympy.S.Zero if end == "start" else model.duration}
         for condition in (condition for kind in CONDITIONS for condition in kind.at(model, end)):
-            _require_agreement(model, end, fixed, condition)
-
-
-def _require_agreement(model: Model, end: str, fixed: Mapping[sympy.Symbol, sympy.Expr], condition: Condition) -> None:
-    symbols = condition.expression.free_symbols
-    values = {symbol: value for symbol, value in fixed.items() if symbol in symbols}
-    present = symbols.union(*(value.free_symbols for value in values.values()))
-    if not present <= {*fixed, *model.parameters, model.body}:
-        return
-    for body in _bodies(model, *values.values()):
-        numbers = {**body, **{s: _number(f"{end} of {s}", value, body) for s, value in values.items()}}
-        excess = expressions.rounded_at(condition.expression, numbers)
-        if excess is None:
-            continue
-        excess = abs(excess) if condition.equality else excess
-        if excess > rounding_at(condition.expression, numbers):
-            raise BoundaryError(f"{end} violates {condition} by {excess:g}", "correct one of them")
+            symbols = condition.expression.free_symbols
+            values = {symbol: value for symbol, value in fixed.items() if symbol in symbols}
+            present = symbols.union(*(value.free_symbols for value in values.values()))
+            if not present <= {*fixed, *model.parameters, model.body}:
+                continue
+            for body in _bodies(model, *values.values()):
+                numbers = {**body, **{s: _number(f"{end} of {s}", value, body) for s, value in values.items()}}
+                excess = expressions.rounded_at(condition.expression, numbers)
+                if excess is None:
+                    continue
+                excess = abs(excess) if condition.equality else excess
+                if excess > rounding_at(condition.expression, numbers):
+                    raise BoundaryError(f"{end} violates {condition} by {excess:g}", "correct one of them")
 
 
 def _bodies(model: Model, *expressions: sympy.Expr | None) -> Iterator[dict[sympy.Symbol, float]]:
@@ -117,24 +126,6 @@ def _number(what: str, expression: sympy.Expr, values: Mapping[sympy.Symbol, flo
             f"{what} is {expression}, which is no finite number at the default parameters", "correct the values"
         )
     return number
-
-
-def _require_order(model: Model, bound: Bounds) -> None:
-    """Refuse a lower bound that is not below the upper one."""
-    for values in _bodies(model, bound.lower, bound.upper):
-        lower, upper = (
-            _number(f"{side} bound of {bound.symbol}", expression, values) if expression is not None else None
-            for side, expression in (("lower", bound.lower), ("upper", bound.upper))
-        )
-        if lower is None or upper is None or lower < upper:
-            continue
-        finding = f"{bound.symbol} has the lower bound {lower:g} and the upper bound {upper:g}"
-        if lower > upper:
-            raise BoundaryError(finding, "exchange them")
-        if bound.symbol in (*model.controls, *(free.symbol for free in model.free_parameters)):
-            raise BoundaryError(finding, "make it a parameter of that value")
-        remedy = "give it by start or end where it is fixed, or hold it by a path equality, Eq(..., ...)"
-        raise BoundaryError(finding, remedy)
 
 
 def _require_real(model: Model, points: Points) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import sympy
 
@@ -12,7 +11,7 @@ from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.model.delays import history_entries
 from codegen.discretise.model.relations import Entry, checked_mapping, checked_sequence, entry_of, value_entries
 from codegen.errors import ExpressionError, SymbolError, TableError
-from codegen.problem.problem import Control, Problem
+from codegen.problem.problem import Control, Expression, Problem
 from codegen.problem.symbols import (
     Coordinate,
     Delayed,
@@ -48,7 +47,7 @@ def written_entries(problem: Problem, form: str, jump: Sequence[Entry] = ()) -> 
     return entries
 
 
-def jump_entries(jumps: Any, switches: int) -> list[list[Entry]]:
+def jump_entries(jumps: object, switches: int) -> list[list[Entry]]:
     """Return the expressions of the jumps between phases, a list for each switch; no list without any jumps."""
     mappings = checked_sequence("jumps", jumps, "{state: value after the switch}")
     if mappings and len(mappings) != switches:
@@ -159,7 +158,7 @@ def written_costs(control: Control) -> Iterator[Entry]:
         yield replace(written, expression=-written.expression) if is_maximised else written
 
 
-def _limits(key: Quantity, lower: Any, upper: Any) -> Iterator[Entry]:
+def _limits(key: Quantity, lower: Expression, upper: Expression) -> Iterator[Entry]:
     """Yield the bounds of a quantity, without those that are infinite on their own side."""
     for role, value, infinity in (("lower bound", lower, -sympy.oo), ("upper bound", upper, sympy.oo)):
         if value is not None and not (isinstance(value, (float, sympy.Basic)) and value == infinity):

@@ -45,9 +45,25 @@ def find(name: str, method: str) -> Scheme:
     if name in table:
         return table[name]
     if "-steps-of-" in name:
-        return _repeated(name, method)
+        count, inner = name.split("-steps-of-", 1)
+        base = find(inner, method)
+        if base.parts or base.adaptive:
+            single = [n for n, scheme in _ALL[method].items() if not scheme.parts and not scheme.adaptive]
+            raise SchemeError(f"scheme {name!r} repeats {base.name}", f"repeat one of {', '.join(single)}")
+        if not count.isdecimal() or int(count) < 2:
+            raise SchemeError(f"scheme {name!r}", f"give a number of steps from 2 on, as in 4-steps-of-{inner}")
+        return compositions.repeated(int(count), base)
     if "-of-" in name:
-        return _composition(name, method)
+        outer, inner = name.split("-of-", 1)
+        bases = {n: s for n, s in _ALL[method].items() if s.symmetric and s.order == 2}
+        symmetric = bases.get(ALIASES.get((method, inner), inner))
+        composition = compositions.composed(outer, symmetric) if symmetric else None
+        if composition is None:
+            raise SchemeError(
+                f"there is no scheme {name!r} for the {method} method",
+                f"give one of {', '.join(compositions.NAMES)}, then -of-, then one of {', '.join(bases)}",
+            )
+        return composition
     if method == "hamiltonian" and name.startswith("alpha-"):
         try:
             value = Rational(name.removeprefix("alpha-"))
@@ -81,29 +97,3 @@ def is_known(name: str, method: str) -> bool:
 def of_method(method: str) -> tuple[Scheme, ...]:
     """Return every scheme of a method by itself, without families and aliases."""
     return tuple(_ALL[method].values())
-
-
-def _repeated(name: str, method: str) -> Scheme:
-    """Return the scheme `<n>-steps-of-<base>`."""
-    count, inner = name.split("-steps-of-", 1)
-    base = find(inner, method)
-    if base.parts or base.adaptive:
-        single = [n for n, scheme in _ALL[method].items() if not scheme.parts and not scheme.adaptive]
-        raise SchemeError(f"scheme {name!r} repeats {base.name}", f"repeat one of {', '.join(single)}")
-    if not count.isdecimal() or int(count) < 2:
-        raise SchemeError(f"scheme {name!r}", f"give a number of steps from 2 on, as in 4-steps-of-{inner}")
-    return compositions.repeated(int(count), base)
-
-
-def _composition(name: str, method: str) -> Scheme:
-    """Return the scheme `<composition>-of-<base>`."""
-    outer, inner = name.split("-of-", 1)
-    bases = {n: s for n, s in _ALL[method].items() if s.symmetric and s.order == 2}
-    base = bases.get(ALIASES.get((method, inner), inner))
-    composition = compositions.composed(outer, base) if base else None
-    if composition is None:
-        raise SchemeError(
-            f"there is no scheme {name!r} for the {method} method",
-            f"give one of {', '.join(compositions.NAMES)}, then -of-, then one of {', '.join(bases)}",
-        )
-    return composition

@@ -7,7 +7,7 @@ from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.emit.differentiation import ControlDerivatives, ControlSensitivities, StepDerivatives
 from codegen.emit.lower.control.module import lower_control
 from codegen.emit.lower.module import Module
-from codegen.emit.lower.particles import lower_connect, lower_particles
+from codegen.emit.lower.particles import lower_particles
 from codegen.emit.lower.simulate import lower_step
 from codegen.emit.pairwise_derivatives import PairDerivatives
 
@@ -20,7 +20,7 @@ def lower(
     """Return a program and its derivatives as a module of strings; derivatives `by_data` add sensitivities."""
     if isinstance(program, PairwiseProgram):
         assert isinstance(derivatives, PairDerivatives)
-        return (lower_connect if program.model.connects else lower_particles)(program, derivatives)
+        return lower_particles(program, derivatives)
     if isinstance(program, ControlProgram):
         assert isinstance(derivatives, ControlDerivatives)
         return lower_control(program, derivatives, by_data)

@@ -72,30 +72,7 @@ def gathered_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[
         if model.parallel:
             raise ExpressionError("parallel=True, but particles do not act on themselves as on others", _REMEDY)
         return ()
-    gradient = _gathered_gradient(Writer(model, derivatives))
-    called = {name for line in (*gradient.body, *gradient.outputs) for name in re.findall(r"math\.(\w+)\(", line.code)}
-    if not called <= {"sqrt"}:
-        if model.parallel:
-            names = " and ".join(sorted(called - {"sqrt"}))
-            raise ExpressionError(f"parallel=True, but the gradient calls {names}", _REMEDY)
-        return ()
-    if not model.parallel:
-        return (gradient,)
-    return (
-        replace(
-            gradient,
-            name="gradient_of_some",
-            summary="Fill `gradient`, shape (2, n, d), with H_q and H_p of particles from `begin` to `end`.",
-            arguments=(*STATE, "begin", "end", "gradient"),
-            decorator='@njit(error_model="numpy", fastmath={"contract"})',
-            views=(),
-            begin="begin",
-            end="end",
-        ),
-    )
-
-
-def _gathered_gradient(writer: Writer) -> BlockLoop:
+    writer = Writer(model, derivatives)
     pair, size = writer.derivatives.pair, writer.dimension
     scalars = {s: code for s, code in writer.single_codes.items() if s in dict(pair.scalars)}
     codes = [*writer.codes("i").values(), *(f"singles[i, {k}]" for k in range(len(writer.singles)))]
@@ -104,7 +81,7 @@ def _gathered_gradient(writer: Writer) -> BlockLoop:
     reads = {s: rows.get(code, code) for s, code in {**writer.codes("i"), **writer.codes("j"), **scalars}.items()}
     made = writer.summed((*pair.differences, *pair.scalars, *pair.slopes), reads, outputs, scalars)
     used = {line.code for line in made.inputs}
-    return BlockLoop(
+    gradient = BlockLoop(
         name="hamiltonian_gradient",
         summary="Fill `gradient`, shape (2, n, d), with H_q and H_p.",
         arguments=signature((*STATE, "gradient")),
@@ -129,6 +106,26 @@ def _gathered_gradient(writer: Writer) -> BlockLoop:
         ),
         operations_before=made.operations_before,
         operations_after=made.operations_after,
+    )
+    called = {name for line in (*gradient.body, *gradient.outputs) for name in re.findall(r"math\.(\w+)\(", line.code)}
+    if not called <= {"sqrt"}:
+        if model.parallel:
+            names = " and ".join(sorted(called - {"sqrt"}))
+            raise ExpressionError(f"parallel=True, but the gradient calls {names}", _REMEDY)
+        return ()
+    if not model.parallel:
+        return (gradient,)
+    return (
+        replace(
+            gradient,
+            name="gradient_of_some",
+            summary="Fill `gradient`, shape (2, n, d), with H_q and H_p of particles from `begin` to `end`.",
+            arguments=(*STATE, "begin", "end", "gradient"),
+            decorator='@njit(error_model="numpy", fastmath={"contract"})',
+            views=(),
+            begin="begin",
+            end="end",
+        ),
     )
 
 

@@ -1,6 +1,6 @@
 """One kernel as strings: inputs read from arrays, common subexpressions, outputs with their meaning.
 
-Each table is looked up once for all derivatives at a point, before the first line that reads one of them.
+Each table is looked up once for all derivatives at a point, before the first line that reads a derivative.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ INNER = ('@njit(error_model="numpy")',)
 """Decorator of functions that only compiled functions call: their machine code is kept as part of the caller's."""
 
 KERNEL, VALUE = ("@Kernel",), ("@Value",)
-"""Decorators of functions that are called by their address; those of the second kind return a value."""
+"""Decorators of functions that are called by their address; functions of the second kind return a value."""
 
 
 @dataclass(frozen=True)
@@ -89,16 +89,39 @@ def kernel(
     expressions = [with_decimal_roots(stabilised(value)) for value in values]
     used = set[Symbol]().union(*(e.free_symbols for e in expressions))
     taken = {s.name for s in codes} | set(arguments)
-    body, reduced = [*zip(names, expressions, strict=False)], expressions[len(names) :]
-    if not straight_line:
+    body: list[Assignment] = []
+    if straight_line:
+        body += zip(names, expressions, strict=False)
+        reduced = expressions[len(names) :]
+    else:
         fresh = (Symbol(f"x{i}", real=True) for i in range(10**9) if f"x{i}" not in taken)
         common, shared = sympy.cse(expressions, symbols=fresh, order="canonical")
-        body = _interleaved(zip(names, shared[: len(names)], strict=True), common)
+        # Each common subexpression stands before the first assignment that reads it; the others come last.
+        waiting, order = dict(common), [symbol for symbol, _ in common]
+
+        def supply(value: Expr) -> None:
+            for symbol in sorted(value.free_symbols & waiting.keys(), key=order.index):
+                if symbol in waiting:
+                    part = waiting.pop(symbol)
+                    supply(part)
+                    body.append((symbol, part))
+
+        for symbol, value in zip(names, shared[: len(names)], strict=True):
+            supply(value)
+            body.append((symbol, value))
+        body += waiting.items()
         reduced = shared[len(names) :]
     operations = [int(e.count_ops()) for e in (*(value for _, value in body), *reduced)]
     before = sum(int(e.count_ops()) for e in expressions)
-    if straight_line:
-        before = _written_out(names, expressions, operations)
+    if straight_line:  # operations of all outputs without assignments
+        totals: dict[Expr, int] = {}
+        before = 0
+        for index, (expression, count) in enumerate(zip(expressions, operations, strict=True)):
+            total = count + sum(totals.get(part, 0) for part in sympy.preorder_traversal(expression))
+            if index < len(names):
+                totals[names[index]] = total
+            else:
+                before += total
     pairs, reduced = _with_lookups(body, reduced, taken | {str(s) for s, _ in body})
     return Kernel(
         name=name,
@@ -126,38 +149,6 @@ def needed(assignments: Sequence[Assignment], read: Iterable[Expr]) -> list[Assi
             kept.append((symbol, value))
             symbols |= value.free_symbols
     return kept[::-1]
-
-
-def _written_out(names: Sequence[Symbol], expressions: Sequence[Expr], own: Sequence[int]) -> int:
-    """Return the operations of all outputs without assignments; the first expressions are the assigned values."""
-    totals: dict[Expr, int] = {}
-    outputs = 0
-    for index, (expression, operations) in enumerate(zip(expressions, own, strict=True)):
-        total = operations + sum(totals.get(part, 0) for part in sympy.preorder_traversal(expression))
-        if index < len(names):
-            totals[names[index]] = total
-        else:
-            outputs += total
-    return outputs
-
-
-def _interleaved(assignments: Iterable[Assignment], common: Sequence[Assignment]) -> list[Assignment]:
-    """Put each common subexpression before the first assignment that reads it; the others come last."""
-    waiting = dict(common)
-    order = list(waiting)
-    body: list[Assignment] = []
-
-    def supply(value: Expr) -> None:
-        for symbol in sorted(value.free_symbols & waiting.keys(), key=order.index):
-            if symbol in waiting:
-                part = waiting.pop(symbol)
-                supply(part)
-                body.append((symbol, part))
-
-    for symbol, value in assignments:
-        supply(value)
-        body.append((symbol, value))
-    return [*body, *waiting.items()]
 
 
 @dataclass(frozen=True)

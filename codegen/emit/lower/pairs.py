@@ -332,7 +332,7 @@ def _momentum_matrix(writer: Writer) -> PairLoop:
             codes = [f"{'ij'[one // 2]}", f"{'ij'[other // 2]}"]
             if not isotropic:
                 codes = [f"{size}*{index} + {axis}" for index, axis in zip(codes, (a, b), strict=True)]
-            # The row of particle i comes after that of j.
+            # The row of particle i comes after the row of j.
             low, high = codes if one // 2 <= other // 2 else codes[::-1]
             outputs.append((f"matrix[{low}, {high}]", "+=", value))
         kernels.append(writer.lowered(term, outputs, term.slopes + term.curvatures))
@@ -446,7 +446,7 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
 def accurate_sum(expression: Expr, model: PairwiseModel, codes: Sequence[str] = ()) -> str:
     """Return code of a polynomial of one particle's coordinates; a sum of products of two is exact to the last digit.
 
-    `codes` read the coordinates, by default those of particle i.
+    `codes` read the coordinates, by default of particle i.
     """
     codes = codes or [f"z[0, i, {a}]" for a in range(len(model.first.q))]
     reads = {s: Symbol(code, real=True) for s, code in zip(model.first.q, codes, strict=True)}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from sympy import Rational, S, Symbol, sstr
 
@@ -19,117 +18,90 @@ from codegen.runtime.record import ConnectRecord, Form, Method, ParticleRecord
 
 
 @dataclass(frozen=True)
-class PairwiseModule(Module):
+class ParticlesModule(Module):
     """A module about particles; `own` are a particle's own parameters.
 
-    `public` are the public names, and `record` the fields of the PairProblem with their code.
+    `public` are the public names, and `record` the fields of the PairProblem with their code. If threads share the
+    gradient, `threaded` has one group of lines, which make arrays of pointers. `tracer_loops` carry points along.
+    `start` and `own_values` are the default particles of a simulation.
     """
 
     public: tuple[str, ...]
     record: tuple[tuple[str, str], ...]
     particle_loops: tuple[ParticleLoop, ...]
     loops: tuple[PairLoop, ...]
-    own: tuple[Argument, ...]
-    duration: str
-    dimension: int
-
-
-@dataclass(frozen=True)
-class ConnectModule(PairwiseModule):
-    """A module that connects given points by the motion of particles; `tracer_loops` carry points along.
-
-    If threads share the gradient, `threaded` has one group of lines, which make arrays of pointers.
-    """
-
     gathered_loops: tuple[BlockLoop, ...]
     threaded: tuple[tuple[Line, ...], ...]
     tracer_loops: tuple[BlockLoop, ...]
-
-
-@dataclass(frozen=True)
-class ParticlesModule(PairwiseModule):
-    """A module that follows particles; `start` and `own_values` are those of the default particles."""
-
+    own: tuple[Argument, ...]
+    duration: str
+    dimension: int
     start: tuple[tuple[tuple[float, ...], ...], ...]
     own_values: tuple[tuple[float, ...], ...]
 
 
-def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> ConnectModule:
-    """Return every loop over pairs, with the tables and texts of its module, as strings."""
-    model = program.model
-    singles, loops = pair_loops(model, derivatives)
-    gathered, tracers = gathered_loops(model, derivatives), tracer_loops(model, derivatives)
-    if gathered:
-        loops = tuple(visit for visit in loops if visit.name != "hamiltonian_gradient")
-    around, all_loops = particle_loops(model, singles), list[PairLoop | BlockLoop]([*loops, *gathered, *tracers])
-    constants = _constants(program, derivatives)
-    if gathered:
-        constants.append(Line("GROUP", str(GROUP), "particles whose derivatives are gathered together"))
-    reasons = _left_out(program, derivatives, singles, implicit=_is_implicit(program), gathered=bool(gathered))
-    names = [*(visit.name for visit in all_loops), *(visit.name for visit in around)]
-    return ConnectModule(
-        **_common(program, loops, around),
-        template="connect.py.j2",
-        description=tuple(_description(program, all_loops)),
-        metadata=_record(program, derivatives, all_loops, reasons),
-        constants=tuple(constants),
-        public=_public(program, derivatives, loops),
-        record=_record_fields(program, derivatives, names),
-        gathered_loops=gathered,
-        threaded=(views((*STATE, "gradient"), model),) if model.parallel else (),
-        tracer_loops=tracers,
-        own=tuple(Argument(name, "1.0") for name in model.own),
-    )
+_PUBLIC = (
+    "Linearised all_equations all_equations_jacobian all_states domain_margin end_residual first_momenta "
+    "first_unknowns guessed_path jacobian make_case metadata momenta_of path_cost path_errors path_of preconditioner "
+    "problem residual solve solve_case trajectory hamiltonian_gradient"
+).split()
+"""Public names of a module that connects points."""
+_LEAST_ACTION = ("misses_by_far", "momenta_of_least_action", "penalised")
+"""Further ones, if H is kinetic energy alone."""
+_ACTION = "constraints cost cost_gradient hessian jacobian path start".split()
+"""Further ones behind `action_`, of the method action."""
 
 
 def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> ParticlesModule:
-    """Return the loops over pairs of a simulation as strings; only implicit steps need second derivatives."""
-    model = program.model
+    """Return every loop over pairs, with the tables and texts of its module, as strings.
+
+    Only implicit steps of a simulation need second derivatives.
+    """
+    model, connects = program.model, program.model.connects
     by_turns = (
-        derivatives.separable
+        not connects
+        and derivatives.separable
         and bool(program.substeps)
         and all({a, b} <= {0, 1} and a * b == 0 for _, a, b in program.substeps)
     )
     singles, loops = pair_loops(model, derivatives, by_turns)
-    around = particle_loops(model, singles)
-    names = [*(visit.name for visit in loops), *(visit.name for visit in around)]
-    reasons = _left_out(
-        program, derivatives, singles, implicit=_is_implicit(program) and not by_turns, by_turns=by_turns
-    )
+    gathered = gathered_loops(model, derivatives) if connects else ()
+    tracers = tracer_loops(model, derivatives) if connects else ()
+    if gathered:
+        loops = tuple(visit for visit in loops if visit.name != "hamiltonian_gradient")
+    around, all_loops = particle_loops(model, singles), list[PairLoop | BlockLoop]([*loops, *gathered, *tracers])
+    constants = _constants(program, derivatives)
+    constants += [Line("GROUP", str(GROUP), "particles whose derivatives are gathered together")] if gathered else []
+    public = ["OWN", "START", "energy", "make_grid", "metadata", "path_residual", "problem", "solve", "step"]
+    if connects:
+        public = [*_PUBLIC, *(visit.name for visit in loops), *(_LEAST_ACTION if derivatives.quadratic else ())]
+        public += [f"action_{name}" for name in _ACTION if program.method == "action"]
+        public += ["carry", "stages_of"] if model.passive else []
+    reasons = _left_out(program, derivatives, singles, by_turns=by_turns, gathered=bool(gathered))
     return ParticlesModule(
-        **_common(program, loops, around),
-        template="particles.py.j2",
-        description=tuple(_description(program, loops)),
-        metadata=_record(program, derivatives, loops, reasons),
-        constants=tuple(c for c in _constants(program, derivatives) if c.target not in ("BLOCKS", "COST_WEIGHTS")),
-        public=("OWN", "START", "energy", "make_grid", "metadata", "path_residual", "problem", "solve", "step"),
-        record=_record_fields(program, derivatives, names),
-        own=tuple(Argument(name, "") for name in model.own),
+        template="connect.py.j2" if connects else "particles.py.j2",
+        name=model.name,
+        title=model.title,
+        description=tuple(_description(program, all_loops)),
+        metadata=_record(program, derivatives, all_loops, reasons),
+        constants=tuple(c for c in constants if connects or c.target not in ("BLOCKS", "COST_WEIGHTS")),
+        kernels=(),
+        sizes=(),
+        arguments=arguments_of(model),
+        steps=model.steps,
+        public=tuple(sorted(set(public))),
+        record=_record_fields(program, derivatives, [visit.name for visit in (*all_loops, *around)]),
+        particle_loops=around,
+        loops=loops,
+        gathered_loops=gathered,
+        threaded=(views((*STATE, "gradient"), model),) if model.parallel else (),
+        tracer_loops=tracers,
+        own=tuple(Argument(name, "1.0" if connects else "") for name in model.own),
+        duration=scalar_code(model.duration),
+        dimension=len(model.coordinates),
         start=model.start,
         own_values=model.own_values,
     )
-
-
-def _common(program: PairwiseProgram, loops: tuple[PairLoop, ...], around: tuple[ParticleLoop, ...]) -> dict[str, Any]:
-    """Return the fields that are the same for both tasks."""
-    model = program.model
-    return {
-        "name": model.name,
-        "title": model.title,
-        "kernels": (),
-        "sizes": (),
-        "arguments": arguments_of(model),
-        "steps": model.steps,
-        "particle_loops": around,
-        "loops": loops,
-        "duration": scalar_code(model.duration),
-        "dimension": len(model.coordinates),
-    }
-
-
-def _is_implicit(program: PairwiseProgram) -> bool:
-    """Return True if equations are solved inside a step."""
-    return any(a != 0 or b != 0 for _, a, b in program.substeps)
 
 
 def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[Line]:
@@ -163,25 +135,6 @@ def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[L
     if program.method == "action":
         lines.append(Line("ABSCISSA", repr(float(program.abscissa)), "where on an interval the action takes H"))
     return lines
-
-
-def _public(program: PairwiseProgram, derivatives: PairDerivatives, loops: Sequence[PairLoop]) -> tuple[str, ...]:
-    """Return the public names of a module that connects points."""
-    names = (
-        "Linearised all_equations all_equations_jacobian all_states domain_margin end_residual first_momenta "
-        "first_unknowns guessed_path jacobian make_case metadata momenta_of path_cost path_errors path_of "
-        "preconditioner problem residual solve solve_case trajectory hamiltonian_gradient"
-    )
-    if derivatives.quadratic:
-        names += " misses_by_far momenta_of_least_action penalised"
-    if program.method == "action":
-        names += (
-            " action_constraints action_cost action_cost_gradient action_hessian action_jacobian action_path"
-            " action_start"
-        )
-    if program.model.passive:
-        names += " carry stages_of"
-    return tuple(sorted({*names.split(), *(visit.name for visit in loops)}))
 
 
 def _record_fields(
@@ -257,17 +210,16 @@ def _left_out(
     derivatives: PairDerivatives,
     singles: tuple[str, ...],
     *,
-    implicit: bool,
-    by_turns: bool = False,
-    gathered: bool = False,
+    by_turns: bool,
+    gathered: bool,
 ) -> list[str]:
     """Return the features that the module lacks, each with the reason.
 
     With `by_turns` positions and momenta are updated in turn.
     """
-    model = program.model
+    model, is_implicit = program.model, any(a != 0 or b != 0 for _, a, b in program.substeps)
     reasons = (
-        (not implicit and not by_turns, "Newton's method inside a step: the scheme is explicit"),
+        (not is_implicit and not by_turns, "Newton's method inside a step: the scheme is explicit"),
         (
             model.connects and derivatives.isotropic,
             "all but one row of H_pp for each particle: it acts on every component alike",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any
 
 import sympy
+from sympy import Expr
 from sympy.codegen.rewriting import expm1_opt, log1p_opt, optimize
 from sympy.printing.pycode import PythonCodePrinter
 
@@ -19,6 +19,14 @@ _STEEP = 16
 """Numbers in exponents from which on factorisation takes too long."""
 _READABLE = 1000
 """Operations up to which a description shows an expression."""
+_FORMS = {
+    "sign": "np.sign({})",
+    "Heaviside": "(0.5 + 0.5*np.sign({}))",
+    "Abs": "abs({})",
+    "x_minus_log1p": "x_minus_log1p({}, {})",
+    "log1p_minus_ratio": "log1p_minus_ratio({}, {})",
+}
+"""Functions that are printed in the same way for numbers and arrays."""
 _NUMPY_NAMES = {f"a{name}": f"arc{name}" for name in "sin cos tan sinh cosh tanh tan2".split()}
 
 
@@ -30,7 +38,7 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
     def __init__(self) -> None:
         super().__init__({"fully_qualified_modules": True, "standard": "python3", "precision": 17})
 
-    def _print_Rational(self, expr: Any) -> str:
+    def _print_Rational(self, expr: Expr) -> str:
         p, q = int(expr.p), int(expr.q)
         if q <= _SHORT_DENOMINATORS and q & (q - 1) == 0:
             return _decimal(expr)
@@ -39,18 +47,18 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
             return decimal if len(decimal) <= 8 else f"({p}/{q})"
         return _decimal(expr)
 
-    def parenthesize(self, item: Any, level: int, strict: bool = False) -> str:
+    def parenthesize(self, item: Expr, level: int, strict: bool = False) -> str:
         """Print in parentheses; a fraction has its own."""
         text = str(super().parenthesize(item, level, strict))
         return text[1:-1] if text.startswith("((") and isinstance(item, sympy.Rational) else text
 
-    def _print_Integer(self, expr: Any) -> str:
+    def _print_Integer(self, expr: Expr) -> str:
         return str(int(expr)) if abs(int(expr)) < 2**53 else _decimal(expr)
 
-    def _print_Float(self, expr: Any) -> str:
+    def _print_Float(self, expr: Expr) -> str:
         return _decimal(expr)
 
-    def _print_Pow(self, expr: Any, rational: bool = False) -> str:
+    def _print_Pow(self, expr: Expr, rational: bool = False) -> str:
         """Print negative powers as quotients: numba raises an error at 0.0**(-2), where 1/0.0**2 is infinite."""
         base, exponent = expr.base, expr.exp
         if base == sympy.E:
@@ -62,41 +70,32 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
             return root if exponent == sympy.Rational(1, 2) else f"{root}**({exponent.p})"
         return str(super()._print_Pow(expr, rational=rational))
 
-    def _print_Piecewise(self, expr: Any) -> str:
+    def _print_Piecewise(self, expr: Expr) -> str:
         """Print NaN if no condition holds, where sympy writes None."""
         text = str(super()._print_Piecewise(expr))
         return text.removesuffix("None)") + "math.nan)" if text.endswith(" else None)") else text
 
-    def _print_sign(self, expr: Any) -> str:
-        return f"np.sign({self._print(expr.args[0])})"
+    def _print_in_form(self, expr: Expr) -> str:
+        return _FORMS[type(expr).__name__].format(*map(self._print, expr.args))
 
-    def _print_Heaviside(self, expr: Any) -> str:
-        return f"(0.5 + 0.5*np.sign({self._print(expr.args[0])}))"
+    _print_sign = _print_Heaviside = _print_Abs = _print_x_minus_log1p = _print_log1p_minus_ratio = _print_in_form
 
-    def _print_Abs(self, expr: Any) -> str:
-        return f"abs({self._print(expr.args[0])})"
-
-    def _print_x_minus_log1p(self, expr: Any) -> str:
-        return f"{type(expr).__name__}({self._print(expr.args[0])}, {self._print(expr.args[1])})"
-
-    _print_log1p_minus_ratio = _print_x_minus_log1p
-
-    def _print_gamma(self, expr: Any) -> str:
+    def _print_gamma(self, expr: Expr) -> str:
         return self._of_floats(f"math.{type(expr).__name__}", expr)
 
     _print_lgamma = _print_erf = _print_erfc = _print_gamma
 
-    def _print_OrderedBase(self, expr: Any) -> str:
+    def _print_OrderedBase(self, expr: Expr) -> str:
         return self._of_floats(expr.stem, expr, f"{expr.order}, ")
 
-    def _of_floats(self, function: str, expr: Any, before: str = "") -> str:
+    def _of_floats(self, function: str, expr: Expr, before: str = "") -> str:
         """Print a function of numbers, which takes no arrays."""
         return f"{function}({before}{self._print(expr.args[0])})"
 
-    def _print_Pi(self, expr: Any) -> str:
+    def _print_Pi(self, expr: Expr) -> str:
         return f"{self.module}.pi"
 
-    def _print_Exp1(self, expr: Any) -> str:
+    def _print_Exp1(self, expr: Expr) -> str:
         return f"{self.module}.e"
 
 
@@ -119,30 +118,30 @@ class ArrayPrinter(ScalarPrinter):
 
     module = "np"
 
-    def _print_Function(self, expr: Any) -> str:
+    def _print_Function(self, expr: Expr) -> str:
         name = type(expr).__name__
         arguments = ", ".join(self._print(argument) for argument in expr.args)
         return f"np.{_NUMPY_NAMES.get(name, name)}({arguments})"
 
-    def _print_Piecewise(self, expr: Any) -> str:
+    def _print_Piecewise(self, expr: Expr) -> str:
         text = "np.nan"
         for value, condition in reversed(expr.args):
             text = f"np.where({self._print(condition)}, {self._print(value)}, {text})"
         return text
 
-    def _of_floats(self, function: str, expr: Any, before: str = "") -> str:
+    def _of_floats(self, function: str, expr: Expr, before: str = "") -> str:
         return super()._of_floats(f"np.vectorize({function})", expr, before)
 
-    def _print_TableBase(self, expr: Any) -> str:
+    def _print_TableBase(self, expr: Expr) -> str:
         """Print a look-up along arrays: only guesses have tables in array code, and all bodies have the same tables."""
         number, at = ORDERS[len(expr.args)].index(expr.order), ", ".join(map(self._print, expr.args))
         return f"along({expr.table.shape.lookup}_values, grid.parameters[0], {number}, {at})"
 
-    def _print_EachBodyBase(self, expr: Any) -> str:
+    def _print_EachBodyBase(self, expr: Expr) -> str:
         body, *values = map(self._print, expr.args)
         return f"np.array([{', '.join(values)}])[{body}]"
 
-    def _print_Min(self, expr: Any) -> str:
+    def _print_Min(self, expr: Expr) -> str:
         function = "np.minimum" if isinstance(expr, sympy.Min) else "np.maximum"
         text = str(self._print(expr.args[0]))
         for argument in expr.args[1:]:

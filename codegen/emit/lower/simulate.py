@@ -77,13 +77,26 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     fields |= {"inputs": "step_inputs", "ranges": "RANGES", "range_names": "RANGE_NAMES"} if ranged else {}
     fields |= {"tables": "TABLES"} if tables else {}
     sizes = f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}"
+    stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
+    meanings = "; ".join(f"{i}: {phrase(u.meaning)}" for i, u in enumerate(program.state))
+    lines = [
+        Line("STATE", str(len(program.state)), meanings),
+        Line("STAGES", str(len(program.stage_symbols)), f"values inside a step: {stages}"),
+    ]
+    if program.unknowns:
+        listed = ", ".join(symbol.name for symbol in program.unknowns)
+        lines.append(Line("UNKNOWNS", str(len(program.unknowns)), f"what a step solves for numerically: {listed}"))
+    if program.fractions:
+        rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
+        meaning = "lengths of the steps of the base scheme that make up one step, relative to it"
+        lines.append(Line("FRACTIONS", f"np.array([{', '.join(rows)}])", meaning))
     return SimulateModule(
         template="simulate.py.j2",
         name=model.name,
         title=model.title,
         description=tuple(_description(program, kernels, described_tables(tables))),
         metadata=_record(program, derivatives, kernels, tables),
-        constants=(*_constants(program), *table_constants(tables), *range_constants(ranged)),
+        constants=(*lines, *table_constants(tables), *range_constants(ranged)),
         kernels=(*table_kernels(tables, len(model.parameters)), *kernels),
         sizes=(),
         public=tuple(sorted((*every, *of_steps, *(("first_outside",) if ranged else ())))),
@@ -167,23 +180,6 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
     ]  # fmt: skip
 
 
-def _constants(program: StepProgram) -> list[Line]:
-    stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
-    meanings = "; ".join(f"{i}: {phrase(u.meaning)}" for i, u in enumerate(program.state))
-    lines = [
-        Line("STATE", str(len(program.state)), meanings),
-        Line("STAGES", str(len(program.stage_symbols)), f"values inside a step: {stages}"),
-    ]
-    if program.unknowns:
-        names = ", ".join(symbol.name for symbol in program.unknowns)
-        lines.append(Line("UNKNOWNS", str(len(program.unknowns)), f"what a step solves for numerically: {names}"))
-    if program.fractions:
-        rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
-        meaning = "lengths of the steps of the base scheme that make up one step, relative to it"
-        lines.append(Line("FRACTIONS", f"np.array([{', '.join(rows)}])", meaning))
-    return lines
-
-
 def _solver(program: StepProgram, derivatives: StepDerivatives) -> StepSolver:
     """Return the method that solves a step."""
     if not program.unknowns:
@@ -218,9 +214,10 @@ def _description(program: StepProgram, kernels: Sequence[Kernel], tables: Sequen
     return [*lines, *(f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels)]
 
 
-def _left_out(program: StepProgram, solver: StepSolver) -> list[str]:
-    """Return the features that the module lacks, each with the reason."""
-    model = program.model
+def _record(
+    program: StepProgram, derivatives: StepDerivatives, kernels: Sequence[Kernel], tables: Sequence[TableData]
+) -> SimulationRecord:
+    model, solver = program.model, _solver(program, derivatives)
     out = []
     if solver is StepSolver.EXPLICIT:
         out.append(f"Newton's method: the scheme is explicit for this {model.form.capitalize()}")
@@ -244,13 +241,6 @@ def _left_out(program: StepProgram, solver: StepSolver) -> list[str]:
         out.append(f"forces on {', '.join(idle)}: there are none")
     if not any(e.has(model.time) for e in (model.function, *model.force)):
         out.append("time in the kernels: nothing depends on it explicitly")
-    return out
-
-
-def _record(
-    program: StepProgram, derivatives: StepDerivatives, kernels: Sequence[Kernel], tables: Sequence[TableData]
-) -> SimulationRecord:
-    model, solver = program.model, _solver(program, derivatives)
     return SimulationRecord(
         **record_fields(model),
         method=Method(program.method),
@@ -263,7 +253,7 @@ def _record(
         units=dict(model.units),
         tables=table_records(tables),
         operations={k.name: (k.operations_before, k.operations_after) for k in kernels},
-        left_out=tuple(_left_out(program, solver)),
+        left_out=tuple(out),
         parts=len(program.fractions),
         solver=solver,
         momenta=tuple(u.name for u in program.state[len(model.coordinates) :]),

@@ -16,23 +16,25 @@ no guess and are random.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
-from typing import Any, Protocol
+from functools import cache, reduce
 
 import mpmath
 import numpy as np
 from sympy import Symbol
 
 from codegen.discretise.interval import LENGTHS, STEP
-from codegen.emit.verify.execution import Arithmetic
+from codegen.emit.verify.execution import Arithmetic, Function, Operand
 from codegen.errors import VerificationError
-from codegen.symbolic.functions import STEMS, by_name
+from codegen.symbolic.functions import by_name
 
 DIGITS = 400
 _INCREMENTS = ("1e-35", "1e-40")
-Exact = Callable[[Mapping[Symbol, Any]], Any]
+Exact = Callable[[Mapping[Symbol, Operand]], Operand]
 """A function of numbers with many digits."""
+Complex = type[np.complex128] | type[np.clongdouble]
+"""A complex type of numpy, which decides the precision."""
 TOLERANCE = 1e-11
 """Relative to the size of a value's terms; coefficients in a text have 17 digits."""
 
@@ -42,44 +44,44 @@ class Sized:
 
     __slots__ = ("size", "value")
 
-    def __init__(self, value: Any, size: Any = None) -> None:
+    def __init__(self, value: Operand, size: Operand = None) -> None:
         self.value = mpmath.mpf(value)
         self.size = abs(self.value) if size is None else max(size, abs(self.value))
 
-    def __add__(self, other: Any) -> Sized:
+    def __add__(self, other: Operand) -> Sized:
         other = sized(other)
         return Sized(self.value + other.value, self.size + other.size)
 
     def __neg__(self) -> Sized:
         return Sized(-self.value, self.size)
 
-    def __sub__(self, other: Any) -> Sized:
+    def __sub__(self, other: Operand) -> Sized:
         return self + -sized(other)
 
-    def __rsub__(self, other: Any) -> Sized:
+    def __rsub__(self, other: Operand) -> Sized:
         return sized(other) + -self
 
-    def __mul__(self, other: Any) -> Sized:
+    def __mul__(self, other: Operand) -> Sized:
         other = sized(other)
         return Sized(self.value * other.value, abs(self.value) * other.size + abs(other.value) * self.size)
 
-    def __truediv__(self, other: Any) -> Sized:
+    def __truediv__(self, other: Operand) -> Sized:
         other = sized(other)
         quotient = self.value / other.value
         return Sized(quotient, (self.size + abs(quotient) * other.size) / abs(other.value))
 
-    def __rtruediv__(self, other: Any) -> Sized:
+    def __rtruediv__(self, other: Operand) -> Sized:
         return sized(other) / self
 
     __radd__, __rmul__ = __add__, __mul__
 
 
-def sized(value: Any) -> Sized:
+def sized(value: Operand) -> Sized:
     """Return a number with a size."""
     return value if isinstance(value, Sized) else Sized(value)
 
 
-def _applied(function: Any, *arguments: Any) -> Sized:
+def _applied(function: Operand, *arguments: Operand) -> Sized:
     """Return a function of sized numbers; its size includes the effect of changes of the arguments by their sizes."""
     operands = [sized(argument) for argument in arguments]
     values = [argument.value for argument in operands]
@@ -92,11 +94,11 @@ def _applied(function: Any, *arguments: Any) -> Sized:
     return Sized(value, abs(value) + size)
 
 
-def _real(value: Any) -> Any:
+def _real(value: Operand) -> Operand:
     return value.value if isinstance(value, Sized) else value
 
 
-def _required_real(value: Any) -> Any:
+def _required_real(value: Operand) -> Operand:
     if not isinstance(value, mpmath.mpf):
         raise ValueError("no real value")
     return value
@@ -126,14 +128,14 @@ EXACT = Arithmetic(
 )
 
 
-def difference(value: Exact, point: Mapping[Symbol, float], by: Sequence[Symbol]) -> tuple[Any, Any]:
+def difference(value: Exact, point: Mapping[Symbol, float], by: Sequence[Symbol]) -> tuple[Operand, Operand]:
     """Return a value, or its derivative by one or two symbols, at a point, and the error of the result."""
     exact = {symbol: mpmath.mpf(float(number)) for symbol, number in point.items()}
 
-    def quotient(increment: Any) -> Any:
+    def quotient(increment: Operand) -> Operand:
         steps = {symbol: increment * (abs(exact[symbol]) or 1) for symbol in by}
 
-        def at(*moved: Symbol) -> Any:
+        def at(*moved: Symbol) -> Operand:
             values = dict(exact)
             for symbol in moved:
                 values[symbol] += steps[symbol]
@@ -152,11 +154,7 @@ def difference(value: Exact, point: Mapping[Symbol, float], by: Sequence[Symbol]
     return near, abs(far - near) + abs(value(exact)) * mpmath.mpf(10) ** (5 - DIGITS) / smallest
 
 
-Array = Any
-Function = Callable[..., Array]
-
-
-def power(base: Array, exponent: Array) -> Array:
+def power(base: Operand, exponent: Operand) -> Operand:
     """Return the power; NaN for a negative base with an exponent that is no integer."""
     if isinstance(exponent, int):
         return np.asarray(base) ** exponent
@@ -166,31 +164,6 @@ def power(base: Array, exponent: Array) -> Array:
         return np.asarray(base) ** int(exponent.real)
     base = np.asarray(base)
     return np.where((base.real >= 0) | whole, _complex(base) ** exponent, np.nan)
-
-
-def maximum(*values: Array) -> Array:
-    """Return the value with the largest real part."""
-    return _chosen(values, lambda a, b: a.real >= b.real)
-
-
-def minimum(*values: Array) -> Array:
-    """Return the value with the smallest real part."""
-    return _chosen(values, lambda a, b: a.real <= b.real)
-
-
-def absolute(value: Array) -> Array:
-    """Return the value or its negative, whichever has a positive real part."""
-    return value * sign(value)
-
-
-def sign(value: Array) -> Array:
-    """Return the sign of the real part."""
-    return np.sign(np.asarray(value).real)
-
-
-def where(condition: Array, one: Array, other: Array) -> Array:
-    """Return one value where a condition holds, else the other."""
-    return np.where(condition, one, other)
 
 
 def named(name: str) -> Function:
@@ -203,7 +176,7 @@ def named(name: str) -> Function:
     return _arctangent if name == "atan2" else _by_digits(by_name(name))
 
 
-def _extended(number: Any) -> Any:
+def _extended(number: Operand) -> Operand:
     """Return a number of mpmath in extended precision; beyond the range it is zero or infinite."""
     size = abs(number)
     if size < _SMALLEST or not size < 1 / _SMALLEST:
@@ -212,36 +185,23 @@ def _extended(number: Any) -> Any:
 
 
 _SMALLEST = mpmath.mpf(10) ** -4900
-CONTINUED: dict[str, Function] = {
-    **{name: (lambda x, name=name: named(name)(x)) for name in ("erf", "erfc", "gamma")},
-    "gammaln": lambda x: named("lgamma")(x),
-    **{stem: (lambda order, x, stem=stem: named(f"{stem}_{order}")(x)) for stem in STEMS},
-}
-"""Functions for lambdify that numpy has not for complex arrays, by their printed names."""
 
 
-def _chosen(values: Sequence[Array], better: Callable[[Array, Array], Array]) -> Array:
-    best = np.asarray(values[0])
-    for value in map(np.asarray, values[1:]):
-        best = np.where(better(best, value), best, value)
-    return best
-
-
-def _complex(value: Array) -> Array:
+def _complex(value: Operand) -> Operand:
     array = np.asarray(value)
     return array if np.iscomplexobj(array) else array.astype(np.clongdouble)
 
 
-def _arctangent(y: Array, x: Array) -> Array:
+def _arctangent(y: Operand, x: Operand) -> Operand:
     y, x = _complex(y), _complex(x)
     square = x.real**2 + y.real**2
     return np.arctan2(y.real, x.real) + 1j * ((x.real * y.imag - y.real * x.imag) / square)
 
 
-def _by_digits(function: Callable[[Any], Any]) -> Function:
+def _by_digits(function: Function) -> Function:
     """Return the continuation of a function by its value and derivative with 30 digits, number by number."""
 
-    def continued(x: Array) -> Array:
+    def continued(x: Operand) -> Operand:
         values = _complex(x)
         results = np.empty(values.shape, values.dtype)
         for index, value in np.ndenumerate(values):
@@ -250,7 +210,7 @@ def _by_digits(function: Callable[[Any], Any]) -> Function:
         return results
 
     @cache
-    def value_and_slope(at: Any) -> tuple[Any, Any]:
+    def value_and_slope(at: Operand) -> tuple[Operand, Operand]:
         with mpmath.workdps(30):
             try:
                 point = mpmath.mpf(str(at))
@@ -282,29 +242,36 @@ _ROUNDING = 100.0
 """Least ratio of a difference that counts to the change from extended to double precision."""
 _OPINIONS = 12
 
-Evaluate = Callable[[Any], tuple[Any, Any]]
+Evaluate = Callable[[Complex], tuple[Operand, Operand]]
 """Emitted and exact values, arrays (points, entries), in a complex type of numpy."""
-Opinion = Callable[[int, int], tuple[Sized, Any, Any]]
+Opinion = Callable[[int, int], tuple[Sized, Operand, Operand]]
 """Emitted value with many digits, right value, and its error, of an entry at a point."""
 
 
-def complex_numbers(kind: Any) -> Arithmetic:
+def complex_numbers(kind: Complex) -> Arithmetic:
     """Return the arithmetic of complex arrays of a precision."""
     real = np.longdouble if kind is np.clongdouble else np.float64
+
+    def chosen(is_better: Function) -> Function:
+        def choice(one: Operand, other: Operand) -> Operand:
+            return np.where(is_better(one.real, other.real), one, other)
+
+        return lambda *values: reduce(choice, map(np.asarray, values))
+
     return Arithmetic(
         number=lambda digits: real(digits),
         function=named,
         power=power,
-        maximum=maximum,
-        minimum=minimum,
-        absolute=absolute,
-        sign=sign,
-        where=where,
+        maximum=chosen(operator.ge),
+        minimum=chosen(operator.le),
+        absolute=lambda value: value * np.sign(np.asarray(value).real),
+        sign=lambda value: np.sign(np.asarray(value).real),
+        where=np.where,
         real=lambda value: np.asarray(value).real,
     )
 
 
-def step_of(kind: Any) -> Any:
+def step_of(kind: Complex) -> Operand:
     """Return the imaginary step of a precision: its square is negligible beside 1, and small slopes are not lost."""
     limits = np.finfo(kind)
     return limits.tiny ** limits.dtype.type(0.25)
@@ -342,15 +309,7 @@ def judge(names: Sequence[str], evaluate: Evaluate, opinion: Opinion) -> None:
                 )
 
 
-class Evaluated(Protocol):
-    """Expressions that can be evaluated in an arithmetic."""
-
-    def evaluate(self, values: Mapping[Symbol, Any], arithmetic: Arithmetic, /) -> list[Any]:
-        """Return the values of the expressions at values of their symbols."""
-        ...
-
-
-Values = dict[Symbol, Any]
+Values = dict[Symbol, Operand]
 """The values of each symbol at some points, shape (points,)."""
 _MOVED = (0.004, 0.03, 0.2, 0.5)
 """Displacements from the guess: kinks, which have no derivative, often lie at the guess itself."""
@@ -381,7 +340,7 @@ def random_points(symbols: Sequence[Symbol], defaults: Mapping[Symbol, float], c
 class GuessedPoints:
     """Points near the initial guess of a control module."""
 
-    def __init__(self, module: Mapping[str, Any], steps: int, least: int = 1) -> None:
+    def __init__(self, module: Mapping[str, Operand], steps: int, least: int = 1) -> None:
         self.module = module
         self.grid = module["make_grid"](max(least, min(steps, _STEPS)))
         with np.errstate(all="ignore"):
@@ -442,13 +401,13 @@ def with_time(values: Values, time: Symbol) -> Values:
     return {time if symbol is _TIME else symbol: value for symbol, value in values.items()}
 
 
-def finite_points(tape: Evaluated, candidates: Sequence[Values]) -> tuple[Values, int]:
-    """Return the first points of each set at which all expressions of a tape have values, and their number."""
-    kept: list[tuple[Values, Any]] = []
+def finite_points(evaluate: Function, candidates: Sequence[Values]) -> tuple[Values, int]:
+    """Return the first points of each set at which all expressions have values, and their number."""
+    kept: list[tuple[Values, Operand]] = []
     for values in candidates:
         complex_values = {symbol: array.astype(np.clongdouble) for symbol, array in values.items()}
         with np.errstate(all="ignore"):
-            results = tape.evaluate(complex_values, complex_numbers(np.clongdouble))
+            results = evaluate(complex_values, complex_numbers(np.clongdouble))
         size = len(next(iter(values.values())))
         finite = np.logical_and.reduce([np.isfinite(np.broadcast_to(array, size)) for array in results])
         kept.append((values, np.flatnonzero(finite)[:_KEPT]))

@@ -14,37 +14,45 @@ from dataclasses import dataclass
 from functools import partial, reduce
 from importlib import resources
 from types import CodeType, SimpleNamespace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import sympy
 from sympy import Basic, Expr, Symbol
 
+from codegen.emit.rendering import names_read
 from codegen.errors import VerificationError
 from codegen.runtime.kernels import with_counts
 from codegen.symbolic.functions import STEMS, TableBase
+from codegen.symbolic.graph import Assignment
 from codegen.symbolic.tables import ORDERS, TableData, derivative
+
+Operand: TypeAlias = Any
+"""A number or an array of an arithmetic: complex arrays, numbers of mpmath, or numbers with the size of their terms."""
+Function: TypeAlias = Callable[..., Operand]
+"""A function of operands, or a kernel that the interpreter executes."""
 
 
 @dataclass(frozen=True)
 class Arithmetic:
     """The operations of a tape: `number` of a string of digits, `function` by its name in `math`, and so on."""
 
-    number: Callable[[str], Any]
-    function: Callable[[str], Callable[..., Any]]
-    power: Callable[[Any, Any], Any]
-    maximum: Callable[..., Any]
-    minimum: Callable[..., Any]
-    absolute: Callable[[Any], Any]
-    sign: Callable[[Any], Any]
-    where: Callable[[Any, Any, Any], Any]
-    real: Callable[[Any], Any]
+    number: Callable[[str], Operand]
+    function: Callable[[str], Function]
+    power: Function
+    maximum: Function
+    minimum: Function
+    absolute: Function
+    sign: Function
+    where: Function
+    real: Function
 
 
 class Tape:
-    """The parts of some expressions, each after its own parts."""
+    """The parts of some expressions, each after its own parts; they may read `assignments` to further symbols."""
 
-    def __init__(self, expressions: Sequence[Expr]) -> None:
+    def __init__(self, expressions: Sequence[Expr], assignments: Sequence[Assignment] = ()) -> None:
+        self.assignments = [(symbol, Tape([value])) for symbol, value in assignments]
         self.indices: dict[Basic, int] = {}
         self.parts: list[tuple[Basic, tuple[int, ...]]] = []
         roots = [sympy.sympify(e) for e in expressions]
@@ -61,15 +69,18 @@ class Tape:
                 self.parts.append((part, tuple(self.indices[a] for a in part.args)))
         self.results = [self.indices[root] for root in roots]
 
-    def evaluate(self, values: Mapping[Symbol, Any], arithmetic: Arithmetic) -> list[Any]:
+    def evaluate(self, values: Mapping[Symbol, Operand], arithmetic: Arithmetic) -> list[Operand]:
         """Return the values of the expressions at values of their symbols."""
-        results: list[Any] = []
+        results: list[Operand] = []
+        values = dict(values)
+        for symbol, tape in self.assignments:
+            values[symbol] = tape.evaluate(values, arithmetic)[0]
         for part, indices in self.parts:
             results.append(_value(part, [results[index] for index in indices], values, arithmetic))
         return [results[index] for index in self.results]
 
 
-def _value(part: Basic, operands: list[Any], values: Mapping[Symbol, Any], a: Arithmetic) -> Any:
+def _value(part: Basic, operands: list[Operand], values: Mapping[Symbol, Operand], a: Arithmetic) -> Operand:
     """Return the value of an expression from the values of its arguments."""
     if part.is_Symbol:
         return values[part]
@@ -107,7 +118,7 @@ def _value(part: Basic, operands: list[Any], values: Mapping[Symbol, Any], a: Ar
     return functions[name](*operands) if name in functions else a.function(name)(*operands)
 
 
-_RELATIONS: dict[str, Callable[[Any, Any], Any]] = {
+_RELATIONS: dict[str, Function] = {
     **{"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge},
     **{"==": operator.eq, "!=": operator.ne},
 }
@@ -158,33 +169,51 @@ class Text:
         """Return True if the text defines a function, class or constant of this name."""
         return name in self._parts
 
-    def interpreted(self, *names: str) -> dict[str, Any]:
+    def interpreted(self, *names: str) -> dict[str, Operand]:
         """Execute the named parts and those that they need, without numba's decorators; return the namespace."""
-
-        def undecorated(**_: Any) -> Callable[[Any], Any]:
-            return lambda function: function
-
-        def interpreted_loop(loop: Any) -> Callable[[Any], Any]:
-            return lambda function: loop(function, is_interpreted=True)
-
-        namespace: dict[str, Any] = {"njit": undecorated, "prange": range, "__name__": "emitted"}
+        namespace: dict[str, Operand] = {"prange": range, "__name__": "emitted", "carray": _carray}
         namespace |= dict.fromkeys(("Kernel", "Value", "Contracted"), _with_counts)
-        namespace |= {"_interpreted": interpreted_loop, "carray": _carray}
+        namespace["njit"] = lambda **_: lambda function: function
+        namespace["_interpreted"] = lambda loop: lambda function: loop(function, is_interpreted=True)
         body = [*self._imports, *ast.parse("Loop = _interpreted(globals().get('Loop'))").body, *self._needed(names)]
         exec(compile(ast.Module(body=body, type_ignores=[]), "<emitted>", "exec"), namespace)
         namespace["math"] = _QuietMath()  # which the functions read when they are called
         return namespace
 
-    def kernels(self, names: Sequence[str], arithmetic: Arithmetic) -> dict[str, Callable[..., Any]]:
+    def kernels(self, names: Sequence[str], arithmetic: Arithmetic) -> dict[str, Function]:
         """Return some functions, with those that they call, in another arithmetic than floating-point numbers."""
         key = tuple(names)
         if key not in self._codes:
             needed = self._needed(names, {*STEMS, *self._tables})
             functions = [node for node in needed if isinstance(node, ast.FunctionDef)]
-            body: list[ast.stmt] = [_Rewritten().function(node) for node in functions]
-            module = ast.fix_missing_locations(ast.Module(body=body, type_ignores=[]))
+            for function in functions:
+                _Rewritten().visit(function)
+            module = ast.fix_missing_locations(ast.Module(body=[*functions], type_ignores=[]))
             self._codes[key] = compile(module, "<kernels>", "exec")
-        namespace = _namespace(arithmetic)
+
+        def compared(operation: Function) -> Function:
+            return lambda one, other: operation(arithmetic.real(one), arithmetic.real(other))
+
+        comparisons: dict[str, Function] = {
+            "Lt": operator.lt,
+            "LtE": operator.le,
+            "Gt": operator.gt,
+            "GtE": operator.ge,
+        }
+        comparisons |= {"Eq": operator.eq, "NotEq": operator.ne}
+
+        def family(stem: str) -> Function:
+            return lambda order, x: arithmetic.function(f"{stem}_{order}")(x)
+
+        # The names that rewritten kernels call.
+        namespace: dict[str, Operand] = {
+            **{stem: family(stem) for stem in STEMS},
+            **{f"_{name}": compared(operation) for name, operation in comparisons.items()},
+            **{"_And": operator.and_, "_Or": operator.or_, "_Not": lambda condition: condition == False},  # noqa: E712
+            **{"_power": arithmetic.power, "_where": arithmetic.where, "abs": arithmetic.absolute},
+            **{"max": arithmetic.maximum, "min": arithmetic.minimum, "math": _Functions(arithmetic)},
+            **{"np": SimpleNamespace(**{"sign": arithmetic.sign}), "range": range},
+        }
         for name, table in self._tables.items():
             namespace[name] = partial(_lookup, table, arithmetic)
         exec(self._codes[key], namespace)
@@ -198,33 +227,25 @@ class Text:
             if name in self._parts and name not in needed and name not in replaced:
                 needed.add(name)
                 if name not in self._reads:
-                    self._reads[name] = _read(self._parts[name])
+                    self._reads[name] = names_read(self._parts[name])
                 waiting += self._reads[name]
         return list(dict.fromkeys(node for name, node in self._parts.items() if name in needed))
 
 
-def _lookup(table: TableData, a: Arithmetic, parameters: Any, *at: Any) -> tuple[Any, ...]:
+def _lookup(table: TableData, a: Arithmetic, parameters: Operand, *at: Operand) -> tuple[Operand, ...]:
     """Return all derivatives of a table at a point, as an emitted look-up does."""
     return tuple(derivative(table, order, at, a.real) for order in ORDERS[len(table.shape.inputs)])
-
-
-def _read(part: ast.stmt) -> set[str]:
-    """Return the names that a part reads and does not assign."""
-    names = [node for node in ast.walk(part) if isinstance(node, ast.Name)]
-    own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
-    own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
-    return {node.id for node in names} - (own if isinstance(part, ast.FunctionDef) else set())
 
 
 class _QuietMath:
     """The functions of `math` with NaN and infinity where Python's raise errors, as machine code has them."""
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Operand:
         attribute = getattr(math, name)
         if not callable(attribute):
             return attribute
 
-        def called(*arguments: float) -> Any:
+        def called(*arguments: float) -> Operand:
             try:
                 return np.float64(attribute(*arguments))
             except (ValueError, OverflowError):
@@ -233,7 +254,7 @@ class _QuietMath:
         return called
 
 
-def _carray(pointer: Any, shape: Any) -> Any:
+def _carray(pointer: Operand, shape: Operand) -> Operand:
     """Return an array over the memory at a pointer, as numba does; an array stays as it is."""
     if isinstance(pointer, np.ndarray):
         return pointer
@@ -242,7 +263,7 @@ def _carray(pointer: Any, shape: Any) -> Any:
     return carray(pointer, shape)
 
 
-def _with_counts(function: Callable[..., Any]) -> Callable[..., Any]:
+def _with_counts(function: Function) -> Function:
     """Return a kernel that is called without the numbers of particles and of columns."""
     code = function.__code__
     names = code.co_varnames[: code.co_argcount]
@@ -255,7 +276,7 @@ class _Functions:
     def __init__(self, arithmetic: Arithmetic) -> None:
         self._arithmetic = arithmetic
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Operand:
         if name in _NUMBERS:
             return self._arithmetic.number(_NUMBERS[name])
         return self._arithmetic.sign if name == "sign" else self._arithmetic.function(name)
@@ -264,61 +285,26 @@ class _Functions:
 class _Rewritten(ast.NodeTransformer):
     """Rewrites powers, choices and comparisons as calls, since the operators of Python do not fit arrays."""
 
-    def function(self, node: ast.FunctionDef) -> ast.FunctionDef:
-        """Return the rewritten function without decorators."""
-        visited = self.visit(node)
-        assert isinstance(visited, ast.FunctionDef)
-        visited.decorator_list = []
-        return visited
-
-    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+    def visit(self, node: ast.AST) -> ast.AST:
         self.generic_visit(node)
-        return _call("_power", node.left, node.right) if isinstance(node.op, ast.Pow) else node
-
-    def visit_IfExp(self, node: ast.IfExp) -> ast.AST:
-        self.generic_visit(node)
-        return _call("_where", node.test, node.body, node.orelse)
-
-    def visit_Compare(self, node: ast.Compare) -> ast.AST:
-        self.generic_visit(node)
-        return _call(f"_{type(node.ops[0]).__name__}", node.left, node.comparators[0])
-
-    def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
-        self.generic_visit(node)
-        result = node.values[0]
-        for value in node.values[1:]:
-            result = _call(f"_{type(node.op).__name__}", result, value)
-        return result
-
-    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
-        self.generic_visit(node)
-        return _call("_Not", node.operand) if isinstance(node.op, ast.Not) else node
+        match node:
+            case ast.FunctionDef():
+                node.decorator_list = []
+            case ast.BinOp(op=ast.Pow()):
+                return _call("_power", node.left, node.right)
+            case ast.IfExp():
+                return _call("_where", node.test, node.body, node.orelse)
+            case ast.Compare():
+                return _call(f"_{type(node.ops[0]).__name__}", node.left, node.comparators[0])
+            case ast.BoolOp():
+                return reduce(partial(_call, f"_{type(node.op).__name__}"), node.values)
+            case ast.UnaryOp(op=ast.Not()):
+                return _call("_Not", node.operand)
+        return node
 
 
 def _call(name: str, *arguments: ast.expr) -> ast.Call:
     return ast.Call(func=ast.Name(id=name, ctx=ast.Load()), args=list(arguments), keywords=[])
-
-
-def _namespace(a: Arithmetic) -> dict[str, Any]:
-    """Return the names that rewritten kernels call."""
-
-    def compared(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        return lambda one, other: operation(a.real(one), a.real(other))
-
-    comparisons = {"Lt": operator.lt, "LtE": operator.le, "Gt": operator.gt, "GtE": operator.ge}
-    comparisons |= {"Eq": operator.eq, "NotEq": operator.ne}
-    functions = _Functions(a)
-
-    def family(stem: str) -> Callable[[int, Any], Any]:
-        return lambda order, x: a.function(f"{stem}_{order}")(x)
-
-    return {
-        **{stem: family(stem) for stem in STEMS},
-        **{f"_{name}": compared(operation) for name, operation in comparisons.items()},
-        **{"_And": operator.and_, "_Or": operator.or_, "_Not": lambda condition: condition == False},  # noqa: E712
-        **{"_power": a.power, "_where": a.where, "abs": a.absolute, "max": a.maximum, "min": a.minimum},
-        **{"math": functions, "np": SimpleNamespace(**{"sign": a.sign}), "range": range},
-    }
 
 
 _NUMBERS = {
@@ -347,17 +333,12 @@ def verify_tables(tables: Sequence[TableData], first: int, text: Text) -> None:
             values = module[table.shape.lookup](numbers, *point)
             for order, value in zip(ORDERS[len(table.shape.sizes)], values, strict=True):
                 right = float(derivative(table, order, point, lambda x: x))
-                if not abs(value - right) <= _TOLERANCE * _size(table, order):
+                size = float(np.abs(table.heights).max()) * max(1.0, *(float(np.ptp(axis)) for axis in table.axes))
+                for axis, o in zip(table.axes, order, strict=True):
+                    size /= float(np.diff(axis).min(initial=1.0)) ** o
+                if not abs(value - right) <= _TOLERANCE * size:
                     raise VerificationError(
                         f"the emitted code gives {value:.8g} for derivative {order} of table {table.shape.name}, where "
                         f"{right:.8g} is right",
                         "this is a defect of codegen, and nothing was written; please report it with the problem file",
                     )
-
-
-def _size(table: TableData, order: Sequence[int]) -> float:
-    """Return the scale of a derivative, from values, slopes and the widths of cells."""
-    size = float(np.abs(table.heights).max()) * max(1.0, *(float(np.ptp(axis)) for axis in table.axes))
-    for axis, o in zip(table.axes, order, strict=True):
-        size /= float(np.diff(axis).min(initial=1.0)) ** o
-    return size

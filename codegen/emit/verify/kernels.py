@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from sympy import Expr, S, Symbol
@@ -25,6 +24,7 @@ from codegen.emit.lower.control.layout import parameters
 from codegen.emit.verify.comparison import (
     EXACT,
     SIZED,
+    Complex,
     GuessedPoints,
     Sized,
     Values,
@@ -37,7 +37,7 @@ from codegen.emit.verify.comparison import (
     step_of,
     with_time,
 )
-from codegen.emit.verify.execution import Arithmetic, Tape, Text
+from codegen.emit.verify.execution import Arithmetic, Function, Operand, Tape, Text
 from codegen.emit.verify.shares import Share, ShareComparison, columns_of, mixed_shares, pattern_of
 from codegen.errors import VerificationError
 from codegen.symbolic.checks import rounded_at
@@ -79,11 +79,11 @@ def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tupl
     others, time = parameters(program), program.model.time
     local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
 
-    def calling(begins_at: int) -> Any:
+    def calling(begins_at: int) -> Operand:
         """Return the call of a kernel of an interval that begins at the inner time of this number, or at none (-1)."""
-        times = inner_time_symbols(program)
+        times = program.inner.parameters[: len(program.inner.times)]
 
-        def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+        def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> Operand:
             moved = {s: values[time] + 2 * abs(i - begins_at) * values[STEP] for i, s in enumerate(times)}
             vector = [moved[s] if s in moved else values[s] for s in others]
             return kernel([values[s] for s in local], values[time], values[STEP], vector, filled)
@@ -94,13 +94,17 @@ def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tupl
     if program.inner.times:
         kinds += [((stem, f"{where} that begins at no inner time"), share, -1) for (stem, where), share, _ in kinds]
     for (stem, where), element, begins_at in kinds:
+        # The numbers of the left node.
+        count, numbers = len(program.inner.times), [S.Zero] * len(program.inner.symbols)
+        if begins_at >= 0:
+            numbers = list(program.inner.parameters[count + begins_at :: count]) if count else []
         share = Share(
             name="an interval" + where,
-            scalar=element.element.xreplace(inner_numbers(program, begins_at)),
-            beside=element.cost,
+            scalar=element.element.xreplace(dict(zip(program.inner.symbols, numbers, strict=True))),
+            output=element.cost,
             unknowns=program.element_symbols,
             indices=tuple(range(len(program.element_symbols))),
-            pattern=_pattern(guessed.module, ""),
+            pattern=pattern_of(guessed.module, "HESSIAN"),
             gradient=f"{stem}_gradient",
             hessian=f"{stem}_hessian",
             call_gradient=calling(begins_at),
@@ -118,28 +122,17 @@ def _mixed(
 ) -> list[tuple[Share, Values]]:
     """Return the shares with derivatives by data in place of derivatives by unknowns."""
     mixed, count = [], len(program.interval_elements)
+    module = text.interpreted(*(f"{s}MIXED_{side}" for s in ("", "START_", "END_") for side in ("ROWS", "COLUMNS")))
     for number, (share, near) in enumerate((*intervals, *samples)):
         columns = columns_of(program, -1 if count <= number < len(intervals) else 0)
         kernel = share.gradient.removesuffix("gradient") + "mixed"
-        mixed += [(one, near) for one in mixed_shares(share, kernel, pattern_of(text), columns)]
+        mixed += [(one, near) for one in mixed_shares(share, kernel, pattern_of(module, "MIXED"), columns)]
     for (share, near), name in zip(ends, ("start", "end"), strict=True):
         columns, first = columns_of(program, -1), len(data_of(program))
         columns |= {first + i: s for i, s in enumerate(share.unknowns) if i not in share.indices}
-        pattern = pattern_of(text, f"{name.upper()}_")
+        pattern = pattern_of(module, f"{name.upper()}_MIXED")
         mixed += [(one, near) for one in mixed_shares(share, f"{name}_mixed", pattern, columns)]
     return mixed
-
-
-def inner_time_symbols(program: ControlProgram) -> tuple[Symbol, ...]:
-    """Return the parameters that are inner times."""
-    return program.inner.parameters[: len(program.inner.times)]
-
-
-def inner_numbers(program: ControlProgram, number: int) -> dict[Symbol, Expr]:
-    """Return the left node's numbers of an interval that begins at the inner time of this number, or at none (-1)."""
-    count, inner = len(program.inner.times), program.inner
-    of_times = inner.parameters[count:]
-    return {s: of_times[i * count + number] if number >= 0 else S.Zero for i, s in enumerate(inner.symbols)}
 
 
 def _sample(program: ControlProgram, share: Share, near: Values) -> tuple[Share, Values]:
@@ -148,13 +141,13 @@ def _sample(program: ControlProgram, share: Share, near: Values) -> tuple[Share,
     others, time, sample = parameters(program), program.model.time, program.sample
     local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
 
-    def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+    def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> Operand:
         # A sample follows the parameters. It begins with its middle, which kernels do not read.
         row = [*(values[s] for s in others), None, *(values[s] for s in sample.symbols)]
         return kernel([values[s] for s in local], values[time], values[STEP], row, len(others), filled)
 
     measured = replace(
-        share, name="a sample", scalar=sample.element, beside=sample.element, gradient="sample_gradient",
+        share, name="a sample", scalar=sample.element, output=sample.element, gradient="sample_gradient",
         hessian="sample_hessian", call_gradient=call, call_hessian=call, returned="the losses of",
     )  # fmt: skip
     generator, count = np.random.default_rng(7), len(next(iter(near.values())))
@@ -166,7 +159,7 @@ def _verify_values(program: ControlProgram, text: Text, share: Share, near: Valu
     assert program.sample is not None, "there are samples"
     tape, numbers = Tape(program.sample.observed), complex_numbers(np.complex128)
     points = {symbol: values.astype(complex) for symbol, values in near.items()}
-    emitted: list[Any] = [0.0] * len(program.sample.observed)
+    emitted: list[Operand] = [0.0] * len(program.sample.observed)
     with np.errstate(all="ignore"):
         exact = tape.evaluate(points, numbers)
         share.call_gradient(text.kernels(("sample_values",), numbers)["sample_values"], points, emitted)
@@ -185,8 +178,8 @@ def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple
     first = len(program.left_symbols) + len(program.interval_symbols)
     pairs = [(row, column) for row in range(size) for column in range(row + 1)]
 
-    def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
-        block: dict[tuple[int, int], Any] = {}
+    def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> None:
+        block: dict[tuple[int, int], Operand] = {}
         kernel(values[STEP], [values[s] for s in others], block)
         for index, pair in enumerate(pairs):
             filled[index] = block.get(pair, filled[index])
@@ -218,28 +211,25 @@ def _ends(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Sha
         ("end", program.end, program.right_symbols),
     ):
 
-        def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any], node: Sequence[Symbol] = node) -> Any:
+        def call(
+            kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand], node: Sequence[Symbol] = node
+        ) -> Operand:
             return kernel([values[s] for s in node], values[time], [values[s] for s in others], filled)
 
         unknowns, pinned = (*node, *program.shared_symbols), {index for index, _ in end.pins}
         share = Share(
             name=f"the {name}",
             scalar=end.element,
-            beside=end.cost,
+            output=end.cost,
             unknowns=unknowns,
             indices=tuple(index for index in range(len(unknowns)) if index not in pinned),
-            pattern=_pattern(guessed.module, f"{name.upper()}_"),
+            pattern=pattern_of(guessed.module, f"{name.upper()}_HESSIAN"),
             gradient=f"{name}_gradient",
             hessian=f"{name}_hessian",
             call_gradient=call,
             call_hessian=call,
         )
         yield share, guessed.at_node(name == "end", node, others)
-
-
-def _pattern(module: Mapping[str, Any], prefix: str) -> tuple[tuple[int, int], ...]:
-    rows, columns = (module.get(f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
-    return tuple((int(r), int(c)) for r, c in zip(rows, columns, strict=True))
 
 
 def verify_step(program: StepProgram, text: Text) -> None:
@@ -260,21 +250,6 @@ def verify_step(program: StepProgram, text: Text) -> None:
     kernels.compare_slopes(unknowns, program.before, list(program.residual), residual)
 
 
-class _Values:
-    """Expressions that read assignments, evaluated unchanged."""
-
-    def __init__(self, assignments: Sequence[Assignment], values: Sequence[Expr]) -> None:
-        self.names = [symbol for symbol, _ in assignments]
-        self.tapes = [Tape([value]) for _, value in assignments]
-        self.tape = Tape(values)
-
-    def evaluate(self, values: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
-        assigned = dict(values)
-        for symbol, tape in zip(self.names, self.tapes, strict=True):
-            assigned[symbol] = tape.evaluate(assigned, numbers)[0]
-        return self.tape.evaluate(assigned, numbers)
-
-
 class _StepKernels:
     """Calls the kernels of a step, at points where the program's expressions have values."""
 
@@ -292,10 +267,10 @@ class _StepKernels:
         """Compare a kernel that fills values; it reads symbols `inside` a step, state, time, lengths and parameters."""
         if not values:
             return
-        read = _Values(assignments, values)
+        read = Tape(values, assignments)
         points, count = self._points(inside, read)
 
-        def filled(at: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
+        def filled(at: Mapping[Symbol, Operand], numbers: Arithmetic) -> list[Operand]:
             kernel = self.text.kernels((name,), numbers)[name]
             state, time, lengths, parameters = self._arguments(at)
             within, results = [at[symbol] for symbol in inside], [0] * len(values)
@@ -309,12 +284,12 @@ class _StepKernels:
                 kernel(within, state, time, lengths, parameters, results)
             return results
 
-        def evaluate(kind: Any) -> tuple[Any, Any]:
+        def evaluate(kind: Complex) -> tuple[Operand, Operand]:
             at = {symbol: array.astype(kind) for symbol, array in points.items()}
             numbers = complex_numbers(kind)
             return _columns(filled(at, numbers), count), _columns(read.evaluate(at, numbers), count)
 
-        def opinion(entry: int, point: int) -> tuple[Sized, Any, Any]:
+        def opinion(entry: int, point: int) -> tuple[Sized, Operand, Operand]:
             at = {symbol: float(array[point]) for symbol, array in points.items()}
             exact, error = difference(lambda numbers: read.evaluate(numbers, EXACT)[entry], at, [])
             value = filled({symbol: Sized(number) for symbol, number in at.items()}, SIZED)[entry]
@@ -327,17 +302,17 @@ class _StepKernels:
         self, unknowns: Sequence[Symbol], before: Sequence[Assignment], residual: Sequence[Expr], names: Sequence[str]
     ) -> None:
         """Compare the Jacobian of the residual, and the residual that its kernel fills as well."""
-        read, size = _Values(before, residual), len(unknowns)
+        read, size = Tape(residual, before), len(unknowns)
         points, count = self._points(unknowns, read)
 
-        def filled(at: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
+        def filled(at: Mapping[Symbol, Operand], numbers: Arithmetic) -> list[Operand]:
             kernel = self.text.kernels(("step_jacobian",), numbers)["step_jacobian"]
-            heights: list[Any] = [0] * size
-            matrix: list[Any] = [0] * size**2
+            heights: list[Operand] = [0] * size
+            matrix: list[Operand] = [0] * size**2
             kernel([at[y] for y in unknowns], *self._arguments(at), heights, matrix)
             return [*heights, *matrix]
 
-        def evaluate(kind: Any) -> tuple[Any, Any]:
+        def evaluate(kind: Complex) -> tuple[Operand, Operand]:
             step, numbers = step_of(kind), complex_numbers(kind)
             at = {symbol: array.astype(kind)[:, None] for symbol, array in points.items()}
             moved = dict(at)
@@ -350,7 +325,7 @@ class _StepKernels:
             emitted = [np.asarray(value).reshape(-1) for value in filled(at, numbers)]
             return _columns(emitted, count), np.concatenate([heights, slopes], axis=1)
 
-        def opinion(entry: int, point: int) -> tuple[Sized, Any, Any]:
+        def opinion(entry: int, point: int) -> tuple[Sized, Operand, Operand]:
             at = {symbol: float(array[point]) for symbol, array in points.items()}
             row, by = (entry, []) if entry < size else ((entry - size) // size, [unknowns[(entry - size) % size]])
             exact, error = difference(lambda numbers: read.evaluate(numbers, EXACT)[row], at, by)
@@ -361,7 +336,7 @@ class _StepKernels:
             slopes = [f"the derivative of {name} by {y}" for name in names for y in unknowns]
             judge([*names, *slopes], evaluate, opinion)
 
-    def _arguments(self, at: Mapping[Symbol, Any]) -> tuple[list[Any], Any, list[Any], list[Any]]:
+    def _arguments(self, at: Mapping[Symbol, Operand]) -> tuple[list[Operand], Operand, list[Operand], list[Operand]]:
         program = self.program
         return (
             [at[symbol] for symbol in program.left_symbols],
@@ -370,7 +345,7 @@ class _StepKernels:
             [at[symbol] for symbol in program.model.parameters],
         )
 
-    def _points(self, inside: Sequence[Symbol], read: _Values) -> tuple[Values, int]:
+    def _points(self, inside: Sequence[Symbol], read: Tape) -> tuple[Values, int]:
         """Return states near the initial one, with default steps and parameters, and random points."""
         program, generator = self.program, np.random.default_rng(6)
         defaults = program.model.default_values
@@ -387,10 +362,10 @@ class _StepKernels:
             near[symbol] = number + 0.1 * (abs(number) or 1.0) * generator.uniform(-1.0, 1.0, _DRAWN)
         near |= {h: np.full(_DRAWN, length) for h in program.lengths} | {program.model.time: np.zeros(_DRAWN)}
         near = {symbol: array for symbol, array in near.items() if symbol in symbols}
-        return finite_points(read, [drawn | near, drawn])
+        return finite_points(read.evaluate, [drawn | near, drawn])
 
 
-def _columns(values: Sequence[Any], count: int) -> Any:
+def _columns(values: Sequence[Operand], count: int) -> Operand:
     return np.stack([np.broadcast_to(np.asarray(value).real, count) for value in values], axis=1)
 
 
@@ -403,7 +378,7 @@ _FIRST, _SECOND = 1e-9, 1e-7
 _DIRECTIONS = 2
 _LOOPS = ("hamiltonian", "hamiltonian_gradient", "slope", "velocity", "hamiltonian_hessian", "hessian_products")
 _MATRIX = "momentum_matrix"
-Array = Any
+Array = Operand
 
 
 def verify_particles(program: PairwiseProgram, text: Text) -> None:
@@ -431,15 +406,15 @@ def verify_particles(program: PairwiseProgram, text: Text) -> None:
 
 
 def _compared(
-    module: dict[str, Any], exact: _Hamiltonian, arguments: tuple[Array, Array, Array]
+    module: dict[str, Operand], exact: _Hamiltonian, arguments: tuple[Array, Array, Array]
 ) -> Iterator[tuple[str, Array, Array, float]]:
     """Yield the name of a quantity, its emitted and its right value, and the relative tolerance."""
     energy, gradient, hessian = exact.at(*arguments)
     state = arguments[0]
 
-    def filled(name: str, shape: Sequence[int], *beside: Array) -> Array:
+    def filled(name: str, shape: Sequence[int], *inputs: Array) -> Array:
         array = np.zeros(shape)
-        module[name](*arguments, *beside, array)
+        module[name](*arguments, *inputs, array)
         return array
 
     yield "the energy H", module["hamiltonian"](*arguments), energy, _FIRST
@@ -475,7 +450,7 @@ class _Hamiltonian:
         points = (flat + moves)[:, None, :] + 1j * self.step * np.eye(size)
         states = points.reshape(*points.shape[:2], *state.shape)
         model = self.model
-        common: dict[Symbol, Any] = dict(zip(model.parameters, parameters.astype(np.clongdouble), strict=True))
+        common: dict[Symbol, Operand] = dict(zip(model.parameters, parameters.astype(np.clongdouble), strict=True))
         values = np.zeros(states.shape[:2], np.clongdouble)
         for i in range(_PARTICLES):
             first = common | self._symbols(model.first, states, own, i)
@@ -487,7 +462,7 @@ class _Hamiltonian:
         hessian = (slopes[1 : size + 1] - slopes[size + 1 :]) / (2 * length)
         return values[0, 0].real, slopes[0].reshape(state.shape), hessian
 
-    def _symbols(self, symbols: Any, states: Array, own: Array, particle: int) -> dict[Symbol, Any]:
+    def _symbols(self, symbols: Operand, states: Array, own: Array, particle: int) -> dict[Symbol, Operand]:
         """Return the values of the symbols of one particle."""
         moving = [states[:, :, part, particle, k] for part in range(2) for k in range(states.shape[-1])]
         values = dict(zip(symbols.moving, moving, strict=True))

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any
 
 import numpy as np
 from sympy import Expr, S, Symbol
@@ -20,6 +19,7 @@ from codegen.emit.lower.control.layout import parameters
 from codegen.emit.verify.comparison import (
     EXACT,
     SIZED,
+    Complex,
     Sized,
     Values,
     complex_numbers,
@@ -30,9 +30,9 @@ from codegen.emit.verify.comparison import (
     sized,
     step_of,
 )
-from codegen.emit.verify.execution import Tape, Text
+from codegen.emit.verify.execution import Function, Operand, Tape, Text
 
-Call = Callable[[Callable[..., Any], Mapping[Symbol, Any], list[Any]], Any]
+Call = Callable[[Function, Mapping[Symbol, Operand], list[Operand]], Operand]
 """A function that calls a kernel with values of symbols and a list to fill."""
 
 
@@ -40,13 +40,13 @@ Call = Callable[[Callable[..., Any], Mapping[Symbol, Any], list[Any]], Any]
 class Share:
     """A scalar, the value that the kernel of its gradient returns, and the calls of the two kernels.
 
-    `beside` is the returned value and `returned` its name. `indices` are those of the unknowns whose derivatives are
+    `output` is the returned value and `returned` its name. `indices` belong to the unknowns whose derivatives are
     emitted; `pattern` has pairs of unknowns. Second derivatives are compared for `pairs` of indices, by default all.
     """
 
     name: str
     scalar: Expr
-    beside: Expr
+    output: Expr
     unknowns: tuple[Symbol, ...]
     indices: tuple[int, ...]
     pattern: tuple[tuple[int, int], ...]
@@ -63,13 +63,13 @@ class ShareComparison:
 
     def __init__(self, share: Share, text: Text, candidates: Sequence[Values]) -> None:
         self.share, self.text = share, text
-        self.tape = Tape([share.scalar, share.beside])
-        self.points, self.count = finite_points(self.tape, candidates)
+        self.tape = Tape([share.scalar, share.output])
+        self.points, self.count = finite_points(self.tape.evaluate, candidates)
         rows = (p for p in share.indices)
         every = [(row, column) for row in rows for column in share.indices if column <= row]
         self.pairs = every if share.pairs is None else list(share.pairs)
-        self._evaluations: dict[Any, tuple[Any, ...]] = {}
-        self._sized: dict[tuple[str, int], tuple[list[Any], Any]] = {}
+        self._evaluations: dict[Operand, tuple[Operand, ...]] = {}
+        self._sized: dict[tuple[str, int], tuple[list[Operand], Operand]] = {}
 
     def verify(self) -> None:
         """Raise VerificationError for a wrong entry: first of the returned value, then gradient, then Hessian."""
@@ -86,7 +86,7 @@ class ShareComparison:
     def _judge(self, names: Sequence[str], order: int, by: Callable[[int], list[int]]) -> None:
         judge(names, lambda kind: self._evaluated(kind)[order], lambda e, p: self._opinion(order, by(e), p))
 
-    def _evaluated(self, kind: Any) -> tuple[Any, ...]:
+    def _evaluated(self, kind: Complex) -> tuple[Operand, ...]:
         """Return emitted and exact values of the returned value, the gradient, and the Hessian; (points, entries)."""
         if kind in self._evaluations:
             return self._evaluations[kind]
@@ -98,12 +98,12 @@ class ShareComparison:
         for index, symbol in enumerate(share.unknowns):
             moved[symbol] = np.tile(plain[symbol], (1, size))
             moved[symbol][:, index] += 1j * step
-        scalar, beside = (np.broadcast_to(value, shape) for value in self.tape.evaluate(moved, numbers))
-        gradient: list[Any] = [kind(0)] * size
+        scalar, output = (np.broadcast_to(value, shape) for value in self.tape.evaluate(moved, numbers))
+        gradient: list[Operand] = [kind(0)] * size
         kernels = self.text.kernels((share.gradient, share.hessian), numbers)
         returned = share.call_gradient(kernels[share.gradient], moved, gradient)
         columns = np.stack([np.broadcast_to(np.asarray(value, kind), shape) for value in gradient], axis=1)
-        entries: list[Any] = [kind(0)] * len(share.pattern)
+        entries: list[Operand] = [kind(0)] * len(share.pattern)
         if share.pattern:
             share.call_hessian(kernels[share.hessian], plain, entries)
         hessian = np.zeros((self.count, size, size), np.finfo(kind).dtype)
@@ -111,13 +111,13 @@ class ShareComparison:
             hessian[:, row, column] += np.broadcast_to(np.asarray(value).real.reshape(-1), self.count)
         rows, below = [row for row, _ in self.pairs], [column for _, column in self.pairs]
         self._evaluations[kind] = (
-            (np.broadcast_to(np.asarray(returned, kind), shape)[:, :1].real, beside[:, :1].real),
+            (np.broadcast_to(np.asarray(returned, kind), shape)[:, :1].real, output[:, :1].real),
             (columns[:, chosen, 0].real, scalar.imag[:, chosen] / step),
             (hessian[:, rows, below], (columns.imag / step)[:, rows, below]),
         )
         return self._evaluations[kind]
 
-    def _opinion(self, order: int, by: list[int], point: int) -> tuple[Sized, Any, Any]:
+    def _opinion(self, order: int, by: list[int], point: int) -> tuple[Sized, Operand, Operand]:
         at = {symbol: float(array[point]) for symbol, array in self.points.items()}
         index = 0 if order else 1
         names = [self.share.unknowns[i] for i in by]
@@ -127,7 +127,7 @@ class ShareComparison:
             return Sized(0), exact, error
         name, call = (share.hessian, share.call_hessian) if order == 2 else (share.gradient, share.call_gradient)
         if (name, point) not in self._sized:
-            filled: list[Any] = [Sized(0)] * (len(share.pattern) if order == 2 else len(share.unknowns))
+            filled: list[Operand] = [Sized(0)] * (len(share.pattern) if order == 2 else len(share.unknowns))
             sized_values = {symbol: Sized(value) for symbol, value in at.items()}
             returned = call(self.text.kernels((name,), SIZED)[name], sized_values, filled)
             self._sized[name, point] = filled, returned
@@ -135,7 +135,7 @@ class ShareComparison:
         if order == 2:
             entries = [value for value, pair in zip(filled, share.pattern, strict=True) if pair == tuple(by)]
             return reduce(Sized.__add__, entries, Sized(0)), exact, error
-        value: Any = filled[by[0]] if order else returned
+        value: Operand = filled[by[0]] if order else returned
         return sized(value), exact, error
 
 
@@ -166,22 +166,22 @@ def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], 
     pairs = tuple(pattern)
     width = 1 + max((*columns, *(column for _, column in pairs)))
 
-    def call_slopes(called: Callable[..., Any], values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
-        slopes: list[Any] = [0] * width
-        mixed: list[Any] = [0] * len(pairs)
+    def call_slopes(called: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> Operand:
+        slopes: list[Operand] = [0] * width
+        mixed: list[Operand] = [0] * len(pairs)
         share.call_gradient(lambda *arguments: called(*arguments[:-1], slopes, mixed), values, [])
         for column, index in indices.items():
             filled[index] = slopes[column] + filled[index]
         return 0
 
-    def call_mixed(called: Callable[..., Any], values: Mapping[Symbol, Any], filled: list[Any]) -> None:
-        slopes: list[Any] = [0] * width
-        mixed: list[Any] = [0] * len(pairs)
+    def call_mixed(called: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> None:
+        slopes: list[Operand] = [0] * width
+        mixed: list[Operand] = [0] * len(pairs)
         share.call_gradient(lambda *arguments: called(*arguments[:-1], slopes, arguments[-1]), values, mixed)
         filled[:] = [value for value, (_, column) in zip(mixed, pairs, strict=True) if column in indices]
 
     of_slopes = replace(
-        share, beside=S.Zero, unknowns=unknowns, indices=tuple(indices.values()), pattern=(), pairs=(), gradient=kernel,
+        share, output=S.Zero, unknowns=unknowns, indices=tuple(indices.values()), pattern=(), pairs=(), gradient=kernel,
         hessian=kernel, call_gradient=call_slopes,
     )  # fmt: skip
     every = tuple((row, index) for row in share.indices for index in indices.values() if index not in share.indices)
@@ -192,11 +192,10 @@ def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], 
     return [of_slopes, of_mixed]
 
 
-def pattern_of(text: Text, prefix: str = "") -> tuple[tuple[int, int], ...]:
-    """Return unknowns and columns of the mixed derivatives of intervals, or of an end."""
-    names = f"{prefix}MIXED_ROWS", f"{prefix}MIXED_COLUMNS"
-    module = text.interpreted(*names)
-    return tuple((int(row), int(column)) for row, column in zip(*(module[name] for name in names), strict=True))
+def pattern_of(module: Mapping[str, Operand], name: str) -> tuple[tuple[int, int], ...]:
+    """Return the pairs of indices in the arrays `<name>_ROWS` and `<name>_COLUMNS` of a module, if it has them."""
+    rows, columns = (module.get(f"{name}_{side}", ()) for side in ("ROWS", "COLUMNS"))
+    return tuple((int(row), int(column)) for row, column in zip(rows, columns, strict=True))
 
 
 _DRAWN = 30
@@ -227,11 +226,11 @@ def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, S
     pattern = tuple((row, index) for row in range(size) for index in local.values())
     entry = {pair: i for i, pair in enumerate(pattern)}
 
-    def call(kernel: Any, values: Mapping[Symbol, Any], slopes: list[Any], mixed: list[Any]) -> int:
+    def call(kernel: Function, values: Mapping[Symbol, Operand], slopes: list[Operand], mixed: list[Operand]) -> int:
         for kind, indices in terms:
-            by_data, by_both = dict[int, Any](), dict[tuple[int, int], Any]()
-            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
-            kernel(kind, inputs, beside, by_data, by_both)
+            by_data, by_both = dict[int, Operand](), dict[tuple[int, int], Operand]()
+            inputs, others_at = [values[every[index]] for index in indices], [values[s] for s in others]
+            kernel(kind, inputs, others_at, by_data, by_both)
             for column, value in by_data.items():
                 slopes[local[column]] = value + slopes[local[column]]
             for (a, column), value in by_both.items():
@@ -242,7 +241,7 @@ def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, S
     common = replace(share, unknowns=(*share.unknowns, *data.values()), hessian=_MIXED)
     return (
         replace(
-            common, beside=S.Zero, indices=tuple(local.values()), pattern=(), pairs=(), gradient=_MIXED,
+            common, output=S.Zero, indices=tuple(local.values()), pattern=(), pairs=(), gradient=_MIXED,
             call_gradient=lambda kernel, values, filled: call(kernel, values, filled, [0] * len(pattern)),
         ),
         replace(
@@ -261,21 +260,21 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
     pattern = tuple((row, column) for row in range(size) for column in range(row + 1))
     entry = {pair: i for i, pair in enumerate(pattern)}
 
-    def call_gradient(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
-        total: Any = 0
+    def call_gradient(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> Operand:
+        total: Operand = 0
         for kind, indices in terms:
             slopes = [0] * len(indices)
-            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
-            total = kernel(kind, inputs, beside, slopes, [0] * len(indices) ** 2) + total
+            inputs, others_at = [values[every[index]] for index in indices], [values[s] for s in others]
+            total = kernel(kind, inputs, others_at, slopes, [0] * len(indices) ** 2) + total
             for index, slope in zip(indices, slopes, strict=True):
                 filled[local[index]] = slope + filled[local[index]]
         return total
 
-    def call_hessian(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
+    def call_hessian(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> None:
         for kind, indices in terms:
             curvatures = [0] * len(indices) ** 2
-            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
-            kernel(kind, inputs, beside, [0] * len(indices), curvatures)
+            inputs, others_at = [values[every[index]] for index in indices], [values[s] for s in others]
+            kernel(kind, inputs, others_at, [0] * len(indices), curvatures)
             for a, row in enumerate(indices):
                 for b, column in enumerate(indices):
                     if local[column] <= local[row]:
@@ -285,7 +284,7 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
     return Share(
         name=f"the condition {coupling.multiplier.meaning.of}",
         scalar=coupling.expression,
-        beside=coupling.expression,
+        output=coupling.expression,
         unknowns=tuple(every[index] for index in read),
         indices=tuple(range(size)),
         pattern=pattern,

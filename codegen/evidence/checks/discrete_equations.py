@@ -29,7 +29,7 @@ from codegen.discretise.forms import rewritten
 from codegen.discretise.interval import STEP, at_nodes, repeated, variational_interval
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Model, prescribed
-from codegen.discretise.program import ControlProgram, StepProgram
+from codegen.discretise.program import ControlProgram, StepProgram, in_scales
 from codegen.discretise.schemes.base import DiscreteLagrangian, Scheme
 from codegen.evidence.checks.base import (
     DIGITS,
@@ -74,7 +74,7 @@ def _phase_alone(program: ControlProgram, chain: Model, index: int) -> ControlPr
         model=chain.phases[index],
         element=phase.regular.element.xreplace(scales),
         cost=phase.regular.cost.xreplace(scales),
-        equations=tuple((name, value.xreplace(scales)) for name, value in phase.equations),
+        equations=in_scales(phase.equations, scales),
         scaled_time=False,
         phases=(),
     )
@@ -210,7 +210,7 @@ def _step_sides(model: Model, program: ControlProgram | StepProgram, scheme: Sch
         equal = {length: STEP / len(lengths) for length in lengths}
         equations = [equation for _, equation in program.equations]
     else:
-        equations = [program.in_time(equation) for name, equation in program.equations if name == "0"]
+        equations = [program.in_time(e.value) for e in program.equations if str(e) == "0"]
     size, step = len(states), scheme.step()
     motion: dict[Symbol, Expr] = _constant_controls(program)
     motion |= _along(states, (S.Zero, *step.abscissae), partial(_straight, states, rates))
@@ -257,7 +257,7 @@ def check_integrals(context: Context) -> Iterator[Finding]:
         motion |= _along(states, (S.Zero, S.One), partial(_straight, states, rates))
     symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, model.time]
     symbols = list(dict.fromkeys([*symbols, *(free.symbol for free in model.free_parameters)]))
-    equations = dict(program.equations)
+    equations = {equation.left: equation.value for equation in program.equations}
     for number, integral in enumerate(model.integrals, start=1):
         quadrature = program.in_time(equations[f"Gd_{number}"]).xreplace(motion)
         share, limit = function_of([*symbols, STEP], [quadrature]), function_of(symbols, [integral.expression])

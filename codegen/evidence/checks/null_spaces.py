@@ -103,7 +103,7 @@ def check_boundary_rank(context: Context) -> Iterator[Finding]:
             conditions = [f"{v.where} {v.quantity}" for v in program.boundary_values]
             further = [*program.start.conditions, *program.end.conditions]
             further += [equation for phase in program.phases for equation in phase.switch_equations]
-            conditions += [name.partition("(")[2].removesuffix(")") for name, _ in further if "(" in name]
+            conditions += [equation.condition for equation in further if equation.condition]
             detail = f"{rows.size} equations in {columns.size} unknowns have full rank (N = {intervals})"
             detail += f": {', '.join(conditions) or 'no conditions'}"
             yield Finding("boundary rank", "all equations", True, detail)

@@ -88,7 +88,19 @@ def bound_values(program: ControlProgram) -> list[Bound]:
         for j, unknown in enumerate(phase.inside[:inside]):
             add(f"intervals[:, {phase_slice(program, i)}, {j}]", unknown)
         if i:
-            values += _bounds_at_switch(program, i)
+            # The bounds of both phases hold for continuous quantities, and no bounds for prescribed ones.
+            before, after = program.phases[i - 1], program.phases[i]
+            for j, (earlier, later) in enumerate(zip(before.node, after.node, strict=True)):
+                limits_before, limits = dict(_limits(earlier)), dict(_limits(later)) if j not in after.jumping else {}
+                if j in after.given:
+                    limits = {side: -oo if side == "lower" else oo for side in limits_before}
+                elif limits_before:
+                    limits = {
+                        side: (Max if side == "lower" else Min)(limits_before.get(side, value), value)
+                        for side, value in limits.items()
+                    }
+                name = f"{later.name} at the switch"
+                values += [Bound(f"{side}_nodes[:, {phase_start(i)}, {j}]", v, name) for side, v in limits.items()]
     if not program.phases:
         for group, unknowns in (
             ("nodes", program.node),
@@ -117,27 +129,6 @@ def _limits(unknown: Unknown) -> Iterator[tuple[str, Expr]]:
     for side, value in (("lower", unknown.lower), ("upper", unknown.upper)):
         if value is not None:
             yield side, value
-
-
-def _bounds_at_switch(program: ControlProgram, i: int) -> list[Bound]:
-    """Return the bounds of the node at which phase i begins.
-
-    The bounds of both phases hold for continuous quantities, and no bounds for prescribed ones.
-    """
-    values = []
-    before, after = program.phases[i - 1], program.phases[i]
-    for j, (earlier, later) in enumerate(zip(before.node, after.node, strict=True)):
-        limits_before, limits = dict(_limits(earlier)), dict(_limits(later)) if j not in after.jumping else {}
-        if j in after.given:
-            limits = {side: -oo if side == "lower" else oo for side in limits_before}
-        elif limits_before:
-            limits = {
-                side: (Max if side == "lower" else Min)(limits_before.get(side, value), value)
-                for side, value in limits.items()
-            }
-        name = f"{later.name} at the switch"
-        values += [Bound(f"{side}_nodes[:, {phase_start(i)}, {j}]", v, name) for side, v in limits.items()]
-    return values
 
 
 def slack_bounds(program: ControlProgram) -> list[Line]:

@@ -116,13 +116,12 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
     if program.sample is not None and derivatives.sample is not None:
         kernels += _sample_kernels(program, derivatives.sample, derivatives.element)
     is_curved = bool(derivatives.start.hessian or derivatives.end.hessian)
-    for name, end, ended in (("start", program.start, derivatives.start), ("end", program.end, derivatives.end)):
+    for name, ended in (("start", derivatives.start), ("end", derivatives.end)):
         codes, unknowns = symbol_codes(program, ended.unknowns), ended.unknowns
-        pinned = {i for i, _ in end.pins}
         gradient = [
             Output(f"gradient[{i}]", value, f"by {symbol}", "+=")
             for i, (symbol, value) in enumerate(zip(unknowns, ended.gradient, strict=True))
-            if value != 0 and i not in pinned
+            if value != 0
         ]
         kernels.append(
             kernel(

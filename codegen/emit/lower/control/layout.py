@@ -150,7 +150,7 @@ _NO_FIELDS = ("ELEMENT", "ROOT", "BACKWARD", "BORDERED", "CARRIED", "START_COUNT
 _FIELDS = {"HESSIAN_ROWS": "rows", "HESSIAN_COLUMNS": "columns"} | {
     f"{end}_HESSIAN_{side}": f"{end}_{side}".lower() for end in ("START", "END") for side in ("ROWS", "COLUMNS")
 }
-"""Fields of the record whose names are not those of the module's constants in small letters."""
+"""Fields of the record whose names are not the module's constants in small letters."""
 
 
 def inner_time_constants(program: ControlProgram) -> list[Line]:
@@ -198,7 +198,8 @@ def carries_right_hand_side(program: ControlProgram, derivatives: ControlDerivat
     """
     node, inside = len(program.node), len(program.interval) + len(program.controls) + len(program.slacks)
     block = node + inside - derivatives.condensed - 2 * derivatives.stages
-    first = block - len(_pinned(_first_end(program))) if _borders_front(program) else 0
+    first_end = program.end if _sweeps_backward(program) else program.start
+    first = block - len(_pinned(first_end)) if _borders_front(program) else 0
     border = node + first + len(program.shared)  # the next node, block 0, shared unknowns
     return (block + border) % 4 > 0 and border % 4 > 0
 
@@ -244,17 +245,12 @@ def _sweeps_backward(program: ControlProgram) -> bool:
     return program.method != "variational" and not any(u.multiplier for u in inner)
 
 
-def _first_end(program: ControlProgram) -> EndElement:
-    """Return the end where elimination begins."""
-    return program.end if _sweeps_backward(program) else program.start
-
-
 def _borders_front(program: ControlProgram) -> bool:
     """Return True if block 0 stays to the end of the elimination: its equations may determine other unknowns.
 
     If nothing is prescribed at the end where elimination begins, they determine its state, as in all other blocks.
     """
-    return bool(not _sweeps_backward(program) or _pinned(_first_end(program)) or program.only_at_ends)
+    return bool(not _sweeps_backward(program) or _pinned(program.end) or program.only_at_ends)
 
 
 def _pinned(end: EndElement) -> list[int]:
@@ -429,7 +425,11 @@ def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
         inside += controls
     groups = []
     for view, guessed in (("nodes", at_nodes), ("intervals", inside)):
-        lines = [Line(f"{view}[:, :, {i}]", _guess_code(program, value), name) for i, name, value in guessed]
+        lines = []
+        for i, name, value in guessed:
+            # In fractions of the duration, if no other time is in the guess.
+            relative = value.xreplace({program.model.time: FRACTION * DURATION})
+            lines.append(Line(f"{view}[:, :, {i}]", array_code(value if relative.has(DURATION) else relative), name))
         groups.append([line for line in lines if line.code != "0"])
     node_lines, interval_lines = groups
     # Guesses follow the samples, at nodes and, on straight lines, inside intervals.
@@ -462,12 +462,6 @@ def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
     if _is_read("duration", lines):
         lines.insert(0, Line("duration", "duration_of(grid, unknowns)"))
     return lines, read
-
-
-def _guess_code(program: ControlProgram, guess: Expr) -> str:
-    """Return code of a guess over arrays of time, in fractions of the duration if no other time is in it."""
-    relative = guess.xreplace({program.model.time: FRACTION * DURATION})
-    return array_code(guess if relative.has(DURATION) else relative)
 
 
 def _is_read(name: str, lines: Sequence[Line]) -> bool:

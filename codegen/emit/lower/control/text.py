@@ -10,17 +10,18 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 
 import sympy
-from sympy import Dummy, Expr, Symbol, cos, expand, sin
+from sympy import Dummy, Symbol, cos, expand, sin
 
 from codegen.discretise import schemes
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.interval import at_nodes
 from codegen.discretise.model.definitions import Model, expressions_of, prescribed
 from codegen.discretise.model.smoothness import jumps, kinks, singular_at_guess
-from codegen.discretise.program import ControlProgram, EndElement, Unknown
+from codegen.discretise.program import ControlProgram, EndElement, Equation, Unknown
 from codegen.emit.differentiation import ControlDerivatives
 from codegen.emit.lower.control.kernels import sample_record
 from codegen.emit.lower.control.layout import carries_right_hand_side, has_nonlinear_ends
@@ -33,8 +34,6 @@ from codegen.symbolic.tables import TableData
 
 _WIDTH = 110
 _LONGEST_DENOMINATOR = 1000
-
-Pairs = Sequence[tuple[str, Expr]]
 
 
 def description(program: ControlProgram, kernels: Sequence[Kernel], tables: Sequence[str] = ()) -> list[str]:
@@ -69,7 +68,7 @@ def _problem(program: ControlProgram) -> Iterator[list[str]]:
     if any(cost != 0 for cost in [phase.regular.cost for phase in program.phases] or [program.cost]):
         terms.append("the sum of Cd over all intervals" + (" of all bodies" if program.bodies > 1 else ""))
     terms += ["the losses of all samples"] if program.sample else []
-    switches = [i for i, phase in enumerate(program.phases) if dict(phase.switch_equations).get("cost")]
+    switches = [i for i, phase in enumerate(program.phases) if any(e.left == "cost" for e in phase.switch_equations)]
     terms += [f"the cost at switch {i}" for i in switches]
     if program.end.cost != 0:
         terms.append(
@@ -106,7 +105,7 @@ def _unknowns(program: ControlProgram) -> str:
     at_switches = [u for i, u in enumerate(inside) if regular and all(i in lacking for lacking in regular)]
     # Shared unknowns of the author, or in the conditions at the ends.
     free = [parameter.symbol for parameter in program.model.free_parameters]
-    values = [value for end in (program.start, program.end) for _, value in end.conditions]
+    values = [condition.value for end in (program.start, program.end) for condition in end.conditions]
     shared = [
         unknown
         for unknown, symbol in zip(program.shared, program.shared_symbols, strict=True)
@@ -154,12 +153,12 @@ def _conditions(model: Model) -> list[str]:
     return [sentence for kind in CONDITIONS for sentence in kind.sentences(model)]
 
 
-def _equations(equations: Pairs) -> list[str]:
+def _equations(equations: Sequence[Equation]) -> list[str]:
     """Return the discrete equations, except conditions at nodes, which the bounds show, and a cost of zero."""
     return [
-        f"0 >= {sympy.sstr(value)}" if label.startswith("-") else f"{label.partition(' (')[0]} = {sympy.sstr(value)}"
-        for label, value in equations
-        if not label.startswith("0 at every node") and (label != "Cd" or value != 0)
+        f"{'0 >=' if e.slack else f'{e.left} ='} {sympy.sstr(e.value)}"
+        for e in equations
+        if not e.at_nodes and (e.left != "Cd" or e.value != 0)
     ]
 
 
@@ -188,7 +187,7 @@ def _phases(program: ControlProgram) -> Iterator[list[str]]:
     yield textwrap.wrap(lead, _WIDTH)
     for number, (phase, model) in enumerate(zip(program.phases, program.model.phases, strict=True), start=1):
         if phase.switch_equations:
-            relations = [_relation(label, value) for label, value in phase.switch_equations]
+            relations = [_relation(equation) for equation in phase.switch_equations]
             yield _block(f"At switch {number - 1}, where the left node has the values before it:", relations)
         lacking = {phase.inside[i].name for i in phase.regular.lacking}
         idle = [u.name for u in program.controls if u.name in lacking]
@@ -214,18 +213,14 @@ def _balance(program: ControlProgram) -> Iterator[list[str]]:
     lines = [f"0 = D2 Ld(q_{{k-1}}, q_k) + D1 Ld(q_k, q_{{k+1}}){both}{force}"]
     inner = [u.name for u in program.interval if u.kind is Kind.INNER_VALUE]
     equations = chain(program.equations, *(phase.equations for phase in program.phases))
-    acting = {label for label, _ in equations}
+    acting = {equation.left for equation in equations}
     lines += [f"0 = dLd/d{name}" + f" + f_{name}" * (f"f_{name}" in acting) for name in inner]
     before = f"D2 Ld(q_{{k-1}}, q_k){' + f+_{k-1}' * forced}{right}"
     after = f"-D1 Ld(q_k, q_{{k+1}}){' - f-_k' * forced}{left}"
-
-    def prescribes_momenta(conditions: Pairs) -> bool:
-        return any(label.startswith("p_") for label, _ in conditions)
-
-    switches = [pair for phase in program.phases for pair in phase.switch_equations]
-    lines += [f"p at the start = {after}"] * prescribes_momenta(program.start.conditions)
-    lines += [f"p at the end = {before}"] * prescribes_momenta(program.end.conditions)
-    lines += [f"p before a switch = {before}", f"p after a switch = {after}"] * prescribes_momenta(switches)
+    lines += [f"p at the start = {after}"] * any(e.momentum for e in program.start.conditions)
+    lines += [f"p at the end = {before}"] * any(e.momentum for e in program.end.conditions)
+    switched = any(e.momentum for phase in program.phases for e in phase.switch_equations)
+    lines += [f"p before a switch = {before}", f"p after a switch = {after}"] * switched
     if len(lines) > 1 + len(inner):
         lead += ", and momenta where they are given"
     yield _block(f"{lead}:", lines)
@@ -252,9 +247,9 @@ def _end(program: ControlProgram, where: str, end: EndElement, symbols: Sequence
     values = [f"{v.quantity} = {sympy.sstr(v.value)}" for v in program.boundary_values if v.where == where]
     lasting = {c.name for c in program.model.path} | {f"{q} is periodic" for q, _ in program.model.periodic}
     relations = [
-        _relation(label, value.xreplace(names))
-        for label, value in end.conditions
-        if label.partition(" (")[2].removesuffix(")") not in lasting
+        _relation(replace(condition, value=condition.value.xreplace(names)))
+        for condition in end.conditions
+        if condition.condition not in lasting
     ]
     relations += [bound.condition for _, bound in end.bounds if bound.condition not in lasting]
     line = ", ".join(values)
@@ -264,12 +259,12 @@ def _end(program: ControlProgram, where: str, end: EndElement, symbols: Sequence
         yield _block(f"At the {where}:", [*values, *relations])
 
 
-def _relation(label: str, value: Expr) -> str:
+def _relation(equation: Equation) -> str:
     """Return a condition in the author's words, or an equation for a quantity."""
-    left, _, condition = label.partition(" (")
-    if condition and any(sign in condition for sign in (" = ", " <= ", " >= ")):
-        return condition.removesuffix(")")
-    return f"{left} = {readable(value)}" + (f" ({condition}" if condition else "")
+    if any(sign in equation.condition for sign in (" = ", " <= ", " >= ")):
+        return equation.condition
+    left = f"-{equation.slack}" if equation.slack else equation.left
+    return f"{left} = {readable(equation.value)}" + (f" ({equation.condition})" if equation.condition else "")
 
 
 def _plain_names(program: ControlProgram, symbols: Sequence[Symbol]) -> Mapping[Symbol, Symbol]:
