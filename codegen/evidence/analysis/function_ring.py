@@ -101,7 +101,7 @@ class NormalForms:
         return element
 
     def gradient(self, element: Element) -> tuple[Element, ...]:
-        """Return the derivatives with respect to all variables."""
+        """Return the derivatives of an element with respect to all variables."""
         total = [self.zero] * len(self.variables)
         for index in sorted({i for monomial in element for i, e in enumerate(monomial) if e}):
             outer, number = element.diff(self.ring.gens[index]), self._size - 1 - index - len(self._symbols)
@@ -116,7 +116,7 @@ class NormalForms:
         return tuple(self.reduced(part) for part in total)
 
     def directions(self, field: Sequence[Element]) -> tuple[Element, ...]:
-        """Return the derivatives of all symbols of the ring along a vector field, from its component for each variable."""
+        """Return the derivatives of all symbols of the ring along a vector field with a component for each variable."""
         along = [self.zero] * self._size
         for symbol, component in zip(self.variables, field, strict=True):
             along[self._index[symbol]] = component
@@ -126,7 +126,7 @@ class NormalForms:
         return tuple(along)
 
     def derivative(self, element: Element, directions: Sequence[Element]) -> Element:
-        """Return the derivative of an element along a vector field, whose `directions` are the derivatives of symbols."""
+        """Return the derivative of an element along a vector field, from the derivatives `directions` of symbols."""
         parts = (element.diff(x) * along for x, along in zip(self.ring.gens, directions, strict=True) if along)
         return self.reduced(sum(parts, self.zero))
 
@@ -225,12 +225,12 @@ def _number(value: Expr) -> mpmath.mpf:
 
 
 def sparse(monomial: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
-    """Return (index, exponent) of the symbols in a monomial, without zero exponents."""
+    """Return the pairs (index, exponent) of a monomial whose exponent is not zero."""
     return tuple((i, e) for i, e in enumerate(monomial) if e)
 
 
 def angles_that_span(angles: Sequence[Expr]) -> tuple[Expr, ...]:
-    """Return angles of which all others are integer combinations, sums before single terms; empty if there are none."""
+    """Return some of the angles, preferably sums, whose integer combinations give all angles; empty if impossible."""
     simple = set[Expr]()
     for angle in angles:  # without its integer factor
         numerators = [coefficient.p for coefficient in angle.as_coefficients_dict().values()]
@@ -251,7 +251,7 @@ def angles_that_span(angles: Sequence[Expr]) -> tuple[Expr, ...]:
 
 
 def weights(basis: sympy.Matrix, row: Sequence[Expr]) -> list[Expr]:
-    """Return the coefficients of a vector as a combination of the columns of a basis."""
+    """Return the coefficients with which the columns of `basis` add up to the vector `row`."""
     normal = basis.T * basis
     return list(normal.LUsolve(basis.T * sympy.Matrix(row)))
 
@@ -263,7 +263,7 @@ _X = Dummy("x", real=True)
 
 
 class FunctionRing(NormalForms):
-    """Polynomials over the rationals in variables, constants and adjoined functions of them.
+    """Polynomials with rational coefficients in variables, constants and adjoined functions of them.
 
     `angles` are a basis of all angles. Without a basis each term of an angle has its own sine and cosine. Raises
     ExpressionError if a function has a kink or no elementary derivative.
@@ -277,7 +277,7 @@ class FunctionRing(NormalForms):
         self._basis = [self.function(angle, _X, self.zero) for angle in angles]
 
     def compressed(self, evaluate_again: Callable[[FunctionRing], object]) -> FunctionRing:
-        """Return a ring without unused slots; `evaluate_again` repeats in a ring the evaluation that adjoins functions.
+        """Return a ring without unused slots. `evaluate_again(ring)` repeats the evaluation, to adjoin its functions.
 
         The ring has a basis of angles, so that sines and cosines of different angles are independent.
         """
@@ -297,7 +297,7 @@ class FunctionRing(NormalForms):
             self._derivatives(generator)
 
     def function(self, outer: Expr, x: Symbol, argument: Element) -> Element:
-        """Return the element that the expression `outer` has if its symbol x is the element `argument`."""
+        """Return the element that the expression `outer` gives with the element `argument` in place of x."""
         if outer == x:
             return argument
         if not outer.has(x):
@@ -474,12 +474,12 @@ Series = list[Element]
 
 
 def padded(values: Sequence[Element], ring: FunctionRing, order: int) -> Series:
-    """Return the series of some coefficients, cut or filled with zeros so that it ends at h^order."""
+    """Return the series with coefficients `values`, cut or filled with zeros to end at h^order."""
     return [*values[: order + 1], *[ring.zero] * (order + 1 - len(values))]
 
 
 class Evaluation:
-    """The evaluation of expressions of symbols with series as values, by Taylor's formula; common parts once."""
+    """The evaluation of expressions whose symbols are power series, by Taylor's formula, each common part once."""
 
     def __init__(self, ring: FunctionRing, values: Mapping[Symbol, Series], order: int) -> None:
         self._ring, self._order = ring, order

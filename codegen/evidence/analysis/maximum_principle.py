@@ -53,7 +53,7 @@ class NecessaryConditions:
 
 
 def beyond_maximum_principle(model: Model) -> str:
-    """Return a text with the features of a problem that the necessary conditions do not cover; empty without any."""
+    """Return a text: the features of a problem that the necessary conditions do not cover; empty if there are none."""
     features = {
         "several phases": bool(model.phases),
         "values of the past": bool(model.joined),
@@ -147,7 +147,7 @@ def _end_equations(
 
 
 def parameter_values(model: Model, values: Mapping[str, float] | None) -> dict[sympy.Symbol, float]:
-    """Return all parameters with defaults or overrides `values`. Raise ArgumentError for an unknown name."""
+    """Return all parameters by symbol; `values` override defaults by name. Raise ArgumentError for unknown names."""
     symbols = {parameter.name: parameter for parameter in model.parameters}
     for name in values or {}:
         if name not in symbols:
@@ -182,7 +182,7 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
     The result is also None if the eigenvalues have no practical formula by radicals. Raises the errors of
     `necessary_conditions`, and BoundaryError if the boundary conditions do not determine the trajectory.
 
-    With z = (x, psi) the Hamiltonian without controls is quadratic, K = z.Sz/2 + g.z + c, and z' = J dK/dz. Integrating
+    With z = (x, psi) the Hamiltonian at the optimal controls is K = z.Sz/2 + g.z + c, and z' = J dK/dz. Integration of
     d(psi.x)/dt = psi.dK/dpsi - x.dK/dx and K = C + psi.x' gives the cost without quadrature:
     J = (psi(0).x(0) - psi(T).x(T))/2 + integral of g.z/2 + cT, and g.z is integrated by one more linear equation.
     """
@@ -262,9 +262,9 @@ _SMALLEST_ADVANCE = 1e-3
 
 @dataclass(frozen=True)
 class Reference:
-    """An optimum at the times `t` (M,): states and costates (M, 2n), controls (M, m), cost, and the residual.
+    """An optimum at times `t` (M,), for n coordinates and m controls: states and costates (M, 2n), controls (M, m).
 
-    The residual is the largest root mean square defect of the differential equations on any mesh interval, in time from
+    `residual` is the largest root mean square defect of the differential equations on any mesh interval, in time from
     0 to 1. Each defect is relative to 1 + |derivative| and in units of the largest value of its unknown.
     """
 
@@ -295,9 +295,9 @@ def reference_optimum(
         Relative tolerance of the collocation, from 1e-12 to 1.
     guess : tuple of arrays, optional
         (t, x, psi) of shapes (M,), (M, 2n), (M, 2n). By default coordinates are interpolated linearly between their end
-        values, or follow the problem's own guess. Velocities are slopes of the coordinates, or like momenta are
-        interpolated if slopes fail. psi is zero. If nothing converges, the end values move continuously from the end
-        of the uncontrolled motion.
+        values, or follow the problem's own guess. Velocities are the slopes of coordinates; if this fails they are
+        interpolated, as momenta are. psi is zero. If nothing converges, the end values move continuously from the end
+        of the uncontrolled motion to the prescribed values.
     seconds : float
         Limit of processor time.
 
@@ -439,7 +439,7 @@ def _vectorised(
 
 
 def _interpolated_guess(model: Model, system: _BoundaryValueProblem, slopes: bool) -> Trajectory:
-    """Return the problem's guess, or straight lines between end values; `slopes` for velocities along the path."""
+    """Return the problem's guess, or lines between end values; with `slopes`, velocities are slopes of coordinates."""
     # The value at a free end is the value at the other end.
     s = np.linspace(0.0, 1.0, 101)
     first = np.where(np.isnan(system.start_values), system.end_values, system.start_values)
@@ -457,7 +457,7 @@ def _interpolated_guess(model: Model, system: _BoundaryValueProblem, slopes: boo
 
 
 def _continued(system: _BoundaryValueProblem) -> OptimizeResult | None:
-    """Return the solution by moving end values from the uncontrolled motion to the problem in adaptive steps, or None."""
+    """Return a solution by adaptive continuation of end values from the uncontrolled motion to the problem, or None."""
     count = system.count
     y0 = np.concatenate([np.nan_to_num(system.start_values), np.zeros(count + 1)])
     s = np.linspace(0.0, 1.0, 101)

@@ -1,4 +1,4 @@
-"""Modified equations of a scheme on a problem, and the modified Hamiltonian: backward error analysis.
+"""Backward error analysis: the modified equations of a scheme on a problem, and the modified Hamiltonian.
 
 A step of length h is, as a formal series, the flow over the time h of a modified vector field f_0 + h f_1 + h^2 f_2 +
 ... Its coefficients follow from a comparison of powers of h. The field of a symplectic scheme is Hamiltonian. Its
@@ -10,7 +10,7 @@ equations for variational integrators, Numerische Mathematik 137.
 
 The map of one step is expanded from its implicit equations, for any number of inner stages. The unknowns of a step are
 power series in h with coefficients in a FunctionRing. Coefficient n of the unknowns follows from coefficient n of the
-equations, which is linear in it.
+equations, which is linear in the unknown coefficient.
 
 `analysis` writes the result as text: the conclusion first, then the coefficients of each power of h.
 """
@@ -52,7 +52,7 @@ def analysis(
     order: int = 3,
     latex: bool = False,
 ) -> str:
-    """Write the modified equations of a scheme on a problem.
+    """Return a text with the modified equations of a scheme that is applied to a problem.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def analysis(
     Raises
     ------
     ArgumentError
-        For another order, and for problems with particles, several phases, holonomic constraints or delayed values.
+        If the order is out of range, or a problem has particles, several phases, holonomic constraints or delayed values.
         `modified_equations` raises further errors.
     """
     if not 1 <= order <= LARGEST_ORDER:
@@ -179,7 +179,7 @@ def vector_field(phase: Model) -> tuple[Expr, ...]:
 
 
 def with_potential(model: Model) -> Model | None:
-    """Return the model with its forces as a potential in the Hamiltonian or Lagrangian; None without potential."""
+    """Return the model with its forces as a potential in the Hamiltonian or Lagrangian; None if impossible."""
     if model.form == "first-order" or not any(model.force):
         return model
     coordinates, rest, potential = model.coordinates, list(model.force), S.Zero
@@ -198,7 +198,7 @@ def with_potential(model: Model) -> Model | None:
 
 
 def modified_field(series: FlowSeries) -> list[tuple[Element, ...]]:
-    """Return coefficients f_0, f_1, ... of the modified vector field, time included (HLW, IX.1).
+    """Return the coefficients f_0, f_1, ... of the modified vector field, time included (HLW, IX.1).
 
     With D_k the derivative along f_k, the coefficient of h^n in the flow is the sum of D_k1 ... D_ki x / i! over all
     i and all k1 + ... + ki + i = n. Only one term contains f_(n-1): f_(n-1) itself.
@@ -227,7 +227,7 @@ def modified_field(series: FlowSeries) -> list[tuple[Element, ...]]:
 
 
 def modified_hamiltonian(series: FlowSeries, fields: Sequence[Sequence[Element]]) -> list[Element]:
-    """Return coefficients of H = p . dq/dt - D/(exp(h D) - 1) S along the modified field.
+    """Return the coefficients, by power of h, of H = p . dq/dt - D/(exp(h D) - 1) S along the modified field.
 
     The result is correct if S is the action of the step. It has no terms that depend on no coordinate and no momentum.
     """
@@ -284,7 +284,7 @@ _GATHER_LIMIT = 300
 
 @dataclass(frozen=True)
 class FlowSeries:
-    """z_k1 = sum_n h^n flow[i][n] for each variable i of (q, p, t), and the action S = sum_n h^n action[n].
+    """The step z_k1 = sum_n h^n flow[i][n] for each variable i of (q, p, t), and the action S = sum_n h^n action[n].
 
     The action is the discrete Lagrangian, or the scheme's own quadrature of p . dH/dp - H. For a symplectic scheme
     dS = p_k1 dq_k1 - p_k dq_k. The action of a first-order system is None.
@@ -358,7 +358,7 @@ class _Step(ABC):
         order: int,
         correction: Callable[[Sequence[Element]], Sequence[Element]],
     ) -> Mapping[Symbol, Series]:
-        """Return series of all symbols from `guess`; `correction` maps residuals to the change of the new coefficients."""
+        """Return the series of all symbols; `correction` maps residuals to the change of the newest coefficients."""
         fixed = {symbol: padded([ring.symbol(variable)], ring, order) for symbol, variable in self.at_left.items()}
         fixed[STEP] = padded([ring.zero, ring.one], ring, order)
         unknown = {symbol: padded([value], ring, order) for symbol, value in zip(self.unknowns, guess, strict=True)}
@@ -429,7 +429,7 @@ class _OneStep(_Step):
 
 @dataclass(frozen=True)
 class _VelocityForm:
-    """One interval in velocities v_j = (q_j - q_k)/h of the inner points j, then of the right node.
+    """The equations of an interval in velocities v_j = (q_j - q_k)/h of the inner points j, then of the right node.
 
     With Ld = h D(q_k, v), the derivative dLd/dq_j equals dD/dv_j, so that no equation contains 1/h. The equations are
     p_k + D1 Ld + f- = 0, and D_j Ld + f_j = 0 for inner points. `momenta` are D2 Ld + f+ = p_k1.
@@ -564,7 +564,7 @@ def _series_of(name: str, last: int) -> tuple[str, str]:
 
 
 def _blocks(result: ModifiedEquations, model: Model, notation: Notation) -> Iterator[Block]:
-    """Yield blocks of text: the modified field, then the modified Hamiltonian or the defects without Hamiltonian."""
+    """Yield blocks of text: the modified field, then the modified Hamiltonian, or the defects if there is none."""
     names = ", ".join(notation.name(x) for x in result.states)
     last = len(result.field)
     plain, tex = _series_of("f", last)

@@ -40,7 +40,7 @@ __all__ = ["CHECKS", "Check", "Context", "Finding", "Findings", "apply", "contex
 
 
 def _of_equations(name: str, findings: Finder, without: str = "") -> Check:
-    """Return a check of expressions, phase by phase; `without` names what first-order systems lack for the check."""
+    """Return a check that reads the expressions of each phase; `without` names what first-order systems lack for it."""
     return Check(
         name, findings, False, True, {"first-order": f"a first-order system has no {without}"} if without else {}
     )

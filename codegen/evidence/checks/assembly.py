@@ -48,9 +48,9 @@ from codegen.symbolic import checks as expressions
 _STEPS = 2
 _GRID = (0.375, 0.625)
 """Lengths of the intervals as fractions of the duration, or of a phase."""
-_AMOUNT = 0.05
-_SOLVED = 1e-8
-_SHIFTS = (1.0, 1e3, 1e6)
+_AMOUNT = 0.05  # relative distance of the point from the guess
+_SOLVED = 1e-8  # residual of the Newton step relative to its terms
+_SHIFTS = (1.0, 1e3, 1e6)  # of the diagonal of the Hessian, in this order
 _DUAL_SHIFT = 1e-3
 
 
@@ -172,7 +172,7 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: G
 
 
 def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Share], Numbers]) -> Numbers:
-    """Return the sum of all terms' derivatives, by unknown. Unknowns that equal a linking unknown add to its entry."""
+    """Return the sum of `derivative(term)` over all terms, by unknown. Tied unknowns add to their linking unknown."""
     total, representatives = [mpmath.mpf(0)] * flat.size, flat.representatives()
     with mpmath.workdps(DIGITS):
         for share in shares:
@@ -184,7 +184,7 @@ def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Sh
 def _trial_point(
     module: ModuleType, grid: Grid, flat: FlatVector, shares: list[_Share]
 ) -> tuple[Vector, Numbers | None]:
-    """Return unknowns near the guess where the gradient is finite, and the gradient; None if it is not finite."""
+    """Return unknowns near the guess, ever nearer until the gradient is finite, and the gradient; None if never."""
     generator, free = np.random.default_rng(17), flat.free()
     noise = generator.uniform(-1.0, 1.0, flat.size)
     guess = module.initial_guess(grid)
@@ -340,7 +340,7 @@ def _number(value: Expr, program: ControlProgram, body: int, more: Mapping[Symbo
 
 
 def _compared(subject: str, names: Sequence[str], pairs: Sequence[tuple[float, float]], right: str) -> Finding:
-    """Return a finding on `pairs` (value, expected value) with `names` such as "x is"; `right` is the text if equal."""
+    """Return a finding on `pairs` (value, expected), with names such as "x is"; `right` is the detail if all agree."""
     wrong = [
         f"{name} {value:.12g}, expected {expected:.12g}"
         for name, (value, expected) in zip(names, pairs, strict=True)

@@ -158,7 +158,7 @@ class Context:
 
     @cached_property
     def solution(self) -> ControlSolution:
-        """The solution by the module on at least eight intervals. A simulation has no attributes of optima."""
+        """The module's solution on at least eight intervals. For a simulation, attributes of optima are missing."""
         solution: ControlSolution = self.module.solve(
             max(_LEAST_STEPS, len(self.model.inner_times) + 1, self.steps or self.model.steps)
         )
@@ -210,7 +210,7 @@ _AT = re.compile(r"_(stage\d+(_k)?|k1?)$")
 
 
 def own_ranges(model: Model, likely: Iterable[Mapping[Symbol, float]] = ()) -> dict[str, Range]:
-    """Return (least, greatest) value by name for the quantities whose magnitude is far from one.
+    """Return the range (least, greatest) of each quantity whose magnitude is far from one, by name.
 
     The ranges cover the initial guess, the boundary values, the bounds, the defaults, and the points `likely`.
     """
@@ -230,7 +230,7 @@ def own_ranges(model: Model, likely: Iterable[Mapping[Symbol, float]] = ()) -> d
 
 
 def range_of(symbol: Symbol, ranges: Mapping[str, Range]) -> Range | None:
-    """Return the range of a symbol, or for a value at a node or stage the range of its quantity; None if unknown."""
+    """Return the range of a symbol, else of its quantity (for x_k or x_stage1 the range of x), else None."""
     return ranges.get(symbol.name) or ranges.get(_AT.sub("", symbol.name))
 
 
@@ -256,8 +256,8 @@ def function_of(
 ) -> Function:
     """Return a function that takes numbers for `symbols`, of any precision, and returns the list of `values`.
 
-    Values may contain the symbols of `assignments`, which are evaluated first and in order. Substitution could make
-    the values far too long.
+    Values may contain the symbols of `assignments`, which are evaluated first and in order. Substitution instead
+    could make the expressions far too long.
     """
     extra = {"Heaviside": lambda x: (1 + mpmath.sign(x)) / 2, "DiracDelta": lambda *_: mpmath.mpf(0)}
     parts = (lambda expressions: (list(assignments), expressions)) if assignments else True
@@ -277,8 +277,8 @@ def random_points(
     """Return `count` points, as numbers by symbol, at which all `values` are real and finite. The seed is fixed.
 
     Parameters are drawn near their defaults, and quantities of extreme magnitude from their range in the model and in
-    `likely`. Values may contain the symbols of `assignments`. Points of `likely` come first, but at least one point is
-    random.
+    `likely`. Values may contain the symbols of `assignments`. Points of `likely` with finite values come first, but at
+    least one point is random.
 
     Raises
     ------
@@ -355,7 +355,7 @@ def curved_beyond(
 ) -> set[tuple[int, int]]:
     """Return the nonzero entries (row, column), row >= column, of the Hessian of the first value outside a pattern.
 
-    `indices` are the rows and columns. A row is searched only if its second difference along a random combination of
+    `indices` are the arguments to search. A row is searched only if its second difference along a random combination of
     all columns outside the pattern does not vanish. So the cost grows with the number of rows.
     """
     inside, outside = set(pattern), set[tuple[int, int]]()
@@ -376,7 +376,7 @@ def curved_beyond(
 
 
 def _shifted(function: Function, numbers: Sequence[float]) -> Callable[..., mpmath.mpf]:
-    """Return a function of the first value, with arguments incremented at some indices and along a direction."""
+    """Return a function of the first value after increments of the arguments i, j, ... and along a direction."""
 
     def at(*indices: int, along: Mapping[int, mpmath.mpf] | None = None) -> mpmath.mpf:
         arguments = [mpmath.mpf(number) for number in numbers]
@@ -403,7 +403,7 @@ class Agreement:
     entries: int = 0
 
     def compare(self, names: Sequence[str], emitted: Emitted, exact: Sequence[mpmath.mpf]) -> None:
-        """Compare entries. An error is relative to its entry, less the rounding error of the largest entry.
+        """Compare entries. Errors are relative to the exact entry, less the rounding error of the largest entry.
 
         The error of an entry that vanishes is relative to the largest entry. Terms that cancel in such an entry leave
         rounding errors: up to 1.4e-11 of the largest entry in the interior angles of 4 to 7 hovercraft.

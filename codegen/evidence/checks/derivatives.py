@@ -108,7 +108,7 @@ _SHORTER = (1.0, 0.1, 0.01, 1e-3)
 
 
 def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
-    """Compare the kernels of a simulation step, equations, energy and Jacobian, and check that steps are solved."""
+    """Compare the kernels of a simulation step (equations, energy, Jacobian), and check that steps are solved."""
     interval = [*program.stage_symbols, *program.right_symbols]
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     equations = function_of([*base, *interval], [value for _, value in program.equations])
@@ -244,7 +244,7 @@ def check_couplings(context: Context, program: ControlProgram) -> Iterator[Findi
                 values.compare([name], [total[r]], function(*map(mpmath.mpf, numbers)))
                 exact = gradient(function, numbers, read)
                 slopes.compare([f"{name} by {symbols[i]}" for i in read], slope[r][read], exact)
-                # Where a condition is not curved at all, second differences are the rounding of its values.
+                # Where a condition is not curved at all, second differences are rounding errors.
                 least = NOTHING * max(map(abs, exact), default=0)
                 differences = second_differences(function, numbers, pairs).values()
                 curved = [value if abs(value) > least else mpmath.mpf(0) for value in differences]
@@ -287,7 +287,7 @@ def _compared_pattern(
     pinned: set[int],
     likely: Sequence[Point],
 ) -> Iterator[Finding]:
-    """Compare the Hessian pattern `name` with the Lagrangian's terms `scalars`; `pinned` unknowns are constants."""
+    """Compare the Hessian pattern `name` with the Lagrangian's terms `scalars`; `pinned` are prescribed unknowns."""
     symbols = [*unknowns, *other_symbols(program)]
     symbols += program.sample.symbols if program.sample is not None and name == "interval" else ()
     emitted = pattern_of(context.module, name)
@@ -357,7 +357,7 @@ def check_tables(context: Context) -> Iterator[Finding]:
 
 
 def _references(table: TableData) -> Callable[[Sequence[int], Sequence[Vector]], Vector]:
-    """Return a function (order, points) of scipy's spline through a table; `order` has one order for each input."""
+    """Return a function that evaluates derivatives of scipy's spline, from the order and the values of each input."""
     kind, axes, values = table.shape.kind, table.axes, table.heights[..., 0]
     if kind == "cubic" and len(axes) == 2:
         surface = RectBivariateSpline(*axes, values, kx=3, ky=3, s=0)
@@ -441,7 +441,7 @@ def check_measurements(context: Context) -> Iterator[Finding]:
 
 
 def _motion_at_nodes(model: Model, program: ControlProgram, sample: SampleElement) -> Finding:
-    """Check that the motion inside an interval ends in its nodes' states, for measurements of states alone."""
+    """Check that the motion inside an interval begins and ends in the states of its nodes, if states are measured."""
     subject, states = "motion inside an interval", {*model.coordinates, *model.rates}
     for number, observed in enumerate(model.observed):
         if not observed.expression.free_symbols <= {*states, *model.parameters}:

@@ -52,7 +52,7 @@ _VANISHED = 1e-15
 
 
 def phase_contexts(context: Context) -> list[tuple[str, Context]]:
-    """Return (prefix of findings, context) for each phase, as if the phase were a problem of its own.
+    """Return (prefix of subjects in findings, context) for each phase, as if the phase were a separate problem.
 
     A problem without phases has one context and an empty prefix.
     """
@@ -193,7 +193,7 @@ def _straight(symbols: Sequence[Symbol], rates: Sequence[Symbol], c: Expr) -> li
 
 
 def _constant_controls(program: ControlProgram | StepProgram) -> dict[Symbol, Expr]:
-    """Map the symbols of controls at nodes, intervals or stages to the same control, as a constant."""
+    """Map every symbol of a control at a node, interval or stage to the control itself, as a constant."""
     return {site: u for u in program.model.controls for site in program.controls_of(u)}
 
 

@@ -81,7 +81,7 @@ Indices = NDArray[np.int64]
 
 
 class FlatVector:
-    """The positions of unknowns in the vector for `steps` intervals. `body` and `k` (node, interval) count from zero.
+    """The positions of unknowns in the flat vector for `steps` intervals. `body` and `k` (node, interval) start at 0.
 
     `inside` are the unknowns of a node and of the interval after it. `chain` is the number of unknowns in the nodes and
     intervals of a body. `inner_nodes` maps nodes to inner times, by index, if one interval separates any two times.
@@ -100,7 +100,7 @@ class FlatVector:
 
     @classmethod
     def on_grid(cls, program: ControlProgram, steps: int) -> FlatVector:
-        """Return the layout for the module's grid with `steps` intervals, or `steps` intervals in each phase."""
+        """Return the layout for a grid of `steps` intervals, or of `steps` intervals per phase if there are phases."""
         return cls(program, steps * max(1, len(program.phases)))
 
     def share(self, k: int) -> IntervalElement:
@@ -162,7 +162,7 @@ class FlatVector:
         return free
 
     def representatives(self) -> Indices:
-        """Return every unknown's own index, or the index of the linking unknown that it equals up to an offset."""
+        """Return an index for every unknown: its own, or of the linking unknown that it equals up to an offset."""
         indices = np.arange(self.size)
         for body in range(self.program.bodies):
             for k, end in ((0, self.program.start), (self.steps, self.program.end)):
@@ -209,7 +209,7 @@ def kernel_stems(program: ControlProgram) -> list[str]:
 
 
 def pattern_of(module: ModuleType, share: str) -> list[tuple[int, int]]:
-    """Return the entries (row, column) of the emitted Hessian of a `share`: "interval", "start" or "end"."""
+    """Return the entries (row, column) of the emitted Hessian of "interval", "start" or "end"; empty without one."""
     prefix = f"{share.upper()}_" if share in ("start", "end") else ""
     rows, columns = (getattr(module, f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
     return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True)]
@@ -236,7 +236,7 @@ def step_lengths(point: Point, program: StepProgram) -> Vector:
 
 
 def few_steps(program: ControlProgram, steps: int) -> int:
-    """Return `steps`, or with inner times the number of intervals with one interval between any two of them."""
+    """Return `steps`; with inner times, return the number of intervals that puts one between any two times."""
     return len(program.inner.times) + 1 if program.inner.times else steps
 
 
@@ -269,7 +269,7 @@ def _points(values: Values, program: ControlProgram) -> list[dict[Symbol, float]
 
 
 def _control_problems(module: ModuleType, program: ControlProgram) -> Iterator[str]:
-    """Yield a text for each contradiction between a control module and its program. Only the first is reliable."""
+    """Yield a text for each contradiction between a control module and its program; later ones may be consequences."""
     flat = FlatVector.on_grid(program, few_steps(program, _STEPS))
     names = {
         "node": tuple(u.name for u in program.node),
@@ -477,7 +477,7 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
 def _run(
     module: ModuleType, name: str, inputs: Inputs, adds: bool = False, **outputs: tuple[int, ...]
 ) -> Iterator[str]:
-    """Run a kernel as plain Python with outputs of these shapes, and yield its problems; `adds` for zero outputs."""
+    """Run a kernel in plain Python and yield its problems. Outputs of these shapes start at 0 if `adds`, else NaN."""
     kernel = getattr(module, name, None)
     if kernel is None:
         yield f"kernel {name} is missing"

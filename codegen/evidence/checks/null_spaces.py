@@ -5,7 +5,7 @@ constraints is rank-deficient, its left null vectors name the dependent equation
 that these vectors meet are the candidates for removal. Conditions between bodies are sorted into independent conditions
 and redundant conditions, which the module leaves out.
 
-Null controls: the discrete cost may be blind to a mode of the controls. With controls on nodes and averages in the
+Null controls: the discrete cost may ignore a mode of the controls. With controls on nodes and averages in the
 cost, u_k = (-1)^k a leaves the average of every interval unchanged. The continuous cost does penalise this mode, so the
 discrete optimum may be arbitrarily wrong. If the mode acts on the motion, the optimiser moves the system at no cost.
 The integral of the cost over the resulting controls reveals such a false optimum.
@@ -13,7 +13,7 @@ The integral of the cost over the resulting controls reveals such a false optimu
 Path between nodes: a condition on states that holds at nodes alone permits a spurious mode. Nodes that alternate
 between two sides of a forbidden region meet the condition, but cost and dynamics are evaluated inside the region. A
 condition that is imposed at these points, or follows there from both nodes, has no such mode. For other conditions the
-violation of the solution is measured. For a smooth motion it decreases on shorter intervals; for such a mode it does not.
+violation of the solution is measured. On shorter intervals it decreases for a smooth motion, not for a spurious mode.
 
 On a coarse grid a motion may also pass through a thin obstacle, or jump from one branch of an equality or holonomic
 constraint to another. So the motion of the solution is sampled inside intervals as well.
@@ -49,13 +49,16 @@ from codegen.symbolic.zeros import identically_zero
 
 _INTERVALS = 8
 _MOST_INTERVALS = 64
-_SINGULAR = 1e-11
-_TAKES_PART = 1e-6
-_HOLDS = 1e-6
+_SINGULAR = 1e-11  # relative to the largest singular value
+_TAKES_PART = 1e-6  # relative to the largest entry of a null vector
+_HOLDS = 1e-6  # violation of a redundant condition at the solution
 
 
 def check_boundary_rank(context: Context) -> Iterator[Finding]:
-    """Check the rank of the constraint Jacobian, the larger of two near the guess, and conditions between bodies."""
+    """Check that all equations have full rank, and that conditions between bodies do not contradict each other.
+
+    The rank is the larger rank of the scaled Jacobian at the guess and at a perturbed guess.
+    """
     program, module = context.control, context.module
     intervals = few_steps(program, _INTERVALS)
     grid = module.make_grid(intervals)
@@ -141,7 +144,7 @@ def check_boundary_rank(context: Context) -> Iterator[Finding]:
 
 
 def _dependent_equations(program: ControlProgram, intervals: int, null: Vector, rows: Indices, touched: Vector) -> str:
-    """Return a text that names the dependent equations, and the boundary conditions in their combination `null`.
+    """Return a text that names the equations in a dependent combination, and the boundary conditions involved.
 
     `null` is a left null vector of the Jacobian, `rows` are the unknowns (multipliers) of its entries, and `touched` is
     its product with all columns. A prescribed position or momentum takes part if its entry of `touched` is not zero. A
@@ -176,7 +179,7 @@ _ALLOWED = 0.1
 
 
 def check_null_controls(context: Context) -> Iterator[Finding]:
-    """Check for every control that the cost depends on its alternating mode at nodes, or on all its interval values."""
+    """Check that no mode of a control is free of cost: alternating values at nodes, or any value in an interval."""
     program = context.control
     if not program.model.controls:
         yield does_not_apply("null controls", "there are no controls")
@@ -200,7 +203,7 @@ def check_null_controls(context: Context) -> Iterator[Finding]:
 
     any_acts = False
     for u in program.model.controls:
-        # An interval under u_k + a, u_k1 - a; both signs of a alternate.
+        # The mode changes an interval to u_k + a, u_k1 - a. The sign of a alternates between intervals.
         (left,), (right,) = at_nodes([u], "_k"), at_nodes([u], "_k1")
         amplitude = sympy.Dummy("a", real=True)
         mode = {left: left + amplitude, right: right - amplitude}
@@ -282,7 +285,7 @@ def check_path_modes(context: Context) -> Iterator[Finding]:
 
 
 def _with_excursion(finding: Finding, condition: str, worst: Mapping[str, Excursion] | None) -> Finding:
-    """Return a finding with the violation inside intervals added; it fails if the violation is gross."""
+    """Return a finding that also reports the violation inside intervals, and fails if the violation is gross."""
     if worst is None:
         return replace(finding, detail=f"{finding.detail}; not measured along a motion: none was found")
     excursion = worst.get(condition)
@@ -295,7 +298,7 @@ def _with_excursion(finding: Finding, condition: str, worst: Mapping[str, Excurs
 
 
 def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) -> list[Expr]:
-    """Return a condition at points inside an interval where it is neither imposed nor follows from both nodes."""
+    """Return the values of a condition at evaluation points where it is neither imposed nor implied by both nodes."""
     model = program.model
 
     def in_time(value: Expr) -> Expr:

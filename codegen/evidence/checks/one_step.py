@@ -5,8 +5,7 @@ Lubich and Wanner (2006), Geometric numerical integration, section VI.2.
 
 Symplecticity: S^T J S = J for the derivative S of the map, or a violation if the scheme does not claim it. With
 dE/dz0 = A and dE/dz1 = B, S = -B^-1 A, and the identity is equivalent to A J A^T = B J B^T. This form has no inverse
-and can often be decided symbolically. For one degree of freedom, the determinant of the map is computed for every
-scheme.
+and can often be decided symbolically. For one degree of freedom, every scheme's determinant of the map is computed.
 
 Discrete Noether theorem: a cyclic coordinate's discrete momentum is conserved without forces. For a translation of q_i
 the infinitesimal symmetry of Ld is D1 Ld + D2 Ld = 0 in that component, so p_k = p_k1. Source: Marsden and West (2001),
@@ -301,7 +300,7 @@ def area_factor(model: Model, scheme: Scheme) -> Expr:
 
 
 def check_noether(context: Context) -> Iterator[Finding]:
-    """Check that the momentum of every coordinate that is absent in the Lagrangian or Hamiltonian is conserved."""
+    """Check that the momentum of every coordinate that is absent from the Lagrangian or Hamiltonian is conserved."""
     model = context.model
     cyclic = [i for i, q in enumerate(model.coordinates) if not model.function.has(q)]
     if not cyclic:
@@ -488,7 +487,7 @@ def check_midpoint_equivalence(context: Context) -> Iterator[Finding]:
 
 
 def residuals(model: Model) -> list[tuple[str, Expr]]:
-    """Return (name, residual) of the midpoint rule for each coordinate and momentum, in the discrete Hamiltonian map.
+    """Return (name, residual) of each equation of the midpoint rule, with the momenta of the discrete Lagrangian.
 
     The midpoint rule is v = dH/dp and p' = f - dH/dq at the midpoint. The Hamiltonian of a large system is not written
     out; equivalent equations are p = dL/dv and p' = f + dL/dq at the velocity v = (q_k1 - q_k)/h.

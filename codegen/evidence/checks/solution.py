@@ -95,7 +95,7 @@ def integral_of_cost(model: Model, module: ModuleType, solution: ControlSolution
     return total
 
 
-_HELD = 1e-9
+_HELD = 1e-9  # violation of a constraint relative to its terms
 
 
 def check_holonomic_drift(context: Context) -> Iterator[Finding]:
@@ -125,7 +125,7 @@ def check_holonomic_drift(context: Context) -> Iterator[Finding]:
         yield Finding("holonomic drift", f"c = {sympy.sstr(constraint)}", passed, detail)
 
 
-_MET = 1e-7
+_MET = 1e-7  # violation of a condition relative to its terms
 
 
 def check_inner_times(context: Context) -> Iterator[Finding]:
@@ -186,13 +186,13 @@ _LEAST_STEPS = 48
 """Least number of intervals of the coarser motion, in all segments together."""
 _ORDER_ALLOWED = 0.5
 """Allowed deficit of the observed order, because the controls of both motions differ."""
-_ROUND_OFF = 1e-10
+_ROUND_OFF = 1e-10  # distance below which no order can be observed
 _OF_STAGES = 2
 """The expected order if the control on an interval is a polynomial through its values at stages."""
 
 
 def check_delays(context: Context) -> Iterator[Finding]:
-    """Check on N and 2N intervals that the motion converges to the integrated motion at the order of the scheme."""
+    """Check on N and 2N intervals that the motion converges to the DOP853 motion at the order of the scheme."""
     whole = context.model.authored
     if not whole.delays:
         yield does_not_apply("delays", "there are no values of the past")
@@ -223,7 +223,7 @@ def check_delays(context: Context) -> Iterator[Finding]:
 
 
 def _distance(whole: Model, result: Result) -> float:
-    """Return the largest error of a motion relative to each state's size; `whole` is the problem without segments."""
+    """Return the largest relative error of a motion against DOP853; `whole` is the problem without segments."""
     side = legendre.hamiltonian_form(whole.with_free_ends)
     states, numbers = (*side.coordinates, *side.rates), side.default_values
     t, pieces = result.t, list[Callable[[float], Vector]]()
@@ -242,7 +242,7 @@ def _distance(whole: Model, result: Result) -> float:
         return np.asarray(result.controls_at(np.array([min(max(time, t[k] + margin), t[k + 1] - margin)]))[0])
 
     def delayed(delay: Delay) -> Callable[[int, float], float]:
-        """Return a delayed value as a function of the index of the interval and the time."""
+        """Return a function (index of the interval, time) that gives the delayed value."""
         lag = float(delay.lag.xreplace(numbers))
         back = round(lag / float(whole.duration.xreplace(numbers)) * (t.size - 1))
         history = sympy.lambdify(whole.time, delay.history.xreplace(numbers), NUMPY)
@@ -276,9 +276,9 @@ def _distance(whole: Model, result: Result) -> float:
 
 _OF_CONTROLS = 2
 """The order of convergence with piecewise constant controls."""
-_COST_ALLOWED = 0.15
-_COST_ROUNDING = 1e-9
-_LARGEST = 10_000
+_COST_ALLOWED = 0.15  # deficit of the observed order
+_COST_ROUNDING = 1e-9  # relative error below which no order can be observed
+_LARGEST = 10_000  # intervals
 _TOLERANCE = 1e-9
 _SECONDS = 30.0
 """Processor time for the optimum of the continuous problem."""
@@ -336,7 +336,7 @@ def _optimal_cost(context: Context) -> tuple[float, str]:
 
 
 _NOTHING = (1e-9, 1e-8, 1e-7)
-"""Fractions of the second derivatives. A smaller curvature may be a rounding error of the elimination."""
+"""A curvature below these fractions of the second derivatives may be a rounding error of the elimination."""
 _ACTIVE, _FAST = 1.0, 1e12
 """A bound with multiplier z is active if z / distance exceeds the first number. The ratio of an inactive bound has the
 size of the tolerance. The second number limits the ratio, which would be infinite at the bound."""
@@ -345,7 +345,7 @@ _REGULAR = 1e13
 
 
 def check_second_order(context: Context) -> Iterator[Finding]:
-    """Check that the KKT matrix of the solution has the inertia of a minimum, which symmetric elimination counts."""
+    """Check that the KKT matrix has the inertia of a minimum, by an exact count of its negative eigenvalues."""
     module, solution = context.module, context.solution
     subject = f"solution on {solution.t.size - 1} intervals"
     if solution.status != "solved":
@@ -379,7 +379,7 @@ def check_second_order(context: Context) -> Iterator[Finding]:
     if excess == 0 and factor_kkt(grid, unknowns, 1.0, diagonal - _NOTHING[0] * sizes, system) == 0:
         detail = f"a strict local minimum: {equations} negative eigenvalues for {equations} equations"
     else:
-        # If a symmetry maps an optimum to another optimum, the curvature along it is zero, and its sign is rounding.
+        # If a symmetry maps an optimum to another optimum, the curvature along it is zero up to a rounding error.
         for part in _NOTHING:
             if factor_kkt(grid, unknowns, 1.0, diagonal + part * sizes, system) == 0:
                 detail = f"a minimum, isolated or not: a curvature is zero up to rounding, above -{part:g} of its terms"
@@ -400,7 +400,7 @@ def check_second_order(context: Context) -> Iterator[Finding]:
 def is_determined(module: ModuleType, grid: Grid, unknowns: Vector, diagonal: Vector) -> bool:
     """Return True if there are as many equations as unknowns without active bounds, and their Jacobian is regular.
 
-    Rows and columns of the Jacobian are scaled to one. `diagonal` has z / distance from the bounds by unknown.
+    Rows and columns of the Jacobian are scaled to one. `diagonal` has z / distance by unknown, large at active bounds.
     """
     free = diagonal[module.primal_unknowns(grid)] <= _ACTIVE
     rows, columns, values = point.jacobian(grid, unknowns)
@@ -449,7 +449,7 @@ class _Direction:
 
 @dataclass(frozen=True)
 class _Reference:
-    """Extrapolated differences, `fine` with half the increments; `bend` is the gap of left and right derivatives."""
+    """Central differences, `fine` with half the increments; `bend` is the gap between left and right derivatives."""
 
     coarse: Values
     fine: Values
@@ -558,7 +558,7 @@ def _compared_sensitivities(
 
 
 def _reference(moved: Callable[[float], Values | None], values: Values, length: float) -> _Reference | None:
-    """Return the differences with an increment, or None. `moved(part)` solves with this fraction of all changes."""
+    """Return differences with the increment `length`; None if `moved`, which solves after a change, does not solve."""
     differences, bend = [], dict[str, float]()
     for part in (length, 0.5 * length, 0.25 * length):
         above, below = moved(part), moved(-part)
@@ -575,7 +575,7 @@ def _reference(moved: Callable[[float], Values | None], values: Values, length: 
 
 
 def _is_kinked(references: Sequence[_Reference], kind: str, values: Vector) -> bool:
-    """Return True if left and right derivatives differ more than by curvature, whose effect shrinks with the length."""
+    """Return True if the gap between left and right derivatives does not shrink with the increment, as for a kink."""
     longer, last = references[-2].bend[kind], references[-1]
     floor = _FLOOR * float(np.abs(values).max(initial=0.0))
     largest = max(float(np.abs(last.fine[kind]).max(initial=0.0)), floor)
@@ -587,7 +587,7 @@ def _values(solution: ControlSolution) -> Values:
 
 
 def _solved_nearby(module: ModuleType, steps: int, data: Mapping[str, object], start: Vector) -> ControlSolution | None:
-    """Return the solution with changed data from the warm start `start`, to the least tolerance reached, else None."""
+    """Return the solution for `data` from the warm start `start`, to the smallest tolerance possible; else None."""
     for tolerance in _TOLERANCES:
         result: ControlSolution = module.solve(steps, **data, guess=start, warm=True, tolerance=tolerance)
         if result.status == "solved":
