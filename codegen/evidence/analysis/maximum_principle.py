@@ -172,7 +172,7 @@ class ExactOptimum:
         numbers = parameter_values(self.model, values)
         function = sympy.lambdify(list(numbers), self.cost, modules="mpmath", cse=True)
         with mpmath.workdps(40):
-            # Complex conjugate eigenvalues may leave an imaginary part of the size of rounding.
+            # Complex conjugate eigenvalues may leave an imaginary part, which is a rounding error.
             return float(mpmath.re(function(*map(mpmath.mpf, numbers.values()))))
 
 

@@ -77,8 +77,8 @@ def analysis(
     Raises
     ------
     ArgumentError
-        If the order is out of range, or a problem has particles, several phases, holonomic constraints or delayed values.
-        `modified_equations` raises further errors.
+        If `order` is out of range, or the problem has particles, several phases, holonomic constraints or delayed
+        values. `modified_equations` raises further errors.
     """
     if not 1 <= order <= LARGEST_ORDER:
         raise ArgumentError(f"--order {order}", f"give a power of h from 1 to {LARGEST_ORDER}")
@@ -634,7 +634,7 @@ def _block(heading: str, rows: Sequence[tuple[Symbol, Expr]], power: int, notati
 
 
 def _factored(expression: Expr) -> Expr:
-    """Return an expression or its product of factors, the shorter; very long expressions are not factored."""
+    """Return the shorter of an expression and its factored form; very long expressions are not factored."""
     if expression.count_ops() > _FACTOR_LIMIT:
         return expression
     return min(expression, sympy.factor(expression), key=lambda candidate: int(candidate.count_ops()))

@@ -172,7 +172,7 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: G
 
 
 def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Share], Numbers]) -> Numbers:
-    """Return the sum of `derivative(term)` over all terms, by unknown. Tied unknowns add to their linking unknown."""
+    """Return the sum of `derivative(term)` over all terms, by unknown. Unknowns tied to a linking unknown add to it."""
     total, representatives = [mpmath.mpf(0)] * flat.size, flat.representatives()
     with mpmath.workdps(DIGITS):
         for share in shares:
@@ -184,7 +184,7 @@ def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Sh
 def _trial_point(
     module: ModuleType, grid: Grid, flat: FlatVector, shares: list[_Share]
 ) -> tuple[Vector, Numbers | None]:
-    """Return unknowns near the guess, ever nearer until the gradient is finite, and the gradient; None if never."""
+    """Return unknowns near the guess, nearer until the gradient is finite, and the gradient; None if it never is."""
     generator, free = np.random.default_rng(17), flat.free()
     noise = generator.uniform(-1.0, 1.0, flat.size)
     guess = module.initial_guess(grid)

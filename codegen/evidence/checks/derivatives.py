@@ -65,7 +65,7 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
         yield from _step(context, program)
         return
     for stem, share in zip(kernel_stems(program), program.interval_elements, strict=True):
-        # Compare the gradient, the cost and the Hessian of an interval with its share of the Lagrangian.
+        # Compare the gradient, the cost and the Hessian of an interval with the interval's terms of the Lagrangian.
         unknowns = program.element_symbols
         symbols = [*unknowns, *other_symbols(program)]
         scalar, cost = function_of(symbols, [share.element]), function_of(symbols, [share.cost])
@@ -147,7 +147,6 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     yield closed.finding("one step", "the scheme's equations")
     if not program.unknowns:
         return
-    # Compare the reduced equations of a step and their Jacobian.
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     symbols = [*program.unknowns, *base]
     functions = [function_of(symbols, [value], program.before) for value in program.residual]
@@ -306,7 +305,7 @@ def _compared_pattern(
     def vanishes(row: int, column: int) -> bool:
         return all(identically_zero(scalar.diff(unknowns[column]).diff(unknowns[row])) for scalar in scalars)
 
-    # Algebra decides where differences are lost in rounding, or zero at all points.
+    # Algebra decides where differences are below rounding errors, or zero at all points.
     missing = {pair for pair in missing if not vanishes(*pair)}
     needless = {pair for pair in set(emitted) - occupied if vanishes(*pair)}
 
@@ -397,7 +396,7 @@ def check_measurements(context: Context) -> Iterator[Finding]:
         same = np.array_equal(emitted, data.array, equal_nan=True)
         detail = data.summary if same else f"others than in {data.source}"
         yield Finding("measurements", f"{data.source}: numbers", same, detail)
-    # Compare the interval and the position of every sample, on intervals of different lengths.
+    # Compare the interval and the position of every measurement, on intervals of different lengths.
     grid, structure = context.module.make_grid(len(_GRID), grid=_GRID), context.module.problem.structure
     nodes = np.append(0.0, np.cumsum(_GRID)) * grid.steps * grid.h
     worst, count = 0.0, 0
@@ -413,7 +412,7 @@ def check_measurements(context: Context) -> Iterator[Finding]:
         detail = f"a sample is taken {worst:.2g} of the duration away from its time"
     yield Finding("measurements", "times of samples", bool(worst <= _ROUNDING), detail)
     yield _motion_at_nodes(model, program, program.sample)
-    # Compare the emitted losses of a sample, their gradient and their Hessian, at random points.
+    # Compare the emitted losses of a measurement, their gradient and their Hessian, at random points.
     unknowns, pattern = program.element_symbols, pattern_of(context.module, "interval")
     symbols, size = [*unknowns, *other_symbols(program), *program.sample.symbols], len(unknowns)
     losses, module = function_of(symbols, [program.sample.element]), context.module

@@ -117,7 +117,7 @@ _Sides = tuple[list[Expr], list[Expr], list[Symbol]]
 
 
 def _node_sides(model: Model, program: ControlProgram | StepProgram, scheme: DiscreteLagrangian) -> _Sides:
-    """Return both sides of the equations of a node at time t, on the motion q(t +- h) = q +- h v + h^2 a/2."""
+    """Return both sides of the equations of a node at time t, along the motion q(t +- h) = q +- h v + h^2 a/2."""
     q, v = model.coordinates, model.rates
     a = [Symbol(f"acceleration_{x}", real=True) for x in q]
     forces = [Symbol(f"constraint_force_{i}", real=True) for i in range(len(model.holonomic))]
@@ -198,7 +198,7 @@ def _constant_controls(program: ControlProgram | StepProgram) -> dict[Symbol, Ex
 
 
 def _step_sides(model: Model, program: ControlProgram | StepProgram, scheme: Scheme) -> _Sides:
-    """Return both sides of the equations of a step, for each state, on the motion x(t + s h) = x + s h x'.
+    """Return both sides of the equations of a step, for each state, along the motion x(t + s h) = x + s h x'.
 
     For a chain of substeps the discrete side is the sum over all substeps. For other schemes it is the sum over the
     updates from the left to the right node; a Runge-Kutta method has one. Substeps of a composition get equal lengths.

@@ -58,7 +58,7 @@ def check_layout(context: Context) -> Iterator[Finding]:
 
 
 def compare(file: Path, module: ModuleType, inputs: str, text: str) -> Iterator[Finding]:
-    """Compare the hash recorded in a module with the hash `inputs`, and its file with the newly derived `text`."""
+    """Compare a module's recorded hash with the hash `inputs`, and its `file` with the newly derived `text`."""
     recorded = module.metadata.inputs
     same = recorded == inputs
     detail = "the recorded hash is that of the problem file, its arguments and versions"
@@ -204,7 +204,7 @@ def other_symbols(program: ControlProgram) -> list[Symbol]:
 
 
 def kernel_stems(program: ControlProgram) -> list[str]:
-    """Return the stems of the names of all interval kernels, to which `_gradient` or `_hessian` is appended."""
+    """Return the name of every interval kernel without its ending `_gradient` or `_hessian`."""
     return [stem for stem, _ in named_elements(program)]
 
 
@@ -236,7 +236,7 @@ def step_lengths(point: Point, program: StepProgram) -> Vector:
 
 
 def few_steps(program: ControlProgram, steps: int) -> int:
-    """Return `steps`; with inner times, return the number of intervals that puts one between any two times."""
+    """Return `steps`; with inner times, the number of intervals that places one interval between any two times."""
     return len(program.inner.times) + 1 if program.inner.times else steps
 
 
@@ -281,7 +281,6 @@ def _control_problems(module: ModuleType, program: ControlProgram) -> Iterator[s
     constants = _constants(program)
     yield from _differing_values(module, names, constants)
 
-    # The structure, which all solvers read.
     structure = module.problem.structure
     for name, value in constants.items():
         emitted = _plain(getattr(structure, name.lower()))
@@ -316,7 +315,6 @@ def _control_problems(module: ModuleType, program: ControlProgram) -> Iterator[s
             table = _indices(module, f"COUPLING_{name}")
             if table.shape[0] != kinds.size or np.any(table < 0) or np.any(table >= limit):
                 yield f"COUPLING_{name} is {table.tolist()}, expected {kinds.size} entries below {limit}"
-    # The vector of unknowns and the table of parameters that the module makes.
     grid = module.make_grid(flat.phase_steps)
     count = len(program.model.parameters) + len(program.boundary_values) + len(program.inner.values)
     count += len(program.shared) + len(numbers_of(program.model))
@@ -425,7 +423,7 @@ def _failing_kernels(module: ModuleType, program: ControlProgram) -> Iterator[st
         yield from _run(module, "sample_values", arguments, values=(len(program.sample.values),))
         yield from _run(module, "sample_gradient", arguments, adds=True, gradient=(size,))
         yield from _run(module, "sample_hessian", arguments, adds=True, hessian=(entries,))
-    if program.couplings:  # every term reads as many values as its table says
+    if program.couplings:  # the tables have the number of values that each term reads
         conditions, symbols = [coupling.expression for coupling in program.couplings], shared_symbols(program)
         (point,) = random_points(conditions, [*symbols, *other_symbols(program)], program.model, count=1)
         linking = np.array([point[symbol] for symbol in symbols])

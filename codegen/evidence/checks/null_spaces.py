@@ -189,7 +189,7 @@ def check_null_controls(context: Context) -> Iterator[Finding]:
         return program.model.cost is not None and not identically_zero(program.model.cost.diff(u))
 
     if not program.nodal_controls:
-        # Every interval, or stage, has its own controls, so that a free mode would be free within one interval.
+        # Every interval or stage has separate controls, so that a mode without cost would lie in one interval.
         where = "stage" if program.controlled == "stages" else "interval"
         for u in program.model.controls:
             unseen = [site for site in program.controls_of(u) if identically_zero(program.cost.diff(site))]

@@ -81,7 +81,7 @@ class StepEquations:
 
 
 def step_equations(model: Model, scheme: Scheme) -> StepEquations:
-    """Return the equations of a one-step scheme, or the balances and Legendre transforms of a discrete Lagrangian.
+    """Return the equations of a one-step scheme, or of a discrete Lagrangian: inner balances, Legendre transforms.
 
     Raises the errors of the Legendre transforms.
     """
@@ -255,7 +255,8 @@ def defect_at_random_points(model: Model, step: StepEquations) -> float:
 def check_area_preservation(context: Context) -> Iterator[Finding]:
     """Check for every scheme that the one-step map preserves areas (det = 1) if and only if it is symplectic.
 
-    The model has one coordinate and no forces. Compositions are left out: their determinant is a product over the base.
+    The check is for one coordinate, without forces. The determinant of a composition is a product of determinants of
+    its base, so that compositions are left out.
     """
     if len(context.model.coordinates) != 1:
         yield does_not_apply("area preservation", "there is more than one coordinate")
@@ -300,7 +301,7 @@ def area_factor(model: Model, scheme: Scheme) -> Expr:
 
 
 def check_noether(context: Context) -> Iterator[Finding]:
-    """Check that the momentum of every coordinate that is absent from the Lagrangian or Hamiltonian is conserved."""
+    """Check without forces that momenta of coordinates absent from the Lagrangian or Hamiltonian are conserved."""
     model = context.model
     cyclic = [i for i, q in enumerate(model.coordinates) if not model.function.has(q)]
     if not cyclic:

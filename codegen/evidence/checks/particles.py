@@ -218,7 +218,7 @@ def _kernel_findings(model: PairwiseModel, module: ModuleType) -> Iterator[Findi
     scale = np.sqrt(np.diag(matrix))
     least = float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
     symmetric = bool((matrix == matrix.T).all())
-    # A negative eigenvalue of the size of rounding is no evidence. A smooth kernel of many points has such eigenvalues.
+    # A negative eigenvalue as small as rounding errors is no failure: smooth kernels of many points have such ones.
     passed = symmetric and least > -_POINTS * float(np.finfo(float).eps)
     detail = f"least eigenvalue {least:.1e} of {_POINTS} points, with ones in the diagonal"
     yield Finding("kernel", "positive definite", passed, detail if symmetric else "the matrix is not symmetric")

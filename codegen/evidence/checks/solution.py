@@ -140,7 +140,7 @@ def check_inner_times(context: Context) -> Iterator[Finding]:
     def number(expression: Expr | None) -> float:
         return float(sympy.sympify(expression).subs(numbers))
 
-    # The node nearest to every prescribed time; of free times the node on the module's grid.
+    # The node nearest to every prescribed time, and for a free time the node on the module's grid.
     on_grid = context.module.make_grid(solution.t.size - 1).inner
     prescribed = [None if inner.time is None else number(inner.time) for inner in model.inner_times]
     pairs = zip(prescribed, on_grid, strict=True)
