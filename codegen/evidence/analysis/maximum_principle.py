@@ -160,7 +160,7 @@ _SIMPLIFY_LIMIT = 600
 
 @dataclass(frozen=True)
 class ExactOptimum:
-    """The optimum in closed form: the cost as a function of parameters; states and controls of parameters and time."""
+    """The optimum in closed form: the cost in terms of parameters, and states and controls also in terms of time."""
 
     model: Model
     cost: sympy.Expr
@@ -381,7 +381,7 @@ class _BoundaryValueProblem:
         return self.duration * self._rates(s * self.duration, y)
 
     def solve(self, s: Array, y: Array, end_values: Array, tolerance: float) -> OptimizeResult:
-        """Run solve_bvp from the mesh s and the guess y. Each unknown is scaled by the largest value of its guess."""
+        """Run solve_bvp from mesh s and guess y, which also sets the scales of unknowns. Free `end_values` are nan."""
         size = np.abs(y).max(axis=1)
         size[size == 0.0] = 1.0
         scale = size[:, None]

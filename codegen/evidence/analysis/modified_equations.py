@@ -116,7 +116,7 @@ def analysis(
 
 @dataclass(frozen=True)
 class Defect:
-    """A reason why a field f is not Hamiltonian: a nonzero component `pair` of d(i_f omega) in the term of h^power."""
+    """A nonzero component of d(i_f omega), omega = sum dq ^ dp: coefficient f of h^power has no Hamiltonian."""
 
     power: int
     pair: tuple[Symbol, Symbol]
@@ -256,7 +256,7 @@ def modified_hamiltonian(series: FlowSeries, fields: Sequence[Sequence[Element]]
 
 
 def _generates(ring: FunctionRing, hamiltonian: Element, field: Sequence[Element]) -> bool:
-    """Return True if a Hamiltonian has exactly this field: dq/dt = dH/dp and dp/dt = -dH/dq."""
+    """Return True if a field is exactly the field of a Hamiltonian: dq/dt = dH/dp and dp/dt = -dH/dq."""
     *gradient, _ = ring.gradient(hamiltonian)
     dimension = len(gradient) // 2
     slopes = (*gradient[dimension:], *(-g for g in gradient[:dimension]))

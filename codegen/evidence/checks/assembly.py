@@ -184,7 +184,7 @@ def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Sh
 def _trial_point(
     module: ModuleType, grid: Grid, flat: FlatVector, shares: list[_Share]
 ) -> tuple[Vector, Numbers | None]:
-    """Return unknowns near the guess, nearer until the gradient is finite, and the gradient; None if it never is."""
+    """Return a point near the guess, nearer until the gradient is finite, and the gradient there (None if never)."""
     generator, free = np.random.default_rng(17), flat.free()
     noise = generator.uniform(-1.0, 1.0, flat.size)
     guess = module.initial_guess(grid)

@@ -205,7 +205,7 @@ _SHARES = (0.0, 0.5, 1.0)
 _ORDINARY = 1e-2, 1e2
 """Quantities between these magnitudes get random values near one, where no term of an expression is negligible."""
 _BESIDE = 0.02, 0.1
-"""Margins of a range: as a fraction of its only value, and as a fraction of the distance between its extreme values."""
+"""Margin of a range, as a fraction of its only value, or as a fraction of the distance between its extreme values."""
 _AT = re.compile(r"_(stage\d+(_k)?|k1?)$")
 
 
@@ -376,7 +376,7 @@ def curved_beyond(
 
 
 def _shifted(function: Function, numbers: Sequence[float]) -> Callable[..., mpmath.mpf]:
-    """Return a function of the first value after increments of the arguments i, j, ... and along a direction."""
+    """Return the function at(i, j, along=d): the first value after increments of arguments i and j and along d."""
 
     def at(*indices: int, along: Mapping[int, mpmath.mpf] | None = None) -> mpmath.mpf:
         arguments = [mpmath.mpf(number) for number in numbers]

@@ -65,7 +65,7 @@ def phase_contexts(context: Context) -> list[tuple[str, Context]]:
 
 
 def _phase_alone(program: ControlProgram, chain: Model, index: int) -> ControlProgram:
-    """Return the program of a phase for all intervals but its first, with t and h in the time of the whole problem."""
+    """Return the program of a phase for all intervals but its first, with t and h in physical time."""
     phase, durations = program.phases[index], [model.duration for model in chain.phases]
     begin, time = Add(*durations[:index]), chain.time
     scales = {STEP: STEP / durations[index], time: index + (time - begin) / durations[index]}

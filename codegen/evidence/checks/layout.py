@@ -162,7 +162,7 @@ class FlatVector:
         return free
 
     def representatives(self) -> Indices:
-        """Return an index for every unknown: its own, or of the linking unknown that it equals up to an offset."""
+        """Return for every unknown its index, or the index of the linking unknown that it equals up to an offset."""
         indices = np.arange(self.size)
         for body in range(self.program.bodies):
             for k, end in ((0, self.program.start), (self.steps, self.program.end)):

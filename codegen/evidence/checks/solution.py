@@ -18,7 +18,7 @@ Sensitivities: the derivatives of a solution with respect to data are compared w
 with changed data. Quantities change together in random proportions: first all independently, then parameters alone, on
 which boundary values and the duration depend. Some changes leave no solution, for example beyond the range of a table.
 Then quantities that cannot change alone stay fixed, and the finding names them. Differences with three increments,
-halved each time, are extrapolated twice (Richardson). Both results together estimate the error of the reference.
+halved each time, are extrapolated twice (Richardson). The distance of both results estimates the reference's error.
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ _OF_STAGES = 2
 
 
 def check_delays(context: Context) -> Iterator[Finding]:
-    """Check on N and 2N intervals that the motion converges to the DOP853 motion at the order of the scheme."""
+    """Check on N and 2N intervals that the motion approaches a motion by DOP853 at the order of the scheme."""
     whole = context.model.authored
     if not whole.delays:
         yield does_not_apply("delays", "there are no values of the past")
@@ -223,7 +223,7 @@ def check_delays(context: Context) -> Iterator[Finding]:
 
 
 def _distance(whole: Model, result: Result) -> float:
-    """Return the largest relative error of a motion against DOP853; `whole` is the problem without segments."""
+    """Return the largest relative error of a motion against DOP853; `whole` is the problem before segmentation."""
     side = legendre.hamiltonian_form(whole.with_free_ends)
     states, numbers = (*side.coordinates, *side.rates), side.default_values
     t, pieces = result.t, list[Callable[[float], Vector]]()
