@@ -215,7 +215,7 @@ class NormalForms:
 
 
 def _term(monomial: tuple[int, ...], coefficient: Rational, values: Sequence[mpmath.mpf]) -> mpmath.mpf:
-    """Return the value of one term of a polynomial."""
+    """Return the value of one term of a polynomial, for the values of all symbols of the ring."""
     powers = mpmath.fprod(values[i] ** e for i, e in enumerate(monomial) if e)
     return powers * int(coefficient.numerator) / int(coefficient.denominator)
 

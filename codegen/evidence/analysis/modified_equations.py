@@ -264,7 +264,7 @@ def _generates(ring: FunctionRing, hamiltonian: Element, field: Sequence[Element
 
 
 def _defects(ring: FunctionRing, field: Sequence[Element], power: int) -> list[Defect]:
-    """Return the components of d(i_f omega), omega = sum dq ^ dp, that do not vanish."""
+    """Return the nonzero components of d(i_f omega), omega = sum dq ^ dp, for the coefficient f of h^power."""
     states = ring.variables[:-1]
     dimension = len(states) // 2
     form = (*(-f for f in field[dimension:-1]), *field[:dimension])

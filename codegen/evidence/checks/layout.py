@@ -209,7 +209,7 @@ def kernel_stems(program: ControlProgram) -> list[str]:
 
 
 def pattern_of(module: ModuleType, share: str) -> list[tuple[int, int]]:
-    """Return the entries (row, column) of the emitted Hessian of "interval", "start" or "end"; empty without one."""
+    """Return the entries (row, column) of an emitted Hessian; `share` is "interval", "start" or "end". May be empty."""
     prefix = f"{share.upper()}_" if share in ("start", "end") else ""
     rows, columns = (getattr(module, f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
     return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True)]

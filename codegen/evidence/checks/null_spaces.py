@@ -285,7 +285,7 @@ def check_path_modes(context: Context) -> Iterator[Finding]:
 
 
 def _with_excursion(finding: Finding, condition: str, worst: Mapping[str, Excursion] | None) -> Finding:
-    """Return a finding that also reports the violation inside intervals, and fails if the violation is gross."""
+    """Return a finding with the violation inside intervals (`worst`, by condition), which fails if it is gross."""
     if worst is None:
         return replace(finding, detail=f"{finding.detail}; not measured along a motion: none was found")
     excursion = worst.get(condition)
@@ -353,7 +353,7 @@ def _measured(
     values: Sequence[Expr],
     solutions: Sequence[ControlSolution],
 ) -> Finding:
-    """Return a finding that passes if the largest of `values` between nodes decreases from N to 2N intervals."""
+    """Return a finding that passes if the largest of `values` decreases from N to 2N intervals (two `solutions`)."""
     unsolved = [solution for solution in solutions if solution.status != "solved"]
     if unsolved:
         return Finding(_NAME, condition.name, True, f"not measured: {unsolved[0].message}")
