@@ -1,1 +1,1 @@
-"""What is known about a problem and about its module: check, analyse, report, stress."""
+"""Evidence about a problem and its generated module: checks, analyses, reports and stress tests."""

@@ -1,1 +1,1 @@
-"""What is known about a problem without discretising it: exact and reference solutions, modified equations, orders."""
+"""Analyses: the optimum of a problem by the maximum principle, and the modified equations of a scheme on a problem."""

@@ -1,10 +1,10 @@
 """Exact arithmetic with elementary functions: sparse polynomials in variables and functions, and power series of them.
 
-A generator is adjoined for each sine, root, reciprocal and so on. It has derivatives and satisfies a rule such as
-sin^2 = 1 - cos^2 or w (2 - cos^2) = 1. Rewriting by these rules keeps polynomials in normal form. Source: the structure
-theory of elementary functions as in Bronstein (2005), Symbolic integration I, chapter 3.
+Each sine, root, reciprocal and so on is adjoined to the polynomials as a new generator (symbol). A generator has
+derivatives and satisfies a rule such as sin^2 = 1 - cos^2 or w (2 - cos^2) = 1. Rewriting by these rules keeps
+polynomials in normal form. Source: the structure theory in Bronstein (2005), Symbolic integration I, chapter 3.
 
-Sums and products of such polynomials are much faster than those of sympy's expressions, and terms cancel at once.
+Sums and products are much faster than with sympy's expressions, and terms cancel at once.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from codegen.symbolic import checks as expressions
 Element: TypeAlias = Any
 """A polynomial of the ring (sympy's PolyElement)."""
 Key: TypeAlias = tuple[Any, ...]
-"""The kind of a function, and the elements and numbers that distinguish it."""
+"""The kind of a function, and its elements and numbers, for example ("root", base, degree)."""
 _DIGITS = 60
 _ROUNDING = mpmath.mpf("1e-40")
 
 
 @dataclass
 class Generator:
-    """An adjoined function of an argument: its expression, and its slope by the argument.
+    """An adjoined function of `argument`: its expression, and its slope with respect to the argument.
 
-    The derivatives by all variables are computed once.
+    The derivatives with respect to all variables are None until they are first used.
     """
 
     expression: Expr
@@ -46,13 +46,13 @@ class Generator:
 
 
 class NormalForms:
-    """Polynomials over the rationals in variables, constants and at most `slots` generators, which satisfy rules."""
+    """Polynomials with rational coefficients in variables, constants and up to `slots` adjoined functions."""
 
     def __init__(self, variables: Sequence[Symbol], constants: Sequence[Symbol], slots: int) -> None:
         self.variables = tuple(variables)
         self._symbols = (*variables, *constants)
         self._size = slots + len(self._symbols)
-        # Later generators are greater, so that rewriting ends in earlier functions.
+        # Later generators are greater in the order of monomials, so that rewriting ends in earlier functions.
         self.ring = PolyRing([f"g{i}" for i in reversed(range(self._size))], QQ, lex)
         self._adjoined: list[Generator] = []
         self._elements: dict[Key, Element] = {}
@@ -81,7 +81,7 @@ class NormalForms:
         return result
 
     def reduced(self, element: Element) -> Element:
-        """Apply the rules of the adjoined functions until none applies."""
+        """Return the normal form of an element, by the rules of the adjoined functions."""
         changed = True
         while changed:
             changed = False
@@ -101,7 +101,7 @@ class NormalForms:
         return element
 
     def gradient(self, element: Element) -> tuple[Element, ...]:
-        """Return the derivatives by all variables."""
+        """Return the derivatives of an element with respect to all variables."""
         total = [self.zero] * len(self.variables)
         for index in sorted({i for monomial in element for i, e in enumerate(monomial) if e}):
             outer, number = element.diff(self.ring.gens[index]), self._size - 1 - index - len(self._symbols)
@@ -116,7 +116,7 @@ class NormalForms:
         return tuple(self.reduced(part) for part in total)
 
     def directions(self, field: Sequence[Element]) -> tuple[Element, ...]:
-        """Return the derivative of each generator along a vector field with one element for each variable."""
+        """Return the derivatives of all symbols of the ring along a vector field with a component for each variable."""
         along = [self.zero] * self._size
         for symbol, component in zip(self.variables, field, strict=True):
             along[self._index[symbol]] = component
@@ -126,14 +126,14 @@ class NormalForms:
         return tuple(along)
 
     def derivative(self, element: Element, directions: Sequence[Element]) -> Element:
-        """Return the derivative of an element; `directions` has the derivatives of all generators."""
+        """Return the derivative of an element along a vector field, from the derivatives `directions` of symbols."""
         parts = (element.diff(x) * along for x, along in zip(self.ring.gens, directions, strict=True) if along)
         return self.reduced(sum(parts, self.zero))
 
     def vanishes(self, element: Element) -> bool:
         """Return True if an element is zero everywhere: in normal form over a common denominator, or at random points.
 
-        Numbers with 60 digits decide if functions depend on each other in a way that no rule expresses.
+        Random points, with 60 digits, decide if functions depend on each other in a way that no rule expresses.
         """
         element = self.reduced(element)
         if element == 0:
@@ -199,7 +199,7 @@ class NormalForms:
         return points == count
 
     def _points(self) -> Iterator[tuple[Mapping[Symbol, Rational], list[mpmath.mpf]]]:
-        """Yield points at which all generators have values, and these values. Read them with _DIGITS digits."""
+        """Yield random points and the values of all generators there, which are mpmath numbers with _DIGITS digits."""
         for drawn in expressions.sample_points(self._symbols, {}, {}):
             point = {symbol: Rational(str(round(x, 6))) for symbol, x in drawn.items()}
             values = [mpmath.mpf(0)] * self._size
@@ -215,7 +215,7 @@ class NormalForms:
 
 
 def _term(monomial: tuple[int, ...], coefficient: Rational, values: Sequence[mpmath.mpf]) -> mpmath.mpf:
-    """Return the value of one term of a polynomial."""
+    """Return the value of one term of a polynomial, for the values of all symbols of the ring."""
     powers = mpmath.fprod(values[i] ** e for i, e in enumerate(monomial) if e)
     return powers * int(coefficient.numerator) / int(coefficient.denominator)
 
@@ -225,12 +225,12 @@ def _number(value: Expr) -> mpmath.mpf:
 
 
 def sparse(monomial: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
-    """Return indices and exponents of a monomial that are not zero."""
+    """Return the pairs (index, exponent) of a monomial whose exponent is not zero."""
     return tuple((i, e) for i, e in enumerate(monomial) if e)
 
 
 def angles_that_span(angles: Sequence[Expr]) -> tuple[Expr, ...]:
-    """Return a basis of angles with integer coefficients, sums before single terms; empty if there is none."""
+    """Return some of the angles, preferably sums, whose integer combinations give all angles; empty if impossible."""
     simple = set[Expr]()
     for angle in angles:  # without its integer factor
         numerators = [coefficient.p for coefficient in angle.as_coefficients_dict().values()]
@@ -251,19 +251,19 @@ def angles_that_span(angles: Sequence[Expr]) -> tuple[Expr, ...]:
 
 
 def weights(basis: sympy.Matrix, row: Sequence[Expr]) -> list[Expr]:
-    """Return the coefficients of a row in the columns of a basis."""
+    """Return the coefficients with which the columns of `basis` add up to the vector `row`."""
     normal = basis.T * basis
     return list(normal.LUsolve(basis.T * sympy.Matrix(row)))
 
 
 _SLOTS = 60
-"""The number of generators while the functions of a problem are collected."""
+"""Largest number of generators while the functions of a problem are collected."""
 _KINKED = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Piecewise, sympy.Heaviside)
 _X = Dummy("x", real=True)
 
 
 class FunctionRing(NormalForms):
-    """Polynomials over the rationals in variables, constants and adjoined functions of them.
+    """Polynomials with rational coefficients in variables, constants and adjoined functions of them.
 
     `angles` are a basis of all angles. Without a basis each term of an angle has its own sine and cosine. Raises
     ExpressionError if a function has a kink or no elementary derivative.
@@ -277,7 +277,7 @@ class FunctionRing(NormalForms):
         self._basis = [self.function(angle, _X, self.zero) for angle in angles]
 
     def compressed(self, evaluate_again: Callable[[FunctionRing], object]) -> FunctionRing:
-        """Return a ring without empty slots, after the same evaluation adjoins the same functions.
+        """Return a ring without unused slots. `evaluate_again(ring)` repeats the evaluation, to adjoin its functions.
 
         The ring has a basis of angles, so that sines and cosines of different angles are independent.
         """
@@ -292,12 +292,12 @@ class FunctionRing(NormalForms):
         return smaller
 
     def close(self) -> None:
-        """Adjoin all derivatives, the derivatives of the derivatives, and so on."""
+        """Adjoin all functions in the derivatives of any order."""
         for generator in self._adjoined:  # grows during the loop
             self._derivatives(generator)
 
     def function(self, outer: Expr, x: Symbol, argument: Element) -> Element:
-        """Return the value of an expression in one symbol at an element."""
+        """Return the element that the expression `outer` gives with the element `argument` in place of x."""
         if outer == x:
             return argument
         if not outer.has(x):
@@ -342,7 +342,7 @@ class FunctionRing(NormalForms):
         return self._adjoin(key, self.expression(base) ** exponent, slope, base)
 
     def reciprocal(self, base: Element) -> Element:
-        """Return one over an element, as a product of the reciprocals of its factors."""
+        """Return one over an element, as the product of the reciprocals of its factors."""
         if base == 0:
             raise ExpressionError("a denominator of the step vanishes at h = 0", "choose another scheme or form")
         coefficient, factors = base.factor_list()
@@ -428,7 +428,7 @@ class FunctionRing(NormalForms):
         return self._adjoin(key, sympy.exp(self.expression(exponent)), lambda: self._elements[key], exponent)
 
     def _turned(self, angle: Element) -> tuple[Element, Element]:
-        """Return sine and cosine of a sum by the addition theorems, from the angles of the basis or from its terms."""
+        """Return sine and cosine of an angle by the addition theorems, from the basis of angles or from its terms."""
         if angle != 0:
             self._angles.add(self.expression(angle))
         sine, cosine = self.zero, self.one
@@ -440,7 +440,7 @@ class FunctionRing(NormalForms):
         return sine, cosine
 
     def _parts(self, angle: Element) -> list[tuple[Element, int]]:
-        """Return angles with integer factors whose sum is this angle."""
+        """Return (angle, integer factor) pairs whose products add up to `angle`."""
         if self._basis:
             terms = sorted({m for part in (*self._basis, angle) for m in part})
             columns = [[sympy.Rational(str(part.get(m, 0))) for part in self._basis] for m in terms]
@@ -452,7 +452,7 @@ class FunctionRing(NormalForms):
         ]
 
     def _circle(self, angle: Element) -> tuple[Element, Element]:
-        """Return sine and cosine of one term, which are adjoined together."""
+        """Return sine and cosine of an angle without addition theorems. Both are adjoined together."""
         keys = ("sin", angle), ("cos", angle)
         if keys[0] not in self._elements:
             expression = self.expression(angle)
@@ -463,23 +463,23 @@ class FunctionRing(NormalForms):
 
 
 def _only_argument(value: Expr) -> Expr:
-    """Return the argument of a smooth function of one argument."""
+    """Return the only argument of a function. Raise ExpressionError for kinks and for several arguments."""
     if len(value.args) != 1 or isinstance(value, _KINKED):
         raise ExpressionError(f"{value.func.__name__} has no expansion in powers of h", "use smooth functions")
     return value.args[0]
 
 
 Series = list[Element]
-"""Coefficients of h^0, h^1, ..., up to an order."""
+"""The coefficients of h^0, h^1, ... in a power series, up to an order."""
 
 
 def padded(values: Sequence[Element], ring: FunctionRing, order: int) -> Series:
-    """Return a series that ends at h^order, cut or filled with zeros."""
+    """Return the series with coefficients `values`, cut or filled with zeros to end at h^order."""
     return [*values[: order + 1], *[ring.zero] * (order + 1 - len(values))]
 
 
 class Evaluation:
-    """Evaluates expressions at series by Taylor's formula for every function; common parts are evaluated once."""
+    """The evaluation of expressions whose symbols are power series, by Taylor's formula, each common part once."""
 
     def __init__(self, ring: FunctionRing, values: Mapping[Symbol, Series], order: int) -> None:
         self._ring, self._order = ring, order
@@ -525,7 +525,7 @@ class Evaluation:
         return [ring.reduced(total) for total in products]
 
     def _composed(self, outer: Expr, x: Symbol, inner: Series) -> Series:
-        """Apply Taylor's formula for an outer function around the first coefficient of the inner series."""
+        """Return outer(inner), by Taylor's formula in x around the first coefficient of the inner series."""
         ring = self._ring
         change = [ring.zero, *inner[1:]]
         power = padded([ring.one], ring, self._order)

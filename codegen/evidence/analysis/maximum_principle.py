@@ -53,7 +53,7 @@ class NecessaryConditions:
 
 
 def beyond_maximum_principle(model: Model) -> str:
-    """Return the features of a problem that the necessary conditions do not cover, in words; else an empty text."""
+    """Return a text: the features of a problem that the necessary conditions do not cover; empty if there are none."""
     features = {
         "several phases": bool(model.phases),
         "values of the past": bool(model.joined),
@@ -115,7 +115,7 @@ def necessary_conditions(model: Model) -> NecessaryConditions:
 
 
 def _optimal_control(model: Model, hamiltonian: sympy.Expr) -> tuple[sympy.Expr, ...]:
-    """Solve dH/du = 0 for the controls."""
+    """Return the controls that solve dH/du = 0."""
     stationarity = [hamiltonian.diff(u) for u in model.controls]
     curvature = sympy.Matrix(stationarity).jacobian(list(model.controls)).applyfunc(sympy.expand)
     names = " ".join(map(str, model.controls))
@@ -147,7 +147,7 @@ def _end_equations(
 
 
 def parameter_values(model: Model, values: Mapping[str, float] | None) -> dict[sympy.Symbol, float]:
-    """Return the values of all parameters: defaults and overrides. Raises ArgumentError for an unknown name."""
+    """Return all parameters by symbol; `values` override defaults by name. Raise ArgumentError for unknown names."""
     symbols = {parameter.name: parameter for parameter in model.parameters}
     for name in values or {}:
         if name not in symbols:
@@ -160,7 +160,7 @@ _SIMPLIFY_LIMIT = 600
 
 @dataclass(frozen=True)
 class ExactOptimum:
-    """The optimum in closed form: the cost as a function of parameters, states and controls also of the time."""
+    """The optimum in closed form: the cost in terms of parameters, and states and controls also in terms of time."""
 
     model: Model
     cost: sympy.Expr
@@ -172,7 +172,7 @@ class ExactOptimum:
         numbers = parameter_values(self.model, values)
         function = sympy.lambdify(list(numbers), self.cost, modules="mpmath", cse=True)
         with mpmath.workdps(40):
-            # Complex conjugate eigenvalues may leave an imaginary part of the size of rounding.
+            # Complex conjugate eigenvalues may leave an imaginary part, which is a rounding error.
             return float(mpmath.re(function(*map(mpmath.mpf, numbers.values()))))
 
 
@@ -182,7 +182,7 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
     The result is also None if the eigenvalues have no practical formula by radicals. Raises the errors of
     `necessary_conditions`, and BoundaryError if the boundary conditions do not determine the trajectory.
 
-    With z = (x, psi) the eliminated Hamiltonian is quadratic, K = z.Sz/2 + g.z + c, and z' = J dK/dz. Integrating
+    With z = (x, psi) the Hamiltonian at the optimal controls is K = z.Sz/2 + g.z + c, and z' = J dK/dz. Integration of
     d(psi.x)/dt = psi.dK/dpsi - x.dK/dx and K = C + psi.x' gives the cost without quadrature:
     J = (psi(0).x(0) - psi(T).x(T))/2 + integral of g.z/2 + cT, and g.z is integrated by one more linear equation.
     """
@@ -190,8 +190,8 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
     z = [*conditions.states, *conditions.costates]
     substitution = dict(zip(model.controls, conditions.optimal_control, strict=True))
     eliminated = conditions.hamiltonian.xreplace(substitution)
-    # Third differences on some line, in 60 digits, may show that K is not quadratic in z. The expansion of a long
-    # expression takes a minute and has the same result.
+    # Nonzero third differences along a line, in 60 digits, show that K is not quadratic in z. The expansion of a long
+    # expression would show the same, but takes a minute.
     numbers = model.default_values | {model.time: 0.37}
     evaluate = sympy.lambdify([*z, *numbers], eliminated, modules="mpmath", cse=True)
     with mpmath.workdps(60):
@@ -226,7 +226,7 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
         for factor, count in quartic
     ):
         return None
-    # Signs help sympy to write real formulas. They are analytic, so that they hold for other signs as well.
+    # Positive symbols help sympy to find real formulas, which are analytic and so hold for other signs as well.
     signed = {p: sympy.Dummy(p.name, positive=True) for p, v in model.default_values.items() if v > 0.0}
     plain = {dummy: p for p, dummy in signed.items()}
     exponential = matrix_exp(flow.xreplace(signed), model.time).xreplace(plain)
@@ -262,10 +262,10 @@ _SMALLEST_ADVANCE = 1e-3
 
 @dataclass(frozen=True)
 class Reference:
-    """An optimum on the mesh `t` (M,): states and costates (M, 2n), controls (M, m), cost, and the residual.
+    """An optimum at times `t` (M,), for n coordinates and m controls: states and costates (M, 2n), controls (M, m).
 
-    The residual is the largest root mean square defect of the differential equations on any mesh interval. Time is
-    normalised. Each defect is relative to 1 + |derivative| and in units of the largest value of its unknown.
+    `residual` is the largest root mean square defect of the differential equations on any mesh interval, in time from
+    0 to 1. Each defect is relative to 1 + |derivative| and in units of the largest value of its unknown.
     """
 
     cost: float
@@ -295,9 +295,9 @@ def reference_optimum(
         Relative tolerance of the collocation, from 1e-12 to 1.
     guess : tuple of arrays, optional
         (t, x, psi) of shapes (M,), (M, 2n), (M, 2n). By default coordinates are interpolated linearly between their end
-        values, or follow the problem's own guess. Velocities are their slopes, or are interpolated like momenta if that
-        fails. psi is zero. If nothing converges, the end values move continuously from those of the uncontrolled
-        motion.
+        values, or follow the problem's own guess. Velocities are the slopes of coordinates; if this fails they are
+        interpolated, as momenta are. psi is zero. If nothing converges, the end values move continuously from the end
+        of the uncontrolled motion to the prescribed values.
     seconds : float
         Limit of processor time.
 
@@ -381,7 +381,7 @@ class _BoundaryValueProblem:
         return self.duration * self._rates(s * self.duration, y)
 
     def solve(self, s: Array, y: Array, end_values: Array, tolerance: float) -> OptimizeResult:
-        """Run solve_bvp from the mesh s and the values y. The scale of each unknown is its largest value."""
+        """Run solve_bvp from mesh s and guess y, which also sets the scales of unknowns. Free `end_values` are nan."""
         size = np.abs(y).max(axis=1)
         size[size == 0.0] = 1.0
         scale = size[:, None]
@@ -426,7 +426,7 @@ class _BoundaryValueProblem:
 def _vectorised(
     time: sympy.Symbol, z: Sequence[sympy.Symbol], numbers: Mapping[sympy.Symbol, float], outputs: Sequence[sympy.Expr]
 ) -> Callable[[Array, Array], Array]:
-    """Return a function of times (M,) and values (at least len(z), M) with the outputs as (len(outputs), M)."""
+    """Return a function of times (M,) and values (at least len(z), M) that returns an array (len(outputs), M)."""
     names = list(numbers)
     function = sympy.lambdify([time, *z, *names], list(outputs), modules="numpy", cse=True)
     constants = [numbers[name] for name in names]
@@ -439,7 +439,8 @@ def _vectorised(
 
 
 def _interpolated_guess(model: Model, system: _BoundaryValueProblem, slopes: bool) -> Trajectory:
-    """Return the problem's guess, or straight lines between the end values. A free end has the other end's value."""
+    """Return the problem's guess, or lines between end values; with `slopes`, velocities are slopes of coordinates."""
+    # The value at a free end is the value at the other end.
     s = np.linspace(0.0, 1.0, 101)
     first = np.where(np.isnan(system.start_values), system.end_values, system.start_values)
     last = np.where(np.isnan(system.end_values), first, system.end_values)
@@ -456,7 +457,7 @@ def _interpolated_guess(model: Model, system: _BoundaryValueProblem, slopes: boo
 
 
 def _continued(system: _BoundaryValueProblem) -> OptimizeResult | None:
-    """Move the end values from those of the uncontrolled motion to the prescribed values, in adaptive steps."""
+    """Return a solution by adaptive continuation of end values from the uncontrolled motion to the problem, or None."""
     count = system.count
     y0 = np.concatenate([np.nan_to_num(system.start_values), np.zeros(count + 1)])
     s = np.linspace(0.0, 1.0, 101)

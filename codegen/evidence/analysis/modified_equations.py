@@ -1,4 +1,4 @@
-"""Modified equations of a scheme on a problem, and the modified Hamiltonian: backward error analysis.
+"""Backward error analysis: the modified equations of a scheme on a problem, and the modified Hamiltonian.
 
 A step of length h is, as a formal series, the flow over the time h of a modified vector field f_0 + h f_1 + h^2 f_2 +
 ... Its coefficients follow from a comparison of powers of h. The field of a symplectic scheme is Hamiltonian. Its
@@ -9,10 +9,10 @@ Source: Hairer, Lubich and Wanner (2006), Geometric numerical integration, IX.1 
 equations for variational integrators, Numerische Mathematik 137.
 
 The map of one step is expanded from its implicit equations, for any number of inner stages. The unknowns of a step are
-series with coefficients in a FunctionRing. Coefficient n follows from the equations' coefficient n, which is linear in
-the unknown coefficient.
+power series in h with coefficients in a FunctionRing. Coefficient n of the unknowns follows from coefficient n of the
+equations, which is linear in the unknown coefficient.
 
-`analysis` writes the result for readers: the conclusion first, then power by power.
+`analysis` writes the result as text: the conclusion first, then the coefficients of each power of h.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def analysis(
     order: int = 3,
     latex: bool = False,
 ) -> str:
-    """Write the modified equations of a scheme on a problem.
+    """Return a text with the modified equations of a scheme that is applied to a problem.
 
     Parameters
     ----------
@@ -61,9 +61,9 @@ def analysis(
     arguments : Mapping[str, str], optional
         Arguments of the function `problem` of the file, as texts.
     scheme : str, optional
-        A name of the registries, or `alpha` for the whole family with a symbol as its parameter.
+        The name of a registered scheme, or `alpha` for the whole family with a symbol as its parameter.
     method : str, optional
-        The method of the scheme. By default the method of the problem's own form.
+        The method of the scheme. By default the method for the form in which the problem is written.
     order : int
         The highest power of h, from 1 to 8.
     latex : bool
@@ -77,8 +77,8 @@ def analysis(
     Raises
     ------
     ArgumentError
-        For another order, and for problems with particles, several phases, holonomic constraints or delayed values.
-        `modified_equations` raises further errors.
+        If `order` is out of range, or the problem has particles, several phases, holonomic constraints or delayed
+        values. `modified_equations` raises further errors.
     """
     if not 1 <= order <= LARGEST_ORDER:
         raise ArgumentError(f"--order {order}", f"give a power of h from 1 to {LARGEST_ORDER}")
@@ -116,7 +116,7 @@ def analysis(
 
 @dataclass(frozen=True)
 class Defect:
-    """A component of d(i_f omega) that does not vanish: of a pair of variables, in the coefficient of h^power."""
+    """A nonzero component of d(i_f omega), omega = sum dq ^ dp: coefficient f of h^power has no Hamiltonian."""
 
     power: int
     pair: tuple[Symbol, Symbol]
@@ -152,7 +152,7 @@ def modified_equations(model: Model, scheme: Scheme, power: int) -> ModifiedEqua
     states = ring.variables[:-1]
 
     def expressions(elements: Sequence[Element], originals: Sequence[Expr]) -> tuple[Expr, ...]:
-        """Return the author's expressions for equal elements."""
+        """Return the author's expressions `originals` where they equal the elements, else new expressions."""
         pairs = zip(elements, originals, strict=False)
         return tuple(theirs if ring.equals(ours, theirs) else ring.expression(ours) for ours, theirs in pairs)
 
@@ -179,7 +179,7 @@ def vector_field(phase: Model) -> tuple[Expr, ...]:
 
 
 def with_potential(model: Model) -> Model | None:
-    """Return the model with its forces in the Hamiltonian or Lagrangian; None if the forces have no potential."""
+    """Return the model with its forces as a potential in the Hamiltonian or Lagrangian; None if impossible."""
     if model.form == "first-order" or not any(model.force):
         return model
     coordinates, rest, potential = model.coordinates, list(model.force), S.Zero
@@ -198,7 +198,7 @@ def with_potential(model: Model) -> Model | None:
 
 
 def modified_field(series: FlowSeries) -> list[tuple[Element, ...]]:
-    """Return coefficients f_0, f_1, ... of the modified vector field, time included (HLW, IX.1).
+    """Return the coefficients f_0, f_1, ... of the modified vector field, time included (HLW, IX.1).
 
     With D_k the derivative along f_k, the coefficient of h^n in the flow is the sum of D_k1 ... D_ki x / i! over all
     i and all k1 + ... + ki + i = n. Only one term contains f_(n-1): f_(n-1) itself.
@@ -227,7 +227,7 @@ def modified_field(series: FlowSeries) -> list[tuple[Element, ...]]:
 
 
 def modified_hamiltonian(series: FlowSeries, fields: Sequence[Sequence[Element]]) -> list[Element]:
-    """Return coefficients of H = p . dq/dt - D/(exp(h D) - 1) S along the modified field.
+    """Return the coefficients, by power of h, of H = p . dq/dt - D/(exp(h D) - 1) S along the modified field.
 
     The result is correct if S is the action of the step. It has no terms that depend on no coordinate and no momentum.
     """
@@ -256,7 +256,7 @@ def modified_hamiltonian(series: FlowSeries, fields: Sequence[Sequence[Element]]
 
 
 def _generates(ring: FunctionRing, hamiltonian: Element, field: Sequence[Element]) -> bool:
-    """Return True if dq/dt = dH/dp and dp/dt = -dH/dq, exactly."""
+    """Return True if a field is exactly the field of a Hamiltonian: dq/dt = dH/dp and dp/dt = -dH/dq."""
     *gradient, _ = ring.gradient(hamiltonian)
     dimension = len(gradient) // 2
     slopes = (*gradient[dimension:], *(-g for g in gradient[:dimension]))
@@ -264,7 +264,7 @@ def _generates(ring: FunctionRing, hamiltonian: Element, field: Sequence[Element
 
 
 def _defects(ring: FunctionRing, field: Sequence[Element], power: int) -> list[Defect]:
-    """Return the components of d(i_f omega), omega = sum dq ^ dp, that do not vanish."""
+    """Return the nonzero components of d(i_f omega), omega = sum dq ^ dp, for the coefficient f of h^power."""
     states = ring.variables[:-1]
     dimension = len(states) // 2
     form = (*(-f for f in field[dimension:-1]), *field[:dimension])
@@ -279,12 +279,12 @@ def _defects(ring: FunctionRing, field: Sequence[Element], power: int) -> list[D
 
 
 _GATHER_LIMIT = 300
-"""Largest number of operations for sympy's trigonometric simplification."""
+"""Largest number of operations of an expression to which trigonometric simplification is applied."""
 
 
 @dataclass(frozen=True)
 class FlowSeries:
-    """z_k1 = sum_n h^n flow[i][n] for each variable i of (q, p, t), and the action S = sum_n h^n action[n].
+    """The step z_k1 = sum_n h^n flow[i][n] for each variable i of (q, p, t), and the action S = sum_n h^n action[n].
 
     The action is the discrete Lagrangian, or the scheme's own quadrature of p . dH/dp - H. For a symplectic scheme
     dS = p_k1 dq_k1 - p_k dq_k. The action of a first-order system is None.
@@ -305,7 +305,7 @@ def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
     """
 
     def gathered(function: Expr) -> Expr:
-        """Gather angles: cos(a - b) for cos a cos b + sin a sin b. Denominators of products have no normal form."""
+        """Write cos(a - b) for cos a cos b + sin a sin b. Denominators with such products have no normal form."""
         if not function.has(sympy.sin, sympy.cos):
             return function
         expanded = sympy.expand(function)
@@ -330,7 +330,7 @@ def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
 
 
 class _Step(ABC):
-    """The equations of a step; `at_left` maps the symbols at the left node to variables."""
+    """The equations of a step for its unknowns; `at_left` maps the symbols at the left node to variables."""
 
     at_left: dict[Symbol, Symbol]
     unknowns: tuple[Symbol, ...]
@@ -343,7 +343,7 @@ class _Step(ABC):
 
     @abstractmethod
     def expanded(self, ring: FunctionRing, order: int) -> FlowSeries:
-        """Solve for the unknowns, coefficient by coefficient."""
+        """Return the step as a series in h up to `order`, solved coefficient by coefficient."""
 
     def is_solved(self, ring: FunctionRing) -> bool:
         """Return True if the first two coefficients of the series satisfy the equations."""
@@ -358,7 +358,7 @@ class _Step(ABC):
         order: int,
         correction: Callable[[Sequence[Element]], Sequence[Element]],
     ) -> Mapping[Symbol, Series]:
-        """Return series of all symbols; `correction` maps residuals to the change of the newest coefficients."""
+        """Return the series of all symbols; `correction` maps residuals to the change of the newest coefficients."""
         fixed = {symbol: padded([ring.symbol(variable)], ring, order) for symbol, variable in self.at_left.items()}
         fixed[STEP] = padded([ring.zero, ring.one], ring, order)
         unknown = {symbol: padded([value], ring, order) for symbol, value in zip(self.unknowns, guess, strict=True)}
@@ -385,7 +385,7 @@ def _clock(ring: FunctionRing, order: int) -> Series:
 
 
 class _OneStep(_Step):
-    """Equations in stages and the right node. At h = 0 they are linear with numbers as coefficients."""
+    """A one-step scheme: equations in stages and right node, which are linear with constant coefficients at h = 0."""
 
     def __init__(self, phase: Model, scheme: Scheme) -> None:
         states = (*phase.coordinates, *phase.rates)
@@ -429,10 +429,10 @@ class _OneStep(_Step):
 
 @dataclass(frozen=True)
 class _VelocityForm:
-    """One interval in velocities v_j = (q_j - q_k)/h of the inner points j, then of the right node.
+    """The equations of an interval in velocities v_j = (q_j - q_k)/h of the inner points j, then of the right node.
 
-    With Ld = h D(q_k, v), the derivative of Ld by q_j is the derivative of D by v_j, so that no equation contains 1/h.
-    The equations are p_k + D1 Ld + f- = 0, and D_j Ld + f_j = 0 for inner points. `momenta` are D2 Ld + f+ = p_k1.
+    With Ld = h D(q_k, v), the derivative dLd/dq_j equals dD/dv_j, so that no equation contains 1/h. The equations are
+    p_k + D1 Ld + f- = 0, and D_j Ld + f_j = 0 for inner points. `momenta` are D2 Ld + f+ = p_k1.
     """
 
     left: tuple[Symbol, ...]
@@ -444,12 +444,12 @@ class _VelocityForm:
 
     @classmethod
     def of(cls, model: Model, scheme: Scheme) -> _VelocityForm:
-        """Return the interval of a model of Lagrangian form. `left` has coordinates, momenta and controls."""
+        """Return the equations of a model in Lagrangian form. `left` has coordinates, momenta and controls."""
         interval = variational_interval(model, scheme)
         size, left = len(model.coordinates), interval.q.left
-        # No author can declare these symbols of momenta.
+        # Names of problems cannot equal the names of these momenta.
         left_momenta = at_nodes([Symbol(f"{q.name}_momentum", real=True) for q in model.coordinates], "_k")
-        # The motion is a straight line without inner points, unless the kind of scheme has them.
+        # Some schemes have no inner points. Then the motion is a straight line.
         points, count = (*interval.inner, *interval.q.right), len(interval.inner)
         velocities = tuple(Symbol(f"{q.name}_velocity", real=True) for q in points)
         arrival = {q: left[i % size] + STEP * v for i, (q, v) in enumerate(zip(points, velocities, strict=True))}
@@ -472,13 +472,13 @@ class _VelocityForm:
 
 
 class _Variational(_Step):
-    """The forced discrete Legendre transforms and the stationarity of Ld at inner points, in velocities."""
+    """A scheme with discrete Lagrangian Ld: its forced Legendre transforms, and stationarity at inner points."""
 
     def __init__(self, model: Model, phase: Model, scheme: Scheme) -> None:
         side = legendre.lagrangian_form(model)
         self.phase, self.form = phase, _VelocityForm.of(side, scheme)
-        # At h = 0 all velocities agree. So for any L the derivative of the equations by the velocities is that of a
-        # free particle of unit mass times the mass matrix L_vv.
+        # At h = 0 all velocities agree. So for any L the Jacobian of the equations with respect to velocities is the
+        # Jacobian for a free particle of unit mass times the mass matrix L_vv.
         particle = replace(
             side,
             coordinates=side.coordinates[:1],
@@ -526,7 +526,7 @@ class _Variational(_Step):
 
 
 _FACTOR_LIMIT = 400
-"""Largest number of operations for factorisation."""
+"""Largest number of operations of an expression that is factored."""
 _WRITING_LIMIT = 1200
 """Largest number of operations of an expression that is written out."""
 _HIGH = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -564,7 +564,7 @@ def _series_of(name: str, last: int) -> tuple[str, str]:
 
 
 def _blocks(result: ModifiedEquations, model: Model, notation: Notation) -> Iterator[Block]:
-    """Yield the modified field, and the modified Hamiltonian or the defects of a field without Hamiltonian."""
+    """Yield blocks of text: the modified field, then the modified Hamiltonian, or the defects if there is none."""
     names = ", ".join(notation.name(x) for x in result.states)
     last = len(result.field)
     plain, tex = _series_of("f", last)
@@ -608,7 +608,7 @@ def _blocks(result: ModifiedEquations, model: Model, notation: Notation) -> Iter
 
 
 def _block(heading: str, rows: Sequence[tuple[Symbol, Expr]], power: int, notation: Notation) -> Block:
-    """Return a block of equations, with remarks about rows that vanish or are too long to read.
+    """Return a block of equations `rows` (symbol, value), with remarks about rows that vanish or are too long.
 
     Rows of higher powers are factored; rows of power 0 stay as the author wrote them.
     """
@@ -634,7 +634,7 @@ def _block(heading: str, rows: Sequence[tuple[Symbol, Expr]], power: int, notati
 
 
 def _factored(expression: Expr) -> Expr:
-    """Return the shorter of a sum and its product of factors; long sums stay."""
+    """Return the shorter of an expression and its factored form; very long expressions are not factored."""
     if expression.count_ops() > _FACTOR_LIMIT:
         return expression
     return min(expression, sympy.factor(expression), key=lambda candidate: int(candidate.count_ops()))

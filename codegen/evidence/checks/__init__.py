@@ -1,4 +1,4 @@
-"""The registry of checks: evidence that the derivation and the generated code are correct."""
+"""The registry of checks, which give evidence that the derivation and the generated code of a problem are correct."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ __all__ = ["CHECKS", "Check", "Context", "Finding", "Findings", "apply", "contex
 
 
 def _of_equations(name: str, findings: Finder, without: str = "") -> Check:
-    """Return a check of the expressions of each phase. First-order systems have no `without`."""
+    """Return a check that reads the expressions of each phase; `without` names what first-order systems lack for it."""
     return Check(
         name, findings, False, True, {"first-order": f"a first-order system has no {without}"} if without else {}
     )
 
 
 def _of_control(name: str, findings: Finder, reason: str, of_each_phase: bool = False) -> Check:
-    """Return a check of control problems, with the reason why it does not apply to simulations."""
+    """Return a check of control problems alone; `reason` is the end of a sentence that begins with "a simulation"."""
     return Check(name, findings, of_each_phase=of_each_phase, without={"simulate": f"a simulation {reason}"})
 
 
@@ -80,7 +80,7 @@ _ROWS = (
 )
 
 CHECKS: dict[str, Check] = {check.name: check for check in _ROWS}
-"""Every check by name, in the order of a report. Tests run over this table."""
+"""All checks by name, in the order of a report. The tests of the project also run every check of this table."""
 
 
 def run(
@@ -108,12 +108,12 @@ def run(
     sensitivities : bool
         True to check the module with sensitivities.
     module : Path, optional
-        A generated file to be checked as it is. By default the module is built in the cache.
+        A generated file, which is checked unchanged. By default the module is built in the cache.
     steps : int, optional
-        The number of intervals of the solutions that are checked. By default the problem's own.
+        The number of intervals of the checked solutions. By default the number in the problem.
     time_limit : float
-        Seconds of processor time. A check may take a quarter of the remaining time. A check that is interrupted
-        yields a finding with that reason.
+        Seconds of processor time for all checks. Each check may take a quarter of the remaining time. An interrupted
+        check yields a finding that states this reason.
 
     Returns
     -------
@@ -145,12 +145,12 @@ def run(
 
 
 def context_of(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, module: Path) -> Context:
-    """Return the input of all checks for a problem and a generated module on disk."""
+    """Return the input of all checks: the problem, its new derivation, and the generated module on disk."""
     return _prepared(source_of(problem), arguments, choices, module)[0]
 
 
 def apply(name: str, context: Context, seconds: float = math.inf) -> list[Finding]:
-    """Return the findings of one check within seconds of processor time. An exception is a finding, too.
+    """Return the findings of one check, limited to `seconds` of processor time. An exception becomes a finding.
 
     A module whose layout does not fit is not run, because compiled code would write outside its arrays.
     """
@@ -197,7 +197,7 @@ def _findings(name: str, context: Context) -> Iterator[Finding]:
 
 
 def _prepared(source: Source, arguments: Mapping[str, str], choices: Choices, module: Path) -> tuple[Context, str]:
-    """Return the input of all checks, and the text of a new derivation. Each stage runs once."""
+    """Return the input of all checks, and the newly generated text of the module. Each stage of the build runs once."""
     from codegen.discretise import transcribe
     from codegen.emit import differentiation, lower
     from codegen.emit.differentiation import control_sensitivities

@@ -1,11 +1,11 @@
-"""The assembled optimality system, and the values and bounds that the module gives to unknowns.
+"""Checks of the assembled optimality system, and of the values and bounds that the module gives to unknowns.
 
-Assembly: the Lagrangian of the optimisation problem is the sum of the derived shares of all intervals and ends of all
-bodies, and of the conditions between bodies. The system is assembled on a few intervals of different lengths. The
-differences of the Lagrangian, in 120-digit arithmetic, verify the loops, index tables and elimination of the module.
+Assembly: the Lagrangian of the optimisation problem is the sum of terms: one for each interval and end of every body,
+each measurement, and each condition between bodies. The system is assembled on a few intervals of different lengths.
+Differences of the Lagrangian, in 120-digit arithmetic, verify the loops, index tables and elimination of the module.
 
-Given values: boundary values, unknowns that equal a linking unknown, and bounds against the author's problem. They do
-not appear in the Lagrangian, so that no kernel verifies them.
+Given values: boundary values, unknowns that equal a linking unknown, and bounds are compared with the author's problem.
+They do not appear in the Lagrangian, so that checks of kernels cannot verify them.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ from codegen.symbolic import checks as expressions
 
 _STEPS = 2
 _GRID = (0.375, 0.625)
-"""Lengths of the intervals relative to the duration or to a phase."""
-_AMOUNT = 0.05
-_SOLVED = 1e-8
-_SHIFTS = (1.0, 1e3, 1e6)
+"""Lengths of the intervals as fractions of the duration, or of a phase."""
+_AMOUNT = 0.05  # relative distance of the point from the guess
+_SOLVED = 1e-8  # residual of the Newton step relative to its terms
+_SHIFTS = (1.0, 1e3, 1e6)  # of the diagonal of the Hessian, in this order
 _DUAL_SHIFT = 1e-3
 
 
 @dataclass(frozen=True)
 class _Share:
-    """A function of unknowns at some indices of the flat vector, then of data."""
+    """A term of the Lagrangian, as a function of the unknowns at `indices` in the flat vector, followed by `data`."""
 
     function: Function
     indices: NDArray[np.int64]
@@ -67,7 +67,7 @@ class _Share:
 
 
 def check_assembly(context: Context) -> Iterator[Finding]:
-    """Compare gradient, matrix and step at a point near the initial guess."""
+    """Compare the gradient, KKT matrix and Newton step of the module with references, at a point near the guess."""
     program = context.control
     module, flat = context.module, FlatVector.on_grid(program, few_steps(program, _STEPS))
     grid = module.make_grid(flat.phase_steps, grid=None if program.inner.times else _GRID)
@@ -91,7 +91,7 @@ def check_assembly(context: Context) -> Iterator[Finding]:
     rows, columns, values = point.jacobian(grid, unknowns)
     np.add.at(matrix, (dual[rows], primal[columns]), values)
     np.add.at(matrix, (primal[columns], dual[rows]), values)
-    # A random direction, in which unknowns that equal a linking unknown follow it, and prescribed unknowns stay.
+    # A random direction. Unknowns that equal a linking unknown follow it, and prescribed unknowns stay fixed.
     direction = np.where(mask, np.random.default_rng(23).uniform(-1.0, 1.0, flat.size), 0.0)[flat.representatives()]
     turned = _scattered(
         shares, flat, lambda share: directional(share.function, share.numbers(unknowns), list(direction[share.indices]))
@@ -128,7 +128,7 @@ def check_assembly(context: Context) -> Iterator[Finding]:
 
 
 def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: Grid) -> Iterator[_Share]:
-    """Yield all shares of the Lagrangian."""
+    """Yield the terms whose sum is the Lagrangian: of intervals, measurements, ends, and conditions between bodies."""
     others, count = other_symbols(program), len(program.model.parameters) + len(program.boundary_values)
     duration: float | None = 1.0
     if not program.scaled_time:
@@ -156,7 +156,7 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: G
         for k in range(flat.steps):
             yield _Share(elements[flat.share(k).element], flat.element(body, k), data(body, k))
         for time, *row in context.model.measurements[body].rows if sample else ():
-            # The position of a sample in its interval, then its values and their weights.
+            # The position of a measurement in its interval, then its values and their weights.
             k = min(int(np.sum(times[1:] <= time)), times.size - 2)
             arguments, columns = [(time - times[k]) / (times[k + 1] - times[k])], len(row) // 2
             arguments += [z if np.isfinite(z) else 0.0 for z in row[:columns]]
@@ -172,7 +172,7 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: G
 
 
 def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Share], Numbers]) -> Numbers:
-    """Return the sum of the derivatives of all shares. Unknowns that equal a linking unknown add to its entry."""
+    """Return the sum of `derivative(term)` over all terms, by unknown. Unknowns tied to a linking unknown add to it."""
     total, representatives = [mpmath.mpf(0)] * flat.size, flat.representatives()
     with mpmath.workdps(DIGITS):
         for share in shares:
@@ -184,7 +184,7 @@ def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Sh
 def _trial_point(
     module: ModuleType, grid: Grid, flat: FlatVector, shares: list[_Share]
 ) -> tuple[Vector, Numbers | None]:
-    """Return unknowns near the guess, and the gradient there. The distance decreases until the gradient is finite."""
+    """Return a point near the guess, nearer until the gradient is finite, and the gradient there (None if never)."""
     generator, free = np.random.default_rng(17), flat.free()
     noise = generator.uniform(-1.0, 1.0, flat.size)
     guess = module.initial_guess(grid)
@@ -211,7 +211,7 @@ _Limits: TypeAlias = dict[str, tuple[Expr | None, Expr | None]]
 
 
 def check_given_values(context: Context) -> Iterator[Finding]:
-    """Compare the table of parameters, pinned values and bounds, entry by entry."""
+    """Compare the module's parameters, boundary values and bounds with the author's, entry by entry."""
     program = context.control
     flat = FlatVector.on_grid(program, few_steps(program, _FEW_STEPS))
     # Compare every body's row of parameters and boundary values. Values of a free end cannot appear there.
@@ -331,7 +331,7 @@ def check_given_values(context: Context) -> Iterator[Finding]:
 
 
 def _number(value: Expr, program: ControlProgram, body: int, more: Mapping[Symbol, float] | None = None) -> float:
-    """Evaluate an expression of parameters and of the body's number."""
+    """Return the value of an expression of parameters, the body's index and `more` symbols; nan if it has no value."""
     values: dict[Symbol, float] = dict(program.model.default_values) | dict(more or {})
     if program.body is not None:
         values[program.body] = float(body)
@@ -340,7 +340,7 @@ def _number(value: Expr, program: ControlProgram, body: int, more: Mapping[Symbo
 
 
 def _compared(subject: str, names: Sequence[str], pairs: Sequence[tuple[float, float]], right: str) -> Finding:
-    """Compare values with the values that the author wrote. Names include the verb."""
+    """Return a finding on `pairs` (value, expected), with names such as "x is"; `right` is the detail if all agree."""
     wrong = [
         f"{name} {value:.12g}, expected {expected:.12g}"
         for name, (value, expected) in zip(names, pairs, strict=True)

@@ -1,11 +1,11 @@
 """The interface of a check, and the numerical tools that checks share.
 
 A check reads a `Context`: the author's model, the derived program, and the generated module on disk. It yields
-findings. `findings_table` shows them.
+findings, which `findings_table` shows.
 
-The numerical tools evaluate expressions in high precision at random points where all of them have values. Derivatives
-are differences of undifferentiated expressions in 120-digit arithmetic. They do not depend on sympy's differentiation
-and are correct to about 40 digits.
+The numerical tools evaluate expressions in high precision at random points where all expressions have finite values.
+Derivatives are differences of undifferentiated expressions in 120-digit arithmetic. They do not depend on sympy's
+differentiation and are correct to about 40 digits.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Finding:
     measured: bool = True
 
     def __post_init__(self) -> None:
-        """Write names as the author of the problem wrote them."""
+        """Replace internal names in both texts by the author's names."""
         object.__setattr__(self, "subject", plain(self.subject))
         object.__setattr__(self, "detail", plain(self.detail))
 
@@ -110,7 +110,7 @@ class Findings(tuple[Finding, ...]):
 
 
 def verdict(findings: Sequence[Finding]) -> str:
-    """Return the number of findings with each outcome, as one line."""
+    """Return one line of text with the number of findings of each outcome."""
     outcomes = [finding.outcome for finding in findings]
     passed, unmeasured = outcomes.count("passed"), outcomes.count("not measured")
     text = f"{passed} {'check' if passed == 1 else 'checks'} passed, {outcomes.count('FAILED')} failed, "
@@ -140,7 +140,7 @@ def findings_table(findings: Sequence[Finding]) -> Table:
 class Context:
     """The input of a check: the author's model, its discretisation, and the generated module on disk.
 
-    `steps` is the number of intervals of the solution, by default the problem's own.
+    `program` is the discretised problem. `steps` is the number of intervals to solve on, by default the problem's own.
     """
 
     choices: Choices
@@ -158,7 +158,7 @@ class Context:
 
     @cached_property
     def solution(self) -> ControlSolution:
-        """The solution of the module, on eight intervals at least. A simulation lacks what belongs to optima."""
+        """The module's solution on at least eight intervals. For a simulation, attributes of optima are missing."""
         solution: ControlSolution = self.module.solve(
             max(_LEAST_STEPS, len(self.model.inner_times) + 1, self.steps or self.model.steps)
         )
@@ -166,7 +166,7 @@ class Context:
 
     @cached_property
     def guessed(self) -> GuessedPoints | None:
-        """Points near the initial guess of the module; None if a damaged module makes no guess."""
+        """Points near the initial guess of the module; None if the module is damaged and has no guess."""
         program = self.control
         try:
             return guessed_points(program, Text(Path(str(self.module.__file__)).read_text(encoding="utf-8")))
@@ -176,11 +176,11 @@ class Context:
 
 @dataclass(frozen=True)
 class Check:
-    """A kind of evidence: its name and the function that yields its findings, at least one in every case.
+    """A kind of evidence: its name, and a function that yields at least one finding.
 
     A check with `runs_the_module` calls compiled code or trusts tables of the module; other checks read expressions
-    alone. A check `of_each_phase` treats every phase as a problem. `without` maps tasks and forms of dynamics to which
-    the check does not apply to the reason.
+    alone. A check `of_each_phase` treats every phase as a separate problem. `without` maps a task ("simulate") or a
+    form ("first-order") to the reason why the check does not apply to such problems.
     """
 
     name: str
@@ -203,16 +203,16 @@ def not_measured(check: str, subject: str, reason: str) -> Finding:
 Range = tuple[float, float]
 _SHARES = (0.0, 0.5, 1.0)
 _ORDINARY = 1e-2, 1e2
-"""Quantities between these magnitudes are drawn near one, where all terms of an expression are visible."""
+"""Quantities between these magnitudes get random values near one, where no term of an expression is negligible."""
 _BESIDE = 0.02, 0.1
-"""Relative extension of a range: of a single value, and of the distance between two values."""
+"""Margin of a range, as a fraction of its only value, or as a fraction of the distance between its extreme values."""
 _AT = re.compile(r"_(stage\d+(_k)?|k1?)$")
 
 
 def own_ranges(model: Model, likely: Iterable[Mapping[Symbol, float]] = ()) -> dict[str, Range]:
-    """Return the ranges of quantities whose magnitude is far from one, by name.
+    """Return the range (least, greatest) of each quantity whose magnitude is far from one, by name.
 
-    The ranges cover the initial guess, the boundary values, the bounds, the defaults, and the `likely` points.
+    The ranges cover the initial guess, the boundary values, the bounds, the defaults, and the points `likely`.
     """
     points = [expected_values(phase, share) for phase in model.phases or (model,) for share in _SHARES]
     values: dict[str, list[float]] = {}
@@ -230,7 +230,7 @@ def own_ranges(model: Model, likely: Iterable[Mapping[Symbol, float]] = ()) -> d
 
 
 def range_of(symbol: Symbol, ranges: Mapping[str, Range]) -> Range | None:
-    """Return the range of a symbol, or of its quantity if the symbol is a value at a node or stage; else None."""
+    """Return the range of a symbol, else of its quantity (for x_k or x_stage1 the range of x), else None."""
     return ranges.get(symbol.name) or ranges.get(_AT.sub("", symbol.name))
 
 
@@ -248,16 +248,16 @@ _ATTEMPTS = 200
 
 
 class NoPointError(NumericsError):
-    """Expressions have no values at any random point, so that they cannot be compared."""
+    """The error if expressions have no finite values at random points, so that they cannot be compared."""
 
 
 def function_of(
     symbols: Sequence[Symbol], values: Sequence[Expr], assignments: Sequence[tuple[Symbol, Expr]] = ()
 ) -> Function:
-    """Return a function of numbers of any precision, in the order of the symbols, that returns the list of values.
+    """Return a function that takes numbers for `symbols`, of any precision, and returns the list of `values`.
 
-    Values may contain the symbols of `assignments`, which are evaluated first and in order. Substituted expressions
-    could be far too long.
+    Values may contain the symbols of `assignments`, which are evaluated first and in order. Substitution instead
+    could make the expressions far too long.
     """
     extra = {"Heaviside": lambda x: (1 + mpmath.sign(x)) / 2, "DiracDelta": lambda *_: mpmath.mpf(0)}
     parts = (lambda expressions: (list(assignments), expressions)) if assignments else True
@@ -274,11 +274,11 @@ def random_points(
     likely: Iterable[Point] = (),
     assignments: Sequence[tuple[Symbol, Expr]] = (),
 ) -> list[dict[Symbol, float]]:
-    """Return random points at which all values are real and finite. The seed is fixed.
+    """Return `count` points, as numbers by symbol, at which all `values` are real and finite. The seed is fixed.
 
-    Parameters are drawn near their defaults. Quantities whose magnitude in the model or at a likely point is far from
-    one are drawn from their range. Values may contain `assignments`. Points of `likely` come first, but at least one
-    point is random.
+    Parameters are drawn near their defaults, and quantities of extreme magnitude from their range in the model and in
+    `likely`. Values may contain the symbols of `assignments`. Points of `likely` with finite values come first, but at
+    least one point is random.
 
     Raises
     ------
@@ -315,7 +315,7 @@ def random_points(
 
 
 def gradient(function: Function, numbers: Sequence[float], indices: Sequence[int]) -> Numbers:
-    """Return forward differences of the first value of a function by the arguments at some indices."""
+    """Return forward differences of the first value of a function with respect to the arguments `indices`."""
     with mpmath.workdps(DIGITS):
         at = _shifted(function, numbers)
         middle = at()
@@ -325,9 +325,9 @@ def gradient(function: Function, numbers: Sequence[float], indices: Sequence[int
 def second_differences(
     function: Function, numbers: Sequence[float], pairs: Sequence[tuple[int, int]]
 ) -> dict[tuple[int, int], mpmath.mpf]:
-    """Return second forward differences of the first value of a function by pairs of arguments.
+    """Return second forward differences of the first value of a function with respect to pairs of arguments.
 
-    Values as large as 1e200 need more digits for a visible difference.
+    Large values, such as 1e200, need additional digits, or their differences would be lost.
     """
     with mpmath.workdps(DIGITS):
         at = _shifted(function, numbers)
@@ -339,9 +339,9 @@ def second_differences(
 
 
 def directional(function: Function, numbers: Sequence[float], direction: Sequence[float]) -> Numbers:
-    """Return second forward differences of the first value by each of the first arguments and a direction.
+    """Return the product of the Hessian of the first value and a direction, by second forward differences.
 
-    The direction has one entry for each of these arguments.
+    `direction` has one entry for each of the first arguments. The other arguments stay fixed.
     """
     along = {i: mpmath.mpf(float(weight)) for i, weight in enumerate(direction) if weight}
     with mpmath.workdps(DIGITS):
@@ -353,10 +353,10 @@ def directional(function: Function, numbers: Sequence[float], direction: Sequenc
 def curved_beyond(
     function: Function, numbers: Sequence[float], indices: Sequence[int], pattern: Iterable[tuple[int, int]]
 ) -> set[tuple[int, int]]:
-    """Return pairs (row, column), row >= column, outside a pattern whose second difference does not vanish.
+    """Return the nonzero entries (row, column), row >= column, of the Hessian of the first value outside a pattern.
 
-    A row is searched only if its second difference by a random combination of all columns outside the pattern does
-    not vanish. So the cost grows with the number of rows.
+    `indices` are the arguments to search. A row is searched only if its second difference along a random combination of
+    all columns outside the pattern does not vanish. So the cost grows with the number of rows.
     """
     inside, outside = set(pattern), set[tuple[int, int]]()
     generator = np.random.default_rng(_SEED)
@@ -376,7 +376,7 @@ def curved_beyond(
 
 
 def _shifted(function: Function, numbers: Sequence[float]) -> Callable[..., mpmath.mpf]:
-    """Return the first value as a function of the indices of incremented arguments, and of a direction."""
+    """Return the function at(i, j, along=d): the first value after increments of arguments i and j and along d."""
 
     def at(*indices: int, along: Mapping[int, mpmath.mpf] | None = None) -> mpmath.mpf:
         arguments = [mpmath.mpf(number) for number in numbers]
@@ -403,10 +403,10 @@ class Agreement:
     entries: int = 0
 
     def compare(self, names: Sequence[str], emitted: Emitted, exact: Sequence[mpmath.mpf]) -> None:
-        """Compare entries; an error is relative to its entry, after subtraction of the rounding of the largest entry.
+        """Compare entries. Errors are relative to the exact entry, less the rounding error of the largest entry.
 
         The error of an entry that vanishes is relative to the largest entry. Terms that cancel in such an entry leave
-        their rounding: up to 1.4e-11 of the largest entry in the interior angles of 4 to 7 hovercraft.
+        rounding errors: up to 1.4e-11 of the largest entry in the interior angles of 4 to 7 hovercraft.
         """
         assert len(names) == len(emitted) == len(exact)
         largest = max((abs(value) for value in exact), default=0)
@@ -419,7 +419,7 @@ class Agreement:
                 self.error, self.name = error if error == error else float("inf"), name
 
     def finding(self, subject: str, against: str) -> Finding:
-        """Return the finding that all values agree with a reference, or the entry with the largest error."""
+        """Return the finding on a subject: agreement with the reference `against`, or the entry that differs most."""
         passed = self.error <= TOLERANCE
         detail = f"{self.entries} values agree with {against} to {TOLERANCE:g}"
         if not passed:

@@ -1,14 +1,13 @@
-"""Every emitted kernel and its pattern against the expression that it stands for, at random points.
+"""Checks of every emitted kernel and its sparsity pattern against the derived expression, at random points.
 
 The references are differences in 120-digit arithmetic of the undifferentiated expression. The gradient of an interval
-is also compared with complex steps (Squire and Trapp, 1998). They come from the evaluation that verifies a module
-before it is written. A build verifies the text of a module; these checks run the kernels of the module on disk, as
-solvers run them.
+is also compared with complex steps (Squire and Trapp, 1998), by the code that verifies a module before it is written.
+That verification reads the text of a module. These checks run the kernels of the module on disk, as solvers run them.
 
-Conditions between bodies: the module holds a few kinds of term and tables of their occurrences. The assembled terms
-must give every condition of the author, its slopes and its curvatures.
+Conditions between bodies: the module holds a few kinds of term and tables of their occurrences. The sums of these terms
+must equal every condition of the author, with its first and second derivatives.
 
-Tables are compared with their files, and look-ups with scipy's splines through the same values.
+Tables are compared with their files, and interpolated values with scipy's splines through the same values.
 """
 
 from __future__ import annotations
@@ -60,13 +59,13 @@ from codegen.symbolic.zeros import identically_zero
 
 
 def check_derivatives(context: Context) -> Iterator[Finding]:
-    """Compare all kernels of the module with the derived expressions."""
+    """Compare all kernels of the module, their values and derivatives, with the derived expressions."""
     program = context.program
     if not isinstance(program, ControlProgram):
         yield from _step(context, program)
         return
     for stem, share in zip(kernel_stems(program), program.interval_elements, strict=True):
-        # Compare the gradient, the cost and the Hessian of an interval with its share of the Lagrangian.
+        # Compare the gradient, the cost and the Hessian of an interval with the interval's terms of the Lagrangian.
         unknowns = program.element_symbols
         symbols = [*unknowns, *other_symbols(program)]
         scalar, cost = function_of(symbols, [share.element]), function_of(symbols, [share.cost])
@@ -105,11 +104,11 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
 
 
 _SHORTER = (1.0, 0.1, 0.01, 1e-3)
-"""Fractions of the length of a step, in the order of the attempts."""
+"""Fractions of a step length to try in this order, until the step has a solution."""
 
 
 def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
-    """Compare the equations and the energy of a step, evaluate the equations after a step, and compare the Jacobian."""
+    """Compare the kernels of a simulation step (equations, energy, Jacobian), and check that steps are solved."""
     interval = [*program.stage_symbols, *program.right_symbols]
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     equations = function_of([*base, *interval], [value for _, value in program.equations])
@@ -148,7 +147,6 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     yield closed.finding("one step", "the scheme's equations")
     if not program.unknowns:
         return
-    # Compare the reduced equations of a step and their Jacobian.
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     symbols = [*program.unknowns, *base]
     functions = [function_of(symbols, [value], program.before) for value in program.residual]
@@ -180,7 +178,7 @@ def _step_arguments(point: Point, program: StepProgram) -> tuple[Vector, float, 
 def _end(
     context: Context, program: ControlProgram, name: str, end: EndElement, node: Sequence[Symbol]
 ) -> Iterator[Finding]:
-    """Compare the share of an end in the Lagrangian and its cost. Entries of prescribed unknowns are not emitted."""
+    """Compare the kernels of the start or end (`name`), which omit derivatives with respect to prescribed unknowns."""
     unknowns = [*node, *program.shared_symbols]
     symbols = [*unknowns, *other_symbols(program)]
     scalar, cost = function_of(symbols, [end.element]), function_of(symbols, [end.cost])
@@ -214,7 +212,7 @@ def check_couplings(context: Context, program: ControlProgram) -> Iterator[Findi
     if not program.couplings:
         return
     model, module, symbols = context.model, context.module, shared_symbols(program)
-    # A coordinate that is periodic and coupled is shared as it is at the start, without its shift.
+    # The linking unknown of a coordinate that is periodic and coupled is its value at the start, without its shift.
     shifts = dict(model.periodic)
     shifted = {v.symbol: v.symbol + shifts.get(model.coordinates[v.coordinate], 0) for v in model.end_values}
     written = {condition.name: condition.expression for condition in model.couplings}
@@ -245,7 +243,7 @@ def check_couplings(context: Context, program: ControlProgram) -> Iterator[Findi
                 values.compare([name], [total[r]], function(*map(mpmath.mpf, numbers)))
                 exact = gradient(function, numbers, read)
                 slopes.compare([f"{name} by {symbols[i]}" for i in read], slope[r][read], exact)
-                # Where a condition is not curved at all, second differences are the rounding of its values.
+                # Where a condition is not curved at all, second differences are rounding errors.
                 least = NOTHING * max(map(abs, exact), default=0)
                 differences = second_differences(function, numbers, pairs).values()
                 curved = [value if abs(value) > least else mpmath.mpf(0) for value in differences]
@@ -258,11 +256,11 @@ def check_couplings(context: Context, program: ControlProgram) -> Iterator[Findi
 
 Pair = tuple[int, int]
 _MEASURED = 0.4
-"""The value of all symbols of a sample at points near the initial guess."""
+"""The value of all symbols of a measurement at points near the initial guess."""
 
 
 def check_sparsity(context: Context) -> Iterator[Finding]:
-    """Compare the patterns of the interval and of both ends with the second differences of l that are not zero."""
+    """Check that the Hessian patterns of the interval and both ends contain exactly the entries that are not zero."""
     program = context.control
     elements = [share.element for share in program.interval_elements]
     likely = [point for stem in kernel_stems(program) for point in near_interval(context, program, stem)[:2]]
@@ -288,7 +286,7 @@ def _compared_pattern(
     pinned: set[int],
     likely: Sequence[Point],
 ) -> Iterator[Finding]:
-    """Compare the pattern of shares of the Lagrangian. Pinned unknowns count as numbers."""
+    """Compare the Hessian pattern `name` with the Lagrangian's terms `scalars`; `pinned` are prescribed unknowns."""
     symbols = [*unknowns, *other_symbols(program)]
     symbols += program.sample.symbols if program.sample is not None and name == "interval" else ()
     emitted = pattern_of(context.module, name)
@@ -307,7 +305,7 @@ def _compared_pattern(
     def vanishes(row: int, column: int) -> bool:
         return all(identically_zero(scalar.diff(unknowns[column]).diff(unknowns[row])) for scalar in scalars)
 
-    # Algebra decides where differences are lost in rounding, or zero at all points.
+    # Algebra decides where differences are below rounding errors, or zero at all points.
     missing = {pair for pair in missing if not vanishes(*pair)}
     needless = {pair for pair in set(emitted) - occupied if vanishes(*pair)}
 
@@ -330,7 +328,7 @@ _LIMIT = 1e-9
 
 
 def check_tables(context: Context) -> Iterator[Finding]:
-    """Evaluate every table at random points of its range, and compare the module with scipy's spline."""
+    """Compare every table with its file, and interpolation with scipy's spline at random points of its range."""
     tables = tables_of(context.model)
     if not tables:
         yield does_not_apply("tables", "there are no tables")
@@ -358,7 +356,7 @@ def check_tables(context: Context) -> Iterator[Finding]:
 
 
 def _references(table: TableData) -> Callable[[Sequence[int], Sequence[Vector]], Vector]:
-    """Return the derivatives of scipy's spline through the values of a table, as a function of order and points."""
+    """Return a function that evaluates derivatives of scipy's spline, from the order and the values of each input."""
     kind, axes, values = table.shape.kind, table.axes, table.heights[..., 0]
     if kind == "cubic" and len(axes) == 2:
         surface = RectBivariateSpline(*axes, values, kx=3, ky=3, s=0)
@@ -369,7 +367,7 @@ def _references(table: TableData) -> Callable[[Sequence[int], Sequence[Vector]],
     interpolant = RegularGridInterpolator(axes, values, method="linear")
 
     def linear(order: Sequence[int], at: Sequence[Vector]) -> Vector:
-        """Differentiate products of straight lines by differences across a cell, which are exact."""
+        """Return derivatives of multilinear interpolation, by exact differences across a cell of the table."""
         if max(order) > 1:
             return np.zeros_like(at[0])
         ends, lengths = [], np.ones_like(at[0])
@@ -391,14 +389,14 @@ _ROUNDING = 1e-12
 
 
 def check_measurements(context: Context) -> Iterator[Finding]:
-    """Compare numbers, times and kernels of samples, and the motion at both ends of an interval."""
+    """Check the values, times and kernels of measurements, and the motion at both ends of an interval."""
     model, program = context.model, context.control
     assert program.sample is not None
     for emitted, data in zip(context.module.OBSERVATIONS, model.measurements, strict=True):
         same = np.array_equal(emitted, data.array, equal_nan=True)
         detail = data.summary if same else f"others than in {data.source}"
         yield Finding("measurements", f"{data.source}: numbers", same, detail)
-    # Compare the interval and the position of every sample, on intervals of different lengths.
+    # Compare the interval and the position of every measurement, on intervals of different lengths.
     grid, structure = context.module.make_grid(len(_GRID), grid=_GRID), context.module.problem.structure
     nodes = np.append(0.0, np.cumsum(_GRID)) * grid.steps * grid.h
     worst, count = 0.0, 0
@@ -414,7 +412,7 @@ def check_measurements(context: Context) -> Iterator[Finding]:
         detail = f"a sample is taken {worst:.2g} of the duration away from its time"
     yield Finding("measurements", "times of samples", bool(worst <= _ROUNDING), detail)
     yield _motion_at_nodes(model, program, program.sample)
-    # Compare the emitted losses of a sample, their gradient and their Hessian, at random points.
+    # Compare the emitted losses of a measurement, their gradient and their Hessian, at random points.
     unknowns, pattern = program.element_symbols, pattern_of(context.module, "interval")
     symbols, size = [*unknowns, *other_symbols(program), *program.sample.symbols], len(unknowns)
     losses, module = function_of(symbols, [program.sample.element]), context.module
@@ -442,7 +440,7 @@ def check_measurements(context: Context) -> Iterator[Finding]:
 
 
 def _motion_at_nodes(model: Model, program: ControlProgram, sample: SampleElement) -> Finding:
-    """Compare the motion inside an interval with its nodes, for measurements of states alone."""
+    """Check that the motion inside an interval begins and ends in the states of its nodes, if states are measured."""
     subject, states = "motion inside an interval", {*model.coordinates, *model.rates}
     for number, observed in enumerate(model.observed):
         if not observed.expression.free_symbols <= {*states, *model.parameters}:

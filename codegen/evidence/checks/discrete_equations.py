@@ -1,10 +1,10 @@
-"""The derived discrete equations against the continuous problem: nodes, steps, integrals, momenta and switches.
+"""Checks of the discrete equations against the continuous problem: nodes, steps, integrals, momenta and switches.
 
 Divided by h, the discrete equations must tend to the forced equations of motion as h -> 0. This fixes the signs of
 forces and potentials. The discrete side is the source of the module. The continuous side is derived independently: the
 Euler-Lagrange equations d/dt dL/dv - dL/dq = f + G^T y, Hamilton's equations, or x' = f. The constraint forces y act
-along the normals of holonomic constraints. Along a smooth motion both sides differ by O(h). In the same way the share
-of an interval in an integral condition, divided by h, must tend to the author's integrand.
+along the normals of holonomic constraints. Along a smooth motion both sides differ by O(h). In the same way an
+interval's term of an integral condition, divided by h, must tend to the author's integrand.
 
 Momentum matching: the discrete Euler-Lagrange equation is p_k^+ = p_k^- (Marsden and West 2001, section 1.5). The
 momenta are p_k^- = -D1 Ld(q_k, q_k1) - f- and p_k^+ = D2 Ld(q_k-1, q_k) + f+. The ends match prescribed momenta.
@@ -52,9 +52,9 @@ _VANISHED = 1e-15
 
 
 def phase_contexts(context: Context) -> list[tuple[str, Context]]:
-    """Return a prefix of subjects and the context of each phase, as if the phase were a problem in its own time.
+    """Return (prefix of subjects in findings, context) for each phase, as if the phase were a separate problem.
 
-    A problem without phases has one context and no prefix.
+    A problem without phases has one context and an empty prefix.
     """
     if not context.model.phases:
         return [("", context)]
@@ -65,7 +65,7 @@ def phase_contexts(context: Context) -> list[tuple[str, Context]]:
 
 
 def _phase_alone(program: ControlProgram, chain: Model, index: int) -> ControlProgram:
-    """Return the program of the later intervals of a phase, with t and h as times of the whole problem."""
+    """Return the program of a phase for all intervals but its first, with t and h in physical time."""
     phase, durations = program.phases[index], [model.duration for model in chain.phases]
     begin, time = Add(*durations[:index]), chain.time
     scales = {STEP: STEP / durations[index], time: index + (time - begin) / durations[index]}
@@ -81,7 +81,7 @@ def _phase_alone(program: ControlProgram, chain: Model, index: int) -> ControlPr
 
 
 def check_discrete_equations(context: Context) -> Iterator[Finding]:
-    """Compare both sides at random states. Each equation yields one finding."""
+    """Check at random states that each discrete equation, divided by h, tends to its continuous equation as h -> 0."""
     model, program = context.model.with_free_ends, context.program
     if program.method == "variational":
         model = legendre.lagrangian_form(model)
@@ -113,11 +113,11 @@ def check_discrete_equations(context: Context) -> Iterator[Finding]:
 
 
 _Sides = tuple[list[Expr], list[Expr], list[Symbol]]
-"""The discrete and the continuous sides of equations, and the symbols of rates of a smooth motion."""
+"""The discrete sides of equations, their continuous limits, and the symbols of rates (x') of a smooth motion."""
 
 
 def _node_sides(model: Model, program: ControlProgram | StepProgram, scheme: DiscreteLagrangian) -> _Sides:
-    """Return both sides of the equations of a node at time t, on the motion q(t +- h) = q +- h v + h^2 a/2."""
+    """Return both sides of the equations of a node at time t, along the motion q(t +- h) = q +- h v + h^2 a/2."""
     q, v = model.coordinates, model.rates
     a = [Symbol(f"acceleration_{x}", real=True) for x in q]
     forces = [Symbol(f"constraint_force_{i}", real=True) for i in range(len(model.holonomic))]
@@ -136,8 +136,8 @@ def _node_sides(model: Model, program: ControlProgram | StepProgram, scheme: Dis
         motion[model.time] = model.time + begin
         sides.append([equation.xreplace(motion) for equation in half])
 
-    # A node's equation holds this part of the equation of motion, in units of h; inner points hold the rest. The node
-    # is the first point of one interval and the last point of the other.
+    # The weight (in units of h) of a node's equation in the equation of motion; inner points have the other weights.
+    # The node is the first point of one interval and the last point of the other.
     def basis(node: Expr, c: Expr) -> Expr:
         return sympy.prod([(c - other) / (node - other) for other in scheme.nodes if other != node])
 
@@ -156,9 +156,9 @@ def _node_sides(model: Model, program: ControlProgram | StepProgram, scheme: Dis
 
 
 def _node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], list[Expr]]:
-    """Return the halves of a node's discrete Euler-Lagrange equation: -p_k of the next interval, p_k1 of the last.
+    """Return both terms of a node's discrete Euler-Lagrange equation: -p_k of the next interval, p_k1 of the previous.
 
-    The equations are in time, also if the program measures time in fractions of a free duration.
+    Both are in physical time, even if the program measures time in fractions of a free duration.
     """
     dimension = len(program.model.coordinates)
     if isinstance(program, ControlProgram):
@@ -166,7 +166,7 @@ def _node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], 
         right = program.right_symbols[dimension : 2 * dimension]
         after, before = ([program.in_time(sympy.diff(program.element, m)) for m in side] for side in (left, right))
         return after, before
-    # The last of the step's equations are p - (momentum as a function of both positions).
+    # The last equations of a step are p - (momentum as a function of both positions).
     momenta = [*program.left_symbols[dimension:], *program.right_symbols[dimension:]]
     equations = program.equations[-len(momenta) :]
     values = [p - equation for p, (_, equation) in zip(momenta, equations, strict=True)]
@@ -174,34 +174,34 @@ def _node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], 
 
 
 def _constraint_multipliers(program: ControlProgram | StepProgram, suffix: str) -> list[Symbol]:
-    """Return the forces along the normals of holonomic constraints at a node."""
+    """Return the symbols of the constraint forces at the left (`suffix` _k) or right node (_k1) of an interval."""
     return list(at_nodes([Symbol(unknown.name) for unknown in program.holonomic_multipliers], suffix))
 
 
 def _along(
     symbols: Sequence[Symbol], abscissae: Sequence[Expr], at: Callable[[Expr], list[Expr]]
 ) -> dict[Symbol, Expr]:
-    """Return the values of symbols at the left node, at stages and at the right node of an interval."""
+    """Map each symbol at the left node, the stages and the right node to its value `at(c)` at the abscissa c there."""
     suffixes = ("_k", *(f"_stage{i}" for i in range(1, len(abscissae) - 1)), "_k1")
     pairs = zip(suffixes, abscissae, strict=True)
     return {site: x for suffix, c in pairs for site, x in zip(at_nodes(symbols, suffix), at(c), strict=True)}
 
 
 def _straight(symbols: Sequence[Symbol], rates: Sequence[Symbol], c: Expr) -> list[Expr]:
-    """Return x + c h x' for each symbol."""
+    """Return the values x + c h x' of a straight motion, for each symbol x."""
     return [x + c * STEP * rate for x, rate in zip(symbols, rates, strict=True)]
 
 
 def _constant_controls(program: ControlProgram | StepProgram) -> dict[Symbol, Expr]:
-    """Return constant controls at nodes, intervals or stages."""
+    """Map every symbol of a control at a node, interval or stage to the control itself, as a constant."""
     return {site: u for u in program.model.controls for site in program.controls_of(u)}
 
 
 def _step_sides(model: Model, program: ControlProgram | StepProgram, scheme: Scheme) -> _Sides:
-    """Return both sides of the equations of a step, for each state, on the motion x(t + s h) = x + s h x'.
+    """Return both sides of the equations of a step, for each state, along the motion x(t + s h) = x + s h x'.
 
-    The discrete side is the sum over the substeps of a chain. Else it is the sum over the updates from the left node to
-    the right node; a Runge-Kutta method has one update. The substeps of a composition have equal lengths.
+    For a chain of substeps the discrete side is the sum over all substeps. For other schemes it is the sum over the
+    updates from the left to the right node; a Runge-Kutta method has one. Substeps of a composition get equal lengths.
     """
     states, equal = (*model.coordinates, *model.rates), dict[Symbol, Expr]()
     rates = [Symbol(f"rate_{x}", real=True) for x in states]
@@ -238,7 +238,7 @@ def _step_sides(model: Model, program: ControlProgram | StepProgram, scheme: Sch
 
 
 def check_integrals(context: Context) -> Iterator[Finding]:
-    """Compare shares and integrands at random states. Each integral condition yields one finding."""
+    """Check at random states that an interval's term of each integral, divided by h, tends to the integrand."""
     original = context.control.model  # the model of a phase is as its author wrote it
     transform = legendre.lagrangian_form if context.control.method == "variational" else legendre.hamiltonian_form
     model = rewritten(original, transform(original.with_free_ends))
@@ -277,7 +277,7 @@ _MATCHED = 1e-9
 
 
 def check_momentum_matching(context: Context) -> Iterator[Finding]:
-    """Check the symbolic identity, the sign of the transforms, and momenta of a solution at both ends."""
+    """Check p_k^+ = p_k^- symbolically, the signs of both momenta, and the momenta of the solution at both ends."""
     program = context.program
     if program.method != "variational":
         yield does_not_apply("momentum matching", f"the {program.method} method has no discrete Lagrangian")
@@ -321,7 +321,7 @@ def check_momentum_matching(context: Context) -> Iterator[Finding]:
 
 
 def _matching(context: Context) -> Iterator[Finding]:
-    """Compare the equation of a node with the gradient of the action, and discrete momenta with dL/dv as h -> 0."""
+    """Compare node equations with the gradient of the action, and discrete momenta with dL/dv as h -> 0."""
     model = legendre.lagrangian_form(context.model.with_free_ends)
     interval = variational_interval(model, repeated(context.scheme)[1], context.choices.controls)
     after, before = _node_equations(context.program)
@@ -373,7 +373,7 @@ Numbers = dict[Symbol, float]
 
 
 def check_switches(context: Context) -> Iterator[Finding]:
-    """Evaluate conditions before every switch, and the equations of the interval after the switch."""
+    """Check at the solution the end conditions before every switch, and the equations of the interval after it."""
     if not context.model.phases:
         yield does_not_apply("switches", "there is a single phase")
         return
@@ -446,6 +446,6 @@ def check_switches(context: Context) -> Iterator[Finding]:
 
 
 def _number(expression: Expr, at: Mapping[Symbol, float]) -> float:
-    """Return the value of an expression; infinity if there is none."""
+    """Return the value of an expression at the numbers `at`; infinity if it has no value."""
     value = expressions.rounded_at(expression, at)
     return float("inf") if value is None else value

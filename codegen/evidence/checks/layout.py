@@ -1,15 +1,15 @@
-"""Sizes and patterns of the module against the derivation, and the layout of the flat vector of unknowns.
+"""The comparison of a module's sizes and patterns with the derivation, and the layout of the flat vector of unknowns.
 
-Compiled code does not check bounds, so a module whose layout does not fit must not run at all. The check interprets
-every kernel once inside arrays of the derived sizes. This finds accesses outside an array. Arrays start as NaN, so that
-entries that are never written are visible.
+Compiled code does not check array bounds, so a module whose layout does not fit must not run at all. The check runs
+every kernel once as plain Python with arrays of the derived sizes. This finds accesses outside an array. Arrays start
+as NaN, so that missing entries are visible.
 
 `FlatVector` derives the positions of unknowns from the program alone. For each body the vector holds node 0,
 interval 0, node 1, ..., node N. Then follow the linking unknowns of every body, the linking unknowns of the whole
 problem, and the multipliers of the conditions between bodies.
 
 Points near the initial guess of the module have its boundary values and default parameters. Far from the guess an
-exponential atmosphere, a reaction rate or a Gaussian may be constant, and a check would see nothing.
+exponential atmosphere, a reaction rate or a Gaussian may be constant, and a check would detect no error.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Inputs = tuple[float | Vector, ...]
 
 
 def check_layout(context: Context) -> Iterator[Finding]:
-    """Compare names and sizes, then run every kernel. The finding names the first problem."""
+    """Check names and sizes of the module, then run every kernel. The finding names the first problem."""
     module, program = context.module, context.program
     if isinstance(program, ControlProgram):
         problems = _control_problems(module, program)
@@ -58,7 +58,7 @@ def check_layout(context: Context) -> Iterator[Finding]:
 
 
 def compare(file: Path, module: ModuleType, inputs: str, text: str) -> Iterator[Finding]:
-    """Compare the recorded hash of the inputs, and the text line by line, with a new derivation."""
+    """Compare a module's recorded hash with the hash `inputs`, and its `file` with the newly derived `text`."""
     recorded = module.metadata.inputs
     same = recorded == inputs
     detail = "the recorded hash is that of the problem file, its arguments and versions"
@@ -81,10 +81,10 @@ Indices = NDArray[np.int64]
 
 
 class FlatVector:
-    """The layout for `steps` intervals, `phase_steps` in each phase. `body`, `k` and `j` count from zero.
+    """The positions of unknowns in the flat vector for `steps` intervals. `body` and `k` (node, interval) start at 0.
 
-    `inside` are the unknowns of a node and of the interval after it. `chain` is the number of unknowns of the nodes and
-    intervals of a body. `inner_nodes` has the numbers of inner times by node, if there is one interval between any two.
+    `inside` are the unknowns of a node and of the interval after it. `chain` is the number of unknowns in the nodes and
+    intervals of a body. `inner_nodes` maps nodes to inner times, by index, if one interval separates any two times.
     """
 
     def __init__(self, program: ControlProgram, steps: int) -> None:
@@ -100,11 +100,11 @@ class FlatVector:
 
     @classmethod
     def on_grid(cls, program: ControlProgram, steps: int) -> FlatVector:
-        """Return the layout on the module's grid of that many steps, in each phase if there are phases."""
+        """Return the layout for a grid of `steps` intervals, or of `steps` intervals per phase if there are phases."""
         return cls(program, steps * max(1, len(program.phases)))
 
     def share(self, k: int) -> IntervalElement:
-        """Return the share of interval k in the Lagrangian of the optimisation problem."""
+        """Return the terms of interval k in the Lagrangian of the optimisation problem."""
         if not self.program.phases:
             return self.program.interval_elements[0]
         index, within = divmod(k, self.phase_steps)
@@ -128,15 +128,15 @@ class FlatVector:
         return np.concatenate([of_body, common + np.arange(len(program.shared) - program.own)])
 
     def element(self, body: int, k: int) -> Indices:
-        """Return the indices of all unknowns in the share of an interval in the Lagrangian."""
+        """Return the indices of all unknowns in the terms of interval k in the Lagrangian."""
         return np.concatenate([self.node(body, k), self.interval(body, k), self.node(body, k + 1), self.shared(body)])
 
     def end(self, body: int, where: str) -> Indices:
-        """Return the indices of all unknowns in the share of an end in the Lagrangian."""
+        """Return the indices of all unknowns in the Lagrangian's terms of the end `where`: "start" or "end"."""
         return np.concatenate([self.node(body, 0 if where == "start" else self.steps), self.shared(body)])
 
     def multipliers(self) -> NDArray[np.bool_]:
-        """Return the mask of unknowns that are multipliers."""
+        """Return the boolean mask of the multipliers."""
         chain = [*[u.multiplier for u in self.inside] * self.steps, *[u.multiplier for u in self.program.node]]
         shared = np.zeros(self.size - self.first_shared, bool)
         shared[self.first_coupling - self.first_shared :] = True
@@ -145,7 +145,7 @@ class FlatVector:
         return np.concatenate([np.tile(np.array(chain, bool), self.program.bodies), shared])
 
     def free(self) -> NDArray[np.bool_]:
-        """Return the mask of unknowns that are not prescribed at an end, tied to a linking unknown, or unused."""
+        """Return the mask of unknowns that are neither prescribed, nor tied to a linking unknown, nor unused."""
         program, free = self.program, np.ones(self.size, bool)
         for body in range(program.bodies):
             for k in range(1, self.steps):
@@ -197,19 +197,19 @@ class FlatVector:
 def other_symbols(program: ControlProgram) -> list[Symbol]:
     """Return the symbols of the Lagrangian other than unknowns: parameters, boundary values, time and step.
 
-    If there are inner times, numbers of the left node come before the time.
+    If there are inner times, the symbols of an interval's left node come before the time.
     """
     data = (*program.model.parameters, *(v.symbol for v in program.boundary_values))
     return [*data, *program.inner.symbols, program.model.time, STEP]
 
 
 def kernel_stems(program: ControlProgram) -> list[str]:
-    """Return the names of the kernels of an interval without `_gradient` or `_hessian`, one for each element."""
+    """Return the name of every interval kernel without its ending `_gradient` or `_hessian`."""
     return [stem for stem, _ in named_elements(program)]
 
 
 def pattern_of(module: ModuleType, share: str) -> list[tuple[int, int]]:
-    """Return rows and columns of the emitted Hessian of the interval, the start or the end; empty without kernel."""
+    """Return the entries (row, column) of an emitted Hessian; `share` is "interval", "start" or "end". May be empty."""
     prefix = f"{share.upper()}_" if share in ("start", "end") else ""
     rows, columns = (getattr(module, f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
     return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True)]
@@ -231,21 +231,21 @@ def parameter_vector(point: Point, program: ControlProgram) -> Vector:
 
 
 def step_lengths(point: Point, program: StepProgram) -> Vector:
-    """Return the lengths that a kernel of a step takes: one, or several for a composition."""
+    """Return the step lengths that a simulation kernel takes: one, or several for a composition."""
     return np.array([point[h] for h in program.lengths], dtype=float)
 
 
 def few_steps(program: ControlProgram, steps: int) -> int:
-    """Return this number of intervals, or, if there are inner times, one interval between any two of them."""
+    """Return `steps`; with inner times, the number of intervals that places one interval between any two times."""
     return len(program.inner.times) + 1 if program.inner.times else steps
 
 
 _PREFERRED = (5, 2, 10, 7, 3, 6, 1, 0)
-"""The order of the points. There are three positions, each with four perturbations of growing size."""
+"""Indices of points near the guess, by preference: three positions, each with four perturbations of growing size."""
 
 
 def near_interval(context: Context, program: ControlProgram, stem: str) -> list[dict[Symbol, float]]:
-    """Return values of all symbols near the initial guess, on intervals with a kernel."""
+    """Return points (numbers by symbol) near the initial guess, in intervals that use the kernel `stem`."""
     if context.guessed is None:
         return []
     local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
@@ -253,7 +253,7 @@ def near_interval(context: Context, program: ControlProgram, stem: str) -> list[
 
 
 def near_end(context: Context, program: ControlProgram, end: str) -> list[dict[Symbol, float]]:
-    """Return values of all symbols near the initial guess, at the first or last node."""
+    """Return points (numbers by symbol) near the initial guess, at the node of `end`: "start" or "end"."""
     if context.guessed is None:
         return []
     node = program.left_symbols if end == "start" else program.right_symbols
@@ -269,7 +269,7 @@ def _points(values: Values, program: ControlProgram) -> list[dict[Symbol, float]
 
 
 def _control_problems(module: ModuleType, program: ControlProgram) -> Iterator[str]:
-    """Yield contradictions between a module and its program. Later comparisons rely on the earlier ones."""
+    """Yield a text for each contradiction between a control module and its program; later ones may be consequences."""
     flat = FlatVector.on_grid(program, few_steps(program, _STEPS))
     names = {
         "node": tuple(u.name for u in program.node),
@@ -281,7 +281,6 @@ def _control_problems(module: ModuleType, program: ControlProgram) -> Iterator[s
     constants = _constants(program)
     yield from _differing_values(module, names, constants)
 
-    # The structure, which all solvers read.
     structure = module.problem.structure
     for name, value in constants.items():
         emitted = _plain(getattr(structure, name.lower()))
@@ -316,7 +315,6 @@ def _control_problems(module: ModuleType, program: ControlProgram) -> Iterator[s
             table = _indices(module, f"COUPLING_{name}")
             if table.shape[0] != kinds.size or np.any(table < 0) or np.any(table >= limit):
                 yield f"COUPLING_{name} is {table.tolist()}, expected {kinds.size} entries below {limit}"
-    # The vector of unknowns and the table of parameters that the module makes.
     grid = module.make_grid(flat.phase_steps)
     count = len(program.model.parameters) + len(program.boundary_values) + len(program.inner.values)
     count += len(program.shared) + len(numbers_of(program.model))
@@ -342,7 +340,7 @@ def _control_problems(module: ModuleType, program: ControlProgram) -> Iterator[s
 def _differing_values(
     module: ModuleType, names: Mapping[str, Sequence[str]], constants: Mapping[str, object]
 ) -> Iterator[str]:
-    """Yield recorded names and constants of the module that differ from the program."""
+    """Yield a text for each recorded name or constant of the module that differs from its expected value."""
     recorded: Record = module.metadata
     for key, marked in names.items():
         expected = tuple(identifiers.plain(name) for name in marked)
@@ -363,7 +361,7 @@ def _indices(module: ModuleType, name: str) -> NDArray[np.int64]:
 
 
 def _constants(program: ControlProgram) -> dict[str, object]:
-    """Return sizes and index arrays of the module that follow from the program."""
+    """Return the expected sizes and index arrays of the module by name, derived from the program."""
     own, shared = program.own, len(program.shared)
     node, couplings = len(program.node), len(program.couplings)
     stride = node + len(program.interval) + len(program.controls) + len(program.slacks)
@@ -425,7 +423,7 @@ def _failing_kernels(module: ModuleType, program: ControlProgram) -> Iterator[st
         yield from _run(module, "sample_values", arguments, values=(len(program.sample.values),))
         yield from _run(module, "sample_gradient", arguments, adds=True, gradient=(size,))
         yield from _run(module, "sample_hessian", arguments, adds=True, hessian=(entries,))
-    if program.couplings:  # every term reads as many values as its table says
+    if program.couplings:  # the tables have the number of values that each term reads
         conditions, symbols = [coupling.expression for coupling in program.couplings], shared_symbols(program)
         (point,) = random_points(conditions, [*symbols, *other_symbols(program)], program.model, count=1)
         linking = np.array([point[symbol] for symbol in symbols])
@@ -436,7 +434,7 @@ def _failing_kernels(module: ModuleType, program: ControlProgram) -> Iterator[st
 
 
 def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
-    """Yield contradictions between a module of a simulation and its program."""
+    """Yield a text for each contradiction between a simulation module and its program."""
     names = {
         "node": tuple(u.name for u in program.state),
         "stages": tuple(s.name for s in program.stage_symbols),
@@ -477,7 +475,7 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
 def _run(
     module: ModuleType, name: str, inputs: Inputs, adds: bool = False, **outputs: tuple[int, ...]
 ) -> Iterator[str]:
-    """Interpret a kernel with outputs of these shapes, and yield its problem in words."""
+    """Run a kernel in plain Python and yield its problems. Outputs of these shapes start at 0 if `adds`, else NaN."""
     kernel = getattr(module, name, None)
     if kernel is None:
         yield f"kernel {name} is missing"

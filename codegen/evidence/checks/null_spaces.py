@@ -5,16 +5,15 @@ constraints is rank-deficient, its left null vectors name the dependent equation
 that these vectors meet are the candidates for removal. Conditions between bodies are sorted into independent conditions
 and redundant conditions, which the module leaves out.
 
-Null controls: the discrete cost may not see a mode of the discrete controls. With controls on nodes and averages in the
+Null controls: the discrete cost may ignore a mode of the controls. With controls on nodes and averages in the
 cost, u_k = (-1)^k a leaves the average of every interval unchanged. The continuous cost does penalise this mode, so the
 discrete optimum may be arbitrarily wrong. If the mode acts on the motion, the optimiser moves the system at no cost.
 The integral of the cost over the resulting controls reveals such a false optimum.
 
-Path between nodes: a condition on states at nodes alone leaves a mode to the discrete problem. Nodes that alternate
-between two sides of a forbidden region meet the condition, but the points of evaluation of cost and dynamics lie inside
-the region. A condition that is imposed at these points, or follows there from both nodes, has no such mode. For the
-other conditions the violation of the solution is measured. Along a smooth motion it decreases with the interval; in a
-mode it does not.
+Path between nodes: a condition on states that holds at nodes alone permits a spurious mode. Nodes that alternate
+between two sides of a forbidden region meet the condition, but cost and dynamics are evaluated inside the region. A
+condition that is imposed at these points, or follows there from both nodes, has no such mode. For other conditions the
+violation of the solution is measured. On shorter intervals it decreases for a smooth motion, not for a spurious mode.
 
 On a coarse grid a motion may also pass through a thin obstacle, or jump from one branch of an equality or holonomic
 constraint to another. So the motion of the solution is sampled inside intervals as well.
@@ -50,17 +49,20 @@ from codegen.symbolic.zeros import identically_zero
 
 _INTERVALS = 8
 _MOST_INTERVALS = 64
-_SINGULAR = 1e-11
-_TAKES_PART = 1e-6
-_HOLDS = 1e-6
+_SINGULAR = 1e-11  # relative to the largest singular value
+_TAKES_PART = 1e-6  # relative to the largest entry of a null vector
+_HOLDS = 1e-6  # violation of a redundant condition at the solution
 
 
 def check_boundary_rank(context: Context) -> Iterator[Finding]:
-    """Decompose the scaled Jacobian at the guess and at a perturbed guess; the larger rank counts. Then couplings."""
+    """Check that all equations have full rank, and that conditions between bodies do not contradict each other.
+
+    The rank is the larger rank of the scaled Jacobian at the guess and at a perturbed guess.
+    """
     program, module = context.control, context.module
     intervals = few_steps(program, _INTERVALS)
     grid = module.make_grid(intervals)
-    # One control of many masses needs more intervals: as many unknowns as equations.
+    # Take at least as many unknowns as equations. One control of many masses needs more intervals.
     while intervals < _MOST_INTERVALS and module.primal_unknowns(grid).size < module.multiplier_unknowns(grid).size:
         intervals *= 2
         grid = module.make_grid(intervals)
@@ -142,10 +144,11 @@ def check_boundary_rank(context: Context) -> Iterator[Finding]:
 
 
 def _dependent_equations(program: ControlProgram, intervals: int, null: Vector, rows: Indices, touched: Vector) -> str:
-    """Name the equations that depend on each other, and the boundary conditions that take part.
+    """Return a text that names the equations in a dependent combination, and the boundary conditions involved.
 
-    A prescribed position or momentum takes part if the null vector meets its column. A prescribed velocity takes part
-    if the null vector contains its equation.
+    `null` is a left null vector of the Jacobian, `rows` are the unknowns (multipliers) of its entries, and `touched` is
+    its product with all columns. A prescribed position or momentum takes part if its entry of `touched` is not zero. A
+    prescribed velocity takes part if `null` contains its equation.
     """
     flat = FlatVector.on_grid(program, intervals)
     weights = np.zeros(flat.size)
@@ -172,11 +175,11 @@ def _dependent_equations(program: ControlProgram, intervals: int, null: Vector, 
 
 
 _ALLOWED = 0.1
-"""Relative difference between both costs that the order of the scheme may explain."""
+"""Relative difference between the discrete cost and its integral that the order of the scheme may explain."""
 
 
 def check_null_controls(context: Context) -> Iterator[Finding]:
-    """Search for the alternating mode of nodal controls, and for free modes of interval controls, by control."""
+    """Check that no mode of a control is free of cost: alternating values at nodes, or any value in an interval."""
     program = context.control
     if not program.model.controls:
         yield does_not_apply("null controls", "there are no controls")
@@ -186,7 +189,7 @@ def check_null_controls(context: Context) -> Iterator[Finding]:
         return program.model.cost is not None and not identically_zero(program.model.cost.diff(u))
 
     if not program.nodal_controls:
-        # Every interval, or stage, has its own controls, so that a free mode would be free within one interval.
+        # Every interval or stage has separate controls, so that a mode without cost would lie in one interval.
         where = "stage" if program.controlled == "stages" else "interval"
         for u in program.model.controls:
             unseen = [site for site in program.controls_of(u) if identically_zero(program.cost.diff(site))]
@@ -200,7 +203,7 @@ def check_null_controls(context: Context) -> Iterator[Finding]:
 
     any_acts = False
     for u in program.model.controls:
-        # An interval under u_k + a, u_k1 - a; both signs of a alternate.
+        # The mode changes an interval to u_k + a, u_k1 - a. The sign of a alternates between intervals.
         (left,), (right,) = at_nodes([u], "_k"), at_nodes([u], "_k1")
         amplitude = sympy.Dummy("a", real=True)
         mode = {left: left + amplitude, right: right - amplitude}
@@ -231,13 +234,13 @@ def check_null_controls(context: Context) -> Iterator[Finding]:
 
 _NAME = "path between nodes"
 _NOTHING = 1e-6
-"""A smaller violation counts as zero."""
+"""A violation below this number counts as zero."""
 _FALLS = 0.75
-"""Largest ratio of the violations on intervals of half the length and on the original intervals."""
+"""Largest ratio of the violations on halved and on original intervals that counts as a decrease."""
 
 
 def check_path_modes(context: Context) -> Iterator[Finding]:
-    """Name the points at which every condition on states holds; measure other conditions at two solutions."""
+    """Check that conditions on states also hold between nodes, by derivation or by the violations of two solutions."""
     program = context.control
     model, conditions = program.model, list[Condition]()
     if not program.phases:  # path conditions, and bounds on quantities at nodes
@@ -253,7 +256,7 @@ def check_path_modes(context: Context) -> Iterator[Finding]:
     if not (conditions or sampled):
         yield does_not_apply(_NAME, "there are no conditions on states alone")
         return
-    # The violations of the solution inside intervals, by the name of the condition; None without solution.
+    # The violations inside intervals by the name of the condition; None without a solution.
     worst: dict[str, Excursion] | None = {}
     if sampled and context.solution.status != "solved":
         worst = None
@@ -282,7 +285,7 @@ def check_path_modes(context: Context) -> Iterator[Finding]:
 
 
 def _with_excursion(finding: Finding, condition: str, worst: Mapping[str, Excursion] | None) -> Finding:
-    """Add the violation of the solution inside intervals to a finding. A gross violation is a failure."""
+    """Return a finding with the violation inside intervals (`worst`, by condition), which fails if it is gross."""
     if worst is None:
         return replace(finding, detail=f"{finding.detail}; not measured along a motion: none was found")
     excursion = worst.get(condition)
@@ -295,7 +298,7 @@ def _with_excursion(finding: Finding, condition: str, worst: Mapping[str, Excurs
 
 
 def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) -> list[Expr]:
-    """Return a condition at the points of evaluation where it is neither imposed nor follows from both nodes."""
+    """Return the values of a condition at evaluation points where it is neither imposed nor implied by both nodes."""
     model = program.model
 
     def in_time(value: Expr) -> Expr:
@@ -303,7 +306,7 @@ def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) 
             return value.xreplace(dict(program.inner.scales))
         return scaled_in_time(model, value) if program.scaled_time else value
 
-    # Imposed are the path conditions of an interval, without slacks, bounds of stages, and the condition at both nodes.
+    # The imposed values: path conditions without slacks, bounds of stages, and the condition at both nodes.
     first = len(program.interval) - program.path_multipliers
     slacks = dict.fromkeys(program.slack_symbols, S.Zero)
     imposed = {sympy.diff(program.element, symbol).xreplace(slacks) for symbol in program.interval_symbols[first:]}
@@ -350,7 +353,7 @@ def _measured(
     values: Sequence[Expr],
     solutions: Sequence[ControlSolution],
 ) -> Finding:
-    """Compare the largest violation between nodes on N and on 2 N intervals."""
+    """Return a finding that passes if the largest of `values` decreases from N to 2N intervals (two `solutions`)."""
     unsolved = [solution for solution in solutions if solution.status != "solved"]
     if unsolved:
         return Finding(_NAME, condition.name, True, f"not measured: {unsolved[0].message}")

@@ -5,8 +5,7 @@ Lubich and Wanner (2006), Geometric numerical integration, section VI.2.
 
 Symplecticity: S^T J S = J for the derivative S of the map, or a violation if the scheme does not claim it. With
 dE/dz0 = A and dE/dz1 = B, S = -B^-1 A, and the identity is equivalent to A J A^T = B J B^T. This form has no inverse
-and can often be decided symbolically. For one degree of freedom, the determinant of the map is compared for every
-scheme.
+and can often be decided symbolically. For one degree of freedom, every scheme's determinant of the map is computed.
 
 Discrete Noether theorem: a cyclic coordinate's discrete momentum is conserved without forces. For a translation of q_i
 the infinitesimal symmetry of Ld is D1 Ld + D2 Ld = 0 in that component, so p_k = p_k1. Source: Marsden and West (2001),
@@ -14,8 +13,8 @@ Discrete mechanics and variational integrators, section 1.3.3.
 
 Order: one step and the exact flow are expanded in powers of h, for a generic forced, time-dependent system with
 rational coefficients. The arithmetic is exact, so that agreement and disagreement are proved. The exact flow is
-expanded by its Lie series. The expansion is too long for compositions and for stages that depend on each other. Their
-order is measured by the errors of two short steps in arithmetic of many digits.
+expanded by its Lie series. The expansion is too long for compositions and for coupled stages. The order of such schemes
+is measured from the errors of two short steps in arithmetic of many digits.
 
 The midpoint rule is the discrete Hamiltonian map of Ld = h L(midpoint), forces included (Marsden and West, 2.6).
 """
@@ -52,8 +51,8 @@ _MOST_ITERATIONS = 60
 class StepEquations:
     """Expressions that vanish in a step from `left` = (q_k, p_k) over inner `stages` to `right` = (q_k1, p_k1).
 
-    The equations of a composition are those of one step of its base, which depend on `lengths`. `fractions` has the
-    relative lengths for each step of the base.
+    A composition repeats a base scheme, and `equations` describe one step of the base with the symbols `lengths`. Each
+    row of `fractions` has the values of `lengths` in one repetition, relative to the whole step.
     """
 
     left: tuple[Symbol, ...]
@@ -65,11 +64,11 @@ class StepEquations:
 
     @property
     def unknowns(self) -> tuple[Symbol, ...]:
-        """The unknowns of a step."""
+        """The stages and the state after the step."""
         return (*self.stages, *self.right)
 
     def links(self) -> list[tuple[tuple[Symbol, ...], tuple[Symbol, ...], tuple[Expr, ...]]]:
-        """Return the step as a chain of substeps from one state to the next; one link if the step is no chain."""
+        """Return substeps (state before, unknowns, equations); a single substep if stages depend on each other."""
         size = len(self.left)
         whole = (*self.left, *self.unknowns)
         chain = [whole[i : i + size] for i in range(0, len(whole), size)]
@@ -82,7 +81,7 @@ class StepEquations:
 
 
 def step_equations(model: Model, scheme: Scheme) -> StepEquations:
-    """Return the equations of a one-step method, or the balances and Legendre transforms of a discrete Lagrangian.
+    """Return the equations of a one-step scheme, or of a discrete Lagrangian: inner balances, Legendre transforms.
 
     Raises the errors of the Legendre transforms.
     """
@@ -104,7 +103,7 @@ def step_equations(model: Model, scheme: Scheme) -> StepEquations:
 
 
 def jacobians(left: Sequence[Symbol], right: Sequence[Symbol], equations: Sequence[Expr]) -> tuple[Matrix, Matrix]:
-    """Return derivatives of equations by the state before and the unknowns after a step."""
+    """Return the Jacobians of equations with respect to the symbols `left` and with respect to the symbols `right`."""
     column = Matrix(list(equations))
     return column.jacobian(list(left)), column.jacobian(list(right))
 
@@ -112,7 +111,7 @@ def jacobians(left: Sequence[Symbol], right: Sequence[Symbol], equations: Sequen
 def solved_step(
     residual: Function, jacobian: Function, data: Sequence[mpmath.mpf], start: Sequence[mpmath.mpf]
 ) -> Numbers:
-    """Return the unknowns of a step by Newton's method in mpmath's current precision, from `start`.
+    """Return the unknowns of a step by Newton's method in mpmath's current precision, from the initial guess `start`.
 
     `residual` and `jacobian` (row by row) are functions of `data` and the unknowns. Raises NumericsError if the
     iteration does not converge.
@@ -135,15 +134,15 @@ def _matrix(entries: Numbers, columns: int) -> mpmath.matrix:
 
 
 def without_forces(model: Model) -> Model:
-    """Return the conservative part of a model."""
+    """Return a model without its forces, controls and cost."""
     return replace(model, force=(S.Zero,) * len(model.force), controls=(), cost=None)
 
 
 def generic_model() -> Model:
-    """Return a system without special structure, which no scheme treats better than any other.
+    """Return a model without special structure, so that no scheme has an accidental advantage.
 
-    Its mass depends on the position; it is gyroscopic, driven in time and damped. Everything is rational, so that
-    series in h are computed exactly.
+    The mass depends on the position, and the system is gyroscopic, driven in time and damped. All coefficients are
+    rational, so that series in h are exact.
     """
     q, v = coordinate("q")
     t = time()
@@ -159,21 +158,21 @@ def generic_model() -> Model:
 
 
 def generic_model_without_forces() -> Model:
-    """Return the conservative part of the generic system."""
+    """Return the generic model without its forces."""
     return without_forces(generic_model())
 
 
 _DIGITS = 50
 PRESERVED = 1e-35
-"""A smaller defect in 50-digit arithmetic is rounding."""
+"""A defect below this number is a rounding error of 50-digit arithmetic."""
 _VIOLATED = 1e-20
 _LARGEST_SYSTEM = 8
 _ATTEMPTS = 6
-"""The number of lengths of a step, each a quarter of the one before, until its equations have a solution nearby."""
+"""Largest number of step lengths to try, each a quarter of the previous length, until a step can be solved."""
 
 
 def check_symplecticity(context: Context) -> Iterator[Finding]:
-    """Prove or refute the identity for the chosen scheme, without forces."""
+    """Check without forces that the scheme satisfies S^T J S = J, or violates it if it does not claim symplecticity."""
     scheme = context.scheme
     if not scheme.symplectic:
         generic = generic_model_without_forces()
@@ -198,14 +197,14 @@ def check_symplecticity(context: Context) -> Iterator[Finding]:
 
 
 def has_symplectic_table(table: Tableau) -> bool:
-    """Return True if a table satisfies the condition for partitioned methods (HLW, theorem VI.4.6)."""
+    """Return True if a Butcher tableau satisfies the condition for symplectic partitioned methods (HLW, VI.4.6)."""
     b, a, c = table.weights, table.positions, table.momenta
     indices = range(len(b))
     return all(sympy.expand(b[i] * c[i][j] + b[j] * a[j][i] - b[i] * b[j]) == 0 for i in indices for j in indices)
 
 
 def _is_proved(step: StepEquations) -> bool:
-    """Return True if A J A^T = B J B^T holds symbolically in every link of the chain of substeps."""
+    """Return True if A J A^T = B J B^T can be proved symbolically for every substep."""
     for left, right, equations in step.links():
         if len(left) != len(right):
             return False
@@ -224,7 +223,7 @@ def _symplectic_form(size: int) -> Matrix:
 
 
 def defect_at_random_points(model: Model, step: StepEquations) -> float:
-    """Return the largest entry of S^T J S - J at solutions of the equations of a step, in 50-digit arithmetic."""
+    """Return the largest entry of |S^T J S - J| for random steps of a model, in 50-digit arithmetic."""
     symbols = set().union(*(value.free_symbols for value in step.equations), step.left, step.unknowns)
     ordered = sorted(symbols, key=lambda symbol: symbol.name)
     data_symbols = [symbol for symbol in ordered if symbol not in step.unknowns]
@@ -254,9 +253,10 @@ def defect_at_random_points(model: Model, step: StepEquations) -> float:
 
 
 def check_area_preservation(context: Context) -> Iterator[Finding]:
-    """Derive the determinant for every registered scheme, without forces, if there is one coordinate.
+    """Check for every scheme that the one-step map preserves areas (det = 1) if and only if it is symplectic.
 
-    Compositions are left out. Their determinant is a product of determinants of their base.
+    The check is for one coordinate, without forces. The determinant of a composition is a product of determinants of
+    its base, so that compositions are left out.
     """
     if len(context.model.coordinates) != 1:
         yield does_not_apply("area preservation", "there is more than one coordinate")
@@ -287,7 +287,7 @@ def check_area_preservation(context: Context) -> Iterator[Finding]:
 def area_factor(model: Model, scheme: Scheme) -> Expr:
     """Return the determinant of the derivative of the one-step map, simplified. It is a product over substeps.
 
-    The factor of a composition is that of one step of its base, of any length.
+    For a composition, return the determinant of one step of the base scheme, of any length.
     """
     factor = S.One
     for left, right, equations in step_equations(model, scheme).links():
@@ -301,7 +301,7 @@ def area_factor(model: Model, scheme: Scheme) -> Expr:
 
 
 def check_noether(context: Context) -> Iterator[Finding]:
-    """Prove conservation for every coordinate on which the Lagrangian or Hamiltonian does not depend."""
+    """Check without forces that momenta of coordinates absent from the Lagrangian or Hamiltonian are conserved."""
     model = context.model
     cyclic = [i for i, q in enumerate(model.coordinates) if not model.function.has(q)]
     if not cyclic:
@@ -321,10 +321,10 @@ def check_noether(context: Context) -> Iterator[Finding]:
 
 
 def momentum_change(model: Model, scheme: Scheme, i: int) -> Expr:
-    """Return the change of a momentum component in one step, without forces.
+    """Return the change of momentum component i in one step, without forces.
 
-    For a discrete Lagrangian it is the sum of all D_j Ld in one component. A composition conserves a momentum if its
-    base does.
+    For a discrete Lagrangian it is the sum of component i of all D_j Ld. For a composition, the step is a step of its
+    base scheme, because a composition conserves a momentum if its base does.
     """
     model = without_forces(model.with_free_ends)
     _, scheme = repeated(scheme)
@@ -343,11 +343,11 @@ _INSTANT = Rational(1, 3)
 _ORDER_DIGITS = 60
 _DIVISIONS = (200, 400)
 _EXACT = 0.1
-"""Allowed distance of a measured order from a whole number."""
+"""Allowed difference between the measured order and the order of the scheme."""
 
 
 def check_consistency(context: Context) -> Iterator[Finding]:
-    """Find the first power of h in which one step differs from the flow. The order of the scheme is one less."""
+    """Check that one step agrees with the exact flow up to h^order, for the order that the scheme claims."""
     scheme = context.scheme
     if scheme.parts or not scheme.is_chain:
         order, error = measured_order(scheme)
@@ -365,7 +365,7 @@ def check_consistency(context: Context) -> Iterator[Finding]:
 
 
 def measured_order(scheme: Scheme) -> tuple[float, float]:
-    """Return the order of the error of one step by two short lengths, and the smaller of both errors."""
+    """Return the order of a scheme from the errors of two short steps, and the error of the shorter step."""
     model = generic_model().with_free_ends
     step = step_equations(model, scheme)
     symbols = [model.time, *step.lengths, *step.left, *step.unknowns]
@@ -387,7 +387,7 @@ def measured_order(scheme: Scheme) -> tuple[float, float]:
 
 @cache
 def _flow_after(divisions: int) -> Numbers:
-    """Return the exact flow of the generic system over a fraction of the unit of time, by mpmath's Taylor series."""
+    """Return the state (q, p) of the generic system after the time 1/divisions, by mpmath's Taylor series."""
     phase = legendre.hamiltonian_form(generic_model().with_free_ends)
     rates = function_of([phase.time, *phase.coordinates, *phase.rates], vector_field(phase))
     with mpmath.workdps(_ORDER_DIGITS):
@@ -397,9 +397,9 @@ def _flow_after(divisions: int) -> Numbers:
 
 
 def first_difference(scheme: Scheme, highest: int) -> tuple[int, Expr]:
-    """Return the last power of h of agreement between step and flow, and the largest coefficient of the difference.
+    """Return the last power of h in which step and flow agree, and their largest difference in the next coefficient.
 
-    The difference is zero if step and flow agree up to the highest power.
+    The difference is zero if step and flow agree up to the power `highest`.
     """
     model = generic_model().with_free_ends
     step = _step_series(model, scheme, highest)
@@ -421,7 +421,7 @@ def first_difference(scheme: Scheme, highest: int) -> tuple[int, Expr]:
 
 
 def _step_series(model: Model, scheme: Scheme, highest: int) -> list[list[Expr]]:
-    """Return coefficients of the state after one step, from one linear system for each power of h."""
+    """Return the coefficients of h^0 to h^highest of each state after one step, by one linear system for each power."""
     step = step_equations(model, scheme)
     start = dict(zip(step.left, _STATE, strict=True)) | {model.time: _INSTANT}
     size = len(step.left)
@@ -470,7 +470,7 @@ def _coefficient(expression: Expr, power: int) -> Expr:
 
 
 def check_midpoint_equivalence(context: Context) -> Iterator[Finding]:
-    """Substitute both discrete Legendre transforms into the implicit midpoint equations, which must then vanish."""
+    """Check that the discrete Legendre transforms of the midpoint scheme satisfy the implicit midpoint equations."""
     if context.scheme.name != "midpoint":
         yield does_not_apply("midpoint equivalence", f"the scheme is {context.scheme.name}")
         return
@@ -488,10 +488,10 @@ def check_midpoint_equivalence(context: Context) -> Iterator[Finding]:
 
 
 def residuals(model: Model) -> list[tuple[str, Expr]]:
-    """Return residuals of the midpoint rule under the discrete Hamiltonian map, by coordinate and momentum.
+    """Return (name, residual) of each equation of the midpoint rule, with the momenta of the discrete Lagrangian.
 
-    The Hamiltonian of a large system is not written out. Its midpoint rule is v = dH/dp and p' = f - dH/dq at the
-    midpoint. Equivalent equations are p = dL/dv and p' = f + dL/dq at the velocity v = (q_k1 - q_k)/h.
+    The midpoint rule is v = dH/dp and p' = f - dH/dq at the midpoint. The Hamiltonian of a large system is not written
+    out; equivalent equations are p = dL/dv and p' = f + dL/dq at the velocity v = (q_k1 - q_k)/h.
     """
     model = model.with_free_ends
     scheme = schemes.METHODS["variational"]["midpoint"]

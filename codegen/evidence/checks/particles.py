@@ -1,10 +1,10 @@
-"""Evidence for particles with pairwise interaction: H and its derivatives, symplecticity, kernels, tracer points.
+"""Checks of particles with pairwise interaction: H and its derivatives, symplecticity, kernels, tracer points.
 
 The references for H, its gradient and the velocity of tracer points are the author's expressions in 50 digits.
 
-A kernel is H = 1/2 sum p_i . p_j G(q_i, q_j) with a positive definite G. Digits are lost where points nearly meet, and
-near the boundary of the domain. There the emitted matrix of G is compared with the author's expression in 50 digits, at
-distances down to 1e-150.
+In some problems H = 1/2 sum p_i . p_j G(q_i, q_j) with a positive definite kernel G. Digits are lost where points
+nearly meet, and near the boundary of the domain. There the emitted matrix of G is compared with the author's expression
+in 50 digits, at distances down to 1e-150.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from codegen.symbolic.zeros import identically_zero
 DIGITS = 50
 _PARTICLES = 4
 _LENGTHS = tuple(0.05 / 8**k for k in range(7))
-"""Lengths of a step, in the order of the attempts. Particles at random positions may repel each other strongly."""
+"""Step lengths to try in this order, because particles at random positions may repel each other strongly."""
 Array = NDArray[np.float64]
 
 
 def particle_findings(
     source: Source, arguments: Mapping[str, str], choices: Choices, module_path: Path
 ) -> Iterator[Finding]:
-    """Yield all evidence about a module of particles on disk."""
+    """Yield all findings about a generated module of particles on disk."""
     model = load_problem(source, arguments)
     assert isinstance(model, PairwiseModel)
     program = transcribe.transcribe(model, choices.scheme, choices.method)
@@ -61,17 +61,17 @@ def particle_findings(
 
 
 def _data(model: PairwiseModel, count: int) -> tuple[Array, Array]:
-    """Return own numbers of the particles, which are one, and parameters."""
+    """Return the constants of each particle (count, k), here all ones, and the default parameters."""
     return np.ones((count, len(model.own))), np.array(model.defaults, dtype=float)
 
 
 def _small_error(check: str, subject: str, error: float, limit: float) -> Finding:
-    """Return the finding that an error is, or is not, within a limit."""
+    """Return a finding that passes if a relative error is within a limit."""
     return Finding(check, subject, error <= limit, f"largest relative error {error:.1e}, allowed {limit:.0e}")
 
 
 def _error(emitted: Array, exact: list[mpmath.mpf]) -> float:
-    """Return the largest error relative to the largest entry."""
+    """Return the largest error of the emitted entries, relative to the largest exact entry."""
     size = max(abs(value) for value in exact)
     return max(abs(float((v - w) / size)) for v, w in zip(emitted.tolist(), exact, strict=True))
 
@@ -79,7 +79,7 @@ def _error(emitted: Array, exact: list[mpmath.mpf]) -> float:
 def _derivatives(
     model: PairwiseModel, module: ModuleType, states: list[Array], generator: np.random.Generator
 ) -> Iterator[Finding]:
-    """Compare H and its first and second derivatives."""
+    """Compare H and its gradient with 50 digits, and second derivatives with differences; each yields a finding."""
     own, parameters = _data(model, _PARTICLES)
     exact, energies, gradients = _exact(model), [], []
     for state in states:
@@ -116,7 +116,7 @@ def _derivatives(
 
 
 def _exact(model: PairwiseModel) -> Callable[[Array, Array], tuple[mpmath.mpf, list[mpmath.mpf]]]:
-    """Return H and its gradient (as a flat list) as functions of states, from the author's terms in 50 digits."""
+    """Return a function of (states, constants) for H and its flat gradient, from the author's terms in 50 digits."""
     parameters = {p: sympy.Rational(v) for p, v in zip(model.parameters, model.defaults, strict=True)}
     first, second = model.first, model.second
 
@@ -149,7 +149,7 @@ def _exact(model: PairwiseModel) -> Callable[[Array, Array], tuple[mpmath.mpf, l
 
 
 def _symplectic(model: PairwiseModel, module: ModuleType, state: Array, scheme: str) -> Iterator[Finding]:
-    """Check D' J D = J for the derivative D of one step. A scheme that claims no symplecticity must violate it."""
+    """Check D' J D = J for the derivative D of one step. Schemes that are not symplectic must violate it."""
     if module.problem.gradient is None:
         return
     (own, parameters), pairs = _data(model, _PARTICLES), module.problem.pairs
@@ -183,7 +183,7 @@ _RIM = tuple(10.0**-k for k in (1, 2, 4, 6, 8))
 
 
 def _kernel_findings(model: PairwiseModel, module: ModuleType) -> Iterator[Finding]:
-    """Yield all evidence about a module whose momenta meet in a kernel; nothing about other modules."""
+    """Yield findings about the kernel G, if the pair term of the Hamiltonian is p_i . p_j G(q_i, q_j)."""
     # The pair term is p_i . p_j G without momenta in G, and G has a limit where points meet.
     entries = [[sympy.diff(model.pair_term, p, r) for r in model.second.p] for p in model.first.p]
     kernel, size = entries[0][0], len(entries)
@@ -205,7 +205,7 @@ def _kernel_findings(model: PairwiseModel, module: ModuleType) -> Iterator[Findi
 
     axis, base = np.eye(size)[0], np.zeros(size)
     if not (is_inside(base) and is_inside(0.999 * axis)):
-        return  # positions are only known in the whole space and in a ball about the origin
+        return  # the domain must contain the unit ball, in which the positions are drawn
 
     # Points in the whole unit ball, some of them crowded, and some near its boundary.
     generator = np.random.default_rng(4)
@@ -218,7 +218,7 @@ def _kernel_findings(model: PairwiseModel, module: ModuleType) -> Iterator[Findi
     scale = np.sqrt(np.diag(matrix))
     least = float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
     symmetric = bool((matrix == matrix.T).all())
-    # A negative eigenvalue of the size of rounding is no evidence. A smooth kernel of many points has such eigenvalues.
+    # A negative eigenvalue as small as rounding errors is no failure: smooth kernels of many points have such ones.
     passed = symmetric and least > -_POINTS * float(np.finfo(float).eps)
     detail = f"least eigenvalue {least:.1e} of {_POINTS} points, with ones in the diagonal"
     yield Finding("kernel", "positive definite", passed, detail if symmetric else "the matrix is not symmetric")
@@ -253,7 +253,7 @@ def _kernel_findings(model: PairwiseModel, module: ModuleType) -> Iterator[Findi
 
 
 def tracer_findings(model: PairwiseModel, module: ModuleType, states: list[Array]) -> Iterator[Finding]:
-    """Yield all evidence about a module that carries tracer points, at some states of particles."""
+    """Yield findings about tracer points, if the problem has any; `states` are arrays (2, particles, n) of q and p."""
     if not model.passive:
         return
     own, parameters = _data(model, states[0].shape[1])
@@ -295,7 +295,7 @@ def tracer_findings(model: PairwiseModel, module: ModuleType, states: list[Array
     error /= float(np.abs(forces[1]).max())
     yield _small_error("consistency", "tracer points on particles", error, 1e-12)
 
-    # Points that make a step and its inverse, and the product of the derivatives of both.
+    # Carry points through a step and its inverse. The product of both derivatives is the unit matrix.
     h, stages = 0.02, np.zeros((module.POINTS, *state.shape))
     if advance(module.problem.pairs, state, h, own, parameters, stages, 0.0, np.empty_like(state)) < 0:
         yield Finding("consistency", "the way back", False, "the step could not be made")

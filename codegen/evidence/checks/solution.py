@@ -2,23 +2,23 @@
 
 Motion: holonomic constraints at all nodes, and the author's conditions at inner times. Nodes, coordinates and rates
 come from the solution, not from tables or kernels of the module. A motion with delays is integrated from its history by
-DOP853 under the controls of the solution. The equations are those of the author's problem with its delayed values;
-DOP853 knows no segments. The distance from the motion of the module must decrease at the order of the scheme.
+DOP853 under the controls of the solution. The integrated equations are the author's, with delayed values; only the
+module divides the motion into segments. The distance between both motions must decrease at the order of the scheme.
 
 Optimum: the costs of the module must converge to the optimum of the maximum principle, at least at the order of the
 scheme. The expected order is at most 2, because controls are constant on each interval or averaged over the interval.
 Costs may converge faster: if time reversal maps the problem to itself, odd powers of h cancel in the cost.
 
-Second-order condition: a solution is a minimum, and no saddle point, if the KKT matrix has the right inertia. At a
+Second-order condition: a solution is a minimum, not a saddle point, if the KKT matrix has the right inertia. At a
 strict local minimum the Hessian of the Lagrangian is positive definite on the null space of the equations. Then the KKT
 matrix has exactly one negative eigenvalue for every equation (Nocedal and Wright, 2006, theorem 16.3). A multiplier z
 of an active bound adds z / distance to the diagonal.
 
-Sensitivities: the derivatives of a solution by data against central differences of solutions with other data. All
-quantities change at once in random proportions: first each by itself, then parameters alone, which boundary values and
-the duration follow. Some changes leave no solution, for example beyond the range of a table. Then quantities that
-cannot change alone stay fixed, and the finding names them. Differences with three lengths, halved each time, are
-extrapolated twice (Richardson). The distance of both results estimates the error of the reference.
+Sensitivities: the derivatives of a solution with respect to data are compared with central differences of solutions
+with changed data. Quantities change together in random proportions: first all independently, then parameters alone, on
+which boundary values and the duration depend. Some changes leave no solution, for example beyond the range of a table.
+Then quantities that cannot change alone stay fixed, and the finding names them. Differences with three increments,
+halved each time, are extrapolated twice (Richardson). The distance of both results estimates the reference's error.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ from codegen.symbolic.functions import NUMPY
 
 
 def free_values(module: ModuleType, solution: ControlSolution) -> Vector:
-    """Return the free parameters at a solution, in the order of their declaration."""
+    """Return the values of the free parameters at a solution, in the order of their declaration."""
     count = len(module.metadata.free_parameters)
     end = solution.unknowns.size - module.problem.structure.couplings
     return np.asarray(solution.unknowns[end - count : end])
 
 
 def data_at_solution(context: Context) -> dict[Symbol, float]:
-    """Return parameters, and free parameters at the solution."""
+    """Return the values of all parameters by symbol: the defaults, and the free parameters at the solution."""
     model = context.model
     free = map(float, free_values(context.module, context.solution))
     return model.default_values | dict(zip((p.symbol for p in model.free_parameters), free, strict=True))
@@ -95,11 +95,11 @@ def integral_of_cost(model: Model, module: ModuleType, solution: ControlSolution
     return total
 
 
-_HELD = 1e-9
+_HELD = 1e-9  # violation of a constraint relative to its terms
 
 
 def check_holonomic_drift(context: Context) -> Iterator[Finding]:
-    """Evaluate every constraint at all nodes of the solution, relative to the terms of the constraint."""
+    """Check that every holonomic constraint vanishes at all nodes of the solution, relative to its terms."""
     model = context.model
     solution = context.solution
     if solution.status != "solved":
@@ -125,11 +125,11 @@ def check_holonomic_drift(context: Context) -> Iterator[Finding]:
         yield Finding("holonomic drift", f"c = {sympy.sstr(constraint)}", passed, detail)
 
 
-_MET = 1e-7
+_MET = 1e-7  # violation of a condition relative to its terms
 
 
 def check_inner_times(context: Context) -> Iterator[Finding]:
-    """Evaluate every condition at its inner time, and the inner times themselves."""
+    """Check every condition at its inner time, and the order and windows of the inner times, at the solution."""
     model = context.model
     solution = context.solution
     if solution.status != "solved":
@@ -140,7 +140,7 @@ def check_inner_times(context: Context) -> Iterator[Finding]:
     def number(expression: Expr | None) -> float:
         return float(sympy.sympify(expression).subs(numbers))
 
-    # The node nearest to every prescribed time; of free times the node on the module's grid.
+    # The node nearest to every prescribed time, and for a free time the node on the module's grid.
     on_grid = context.module.make_grid(solution.t.size - 1).inner
     prescribed = [None if inner.time is None else number(inner.time) for inner in model.inner_times]
     pairs = zip(prescribed, on_grid, strict=True)
@@ -183,16 +183,16 @@ def check_inner_times(context: Context) -> Iterator[Finding]:
 
 
 _LEAST_STEPS = 48
-"""Intervals of the coarser motion, of all segments together."""
+"""Least number of intervals of the coarser motion, in all segments together."""
 _ORDER_ALLOWED = 0.5
 """Allowed deficit of the observed order, because the controls of both motions differ."""
-_ROUND_OFF = 1e-10
+_ROUND_OFF = 1e-10  # distance below which no order can be observed
 _OF_STAGES = 2
-"""The expected order if the control is a polynomial through values at stages."""
+"""The expected order if the control on an interval is a polynomial through its values at stages."""
 
 
 def check_delays(context: Context) -> Iterator[Finding]:
-    """Integrate the motions on N and 2 N intervals."""
+    """Check on N and 2N intervals that the motion approaches a motion by DOP853 at the order of the scheme."""
     whole = context.model.authored
     if not whole.delays:
         yield does_not_apply("delays", "there are no values of the past")
@@ -223,7 +223,7 @@ def check_delays(context: Context) -> Iterator[Finding]:
 
 
 def _distance(whole: Model, result: Result) -> float:
-    """Return the distance of a result from the integrated motion, relative to the largest value of each state."""
+    """Return the largest relative error of a motion against DOP853; `whole` is the problem before segmentation."""
     side = legendre.hamiltonian_form(whole.with_free_ends)
     states, numbers = (*side.coordinates, *side.rates), side.default_values
     t, pieces = result.t, list[Callable[[float], Vector]]()
@@ -237,12 +237,12 @@ def _distance(whole: Model, result: Result) -> float:
     velocities = function([side.function.diff(p) for p in side.rates], list(states), side.time)
 
     def controls(k: int, time: float) -> Vector:
-        """Evaluate the controls at a time in interval k."""
+        """Return the controls at a time in interval k."""
         margin = 1e-9 * (t[k + 1] - t[k])
         return np.asarray(result.controls_at(np.array([min(max(time, t[k] + margin), t[k + 1] - margin)]))[0])
 
     def delayed(delay: Delay) -> Callable[[int, float], float]:
-        """Return a delayed value as a function of interval and time."""
+        """Return a function (index of the interval, time) that gives the delayed value."""
         lag = float(delay.lag.xreplace(numbers))
         back = round(lag / float(whole.duration.xreplace(numbers)) * (t.size - 1))
         history = sympy.lambdify(whole.time, delay.history.xreplace(numbers), NUMPY)
@@ -275,17 +275,17 @@ def _distance(whole: Model, result: Result) -> float:
 
 
 _OF_CONTROLS = 2
-"""The order of piecewise constant controls."""
-_COST_ALLOWED = 0.15
-_COST_ROUNDING = 1e-9
-_LARGEST = 10_000
+"""The order of convergence with piecewise constant controls."""
+_COST_ALLOWED = 0.15  # deficit of the observed order
+_COST_ROUNDING = 1e-9  # relative error below which no order can be observed
+_LARGEST = 10_000  # intervals
 _TOLERANCE = 1e-9
 _SECONDS = 30.0
 """Processor time for the optimum of the continuous problem."""
 
 
 def check_optimum(context: Context) -> Iterator[Finding]:
-    """Solve on N, 2N and 4N intervals, more if necessary, and compare with the optimum of the continuous problem."""
+    """Check on N, 2N, 4N and if necessary more intervals that the cost converges to the continuous optimum."""
     reason = beyond_maximum_principle(context.model)
     if reason:
         yield does_not_apply(
@@ -318,10 +318,10 @@ def check_optimum(context: Context) -> Iterator[Finding]:
 
 
 def _optimal_cost(context: Context) -> tuple[float, str]:
-    """Return the cost of the continuous optimum, and its source: the closed form, or collocation.
+    """Return the cost of the continuous optimum, and its source in words: the closed form, or collocation.
 
-    Collocation starts from the discrete motion, so that it converges to the same local optimum. It does not start from
-    a motion with controls on nodes, which cannot be trusted.
+    The discrete motion is the initial guess of collocation, so that it converges to the same local optimum. Only a
+    motion with controls on intervals is used, because controls on nodes may give a false optimum.
     """
     model, solution = context.model, context.solution
     exact = exact_optimum(model)
@@ -336,16 +336,16 @@ def _optimal_cost(context: Context) -> tuple[float, str]:
 
 
 _NOTHING = (1e-9, 1e-8, 1e-7)
-"""Fractions of the second derivatives below which a curvature may be rounding of the elimination."""
+"""A curvature below these fractions of the second derivatives may be a rounding error of the elimination."""
 _ACTIVE, _FAST = 1.0, 1e12
-"""An unknown is active if z / distance exceeds the first number; inside the bounds z / distance is of the size of the
-tolerance. The second number limits z / distance, which would be infinite at the bound."""
+"""A bound with multiplier z is active if z / distance exceeds the first number. The ratio of an inactive bound has the
+size of the tolerance. The second number limits the ratio, which would be infinite at the bound."""
 _REGULAR = 1e13
-"""Largest condition number of regular matrices."""
+"""Largest condition number of a matrix that counts as regular."""
 
 
 def check_second_order(context: Context) -> Iterator[Finding]:
-    """Count the negative eigenvalues at the solution by a symmetric elimination, which is exact."""
+    """Check that the KKT matrix has the inertia of a minimum, by an exact count of its negative eigenvalues."""
     module, solution = context.module, context.solution
     subject = f"solution on {solution.t.size - 1} intervals"
     if solution.status != "solved":
@@ -379,7 +379,7 @@ def check_second_order(context: Context) -> Iterator[Finding]:
     if excess == 0 and factor_kkt(grid, unknowns, 1.0, diagonal - _NOTHING[0] * sizes, system) == 0:
         detail = f"a strict local minimum: {equations} negative eigenvalues for {equations} equations"
     else:
-        # If a symmetry maps an optimum to another optimum, the curvature along it is zero, and its sign is rounding.
+        # If a symmetry maps an optimum to another optimum, the curvature along it is zero up to a rounding error.
         for part in _NOTHING:
             if factor_kkt(grid, unknowns, 1.0, diagonal + part * sizes, system) == 0:
                 detail = f"a minimum, isolated or not: a curvature is zero up to rounding, above -{part:g} of its terms"
@@ -400,7 +400,7 @@ def check_second_order(context: Context) -> Iterator[Finding]:
 def is_determined(module: ModuleType, grid: Grid, unknowns: Vector, diagonal: Vector) -> bool:
     """Return True if there are as many equations as unknowns without active bounds, and their Jacobian is regular.
 
-    The Jacobian is regular to rounding, after scaling of rows and columns to one.
+    Rows and columns of the Jacobian are scaled to one. `diagonal` has z / distance by unknown, large at active bounds.
     """
     free = diagonal[module.primal_unknowns(grid)] <= _ACTIVE
     rows, columns, values = point.jacobian(grid, unknowns)
@@ -422,11 +422,11 @@ def is_determined(module: ModuleType, grid: Grid, unknowns: Vector, diagonal: Ve
 
 
 _LENGTHS = (1e-2, 1e-3, 1e-4)
-"""Lengths of changes to both sides, relative to the quantities."""
+"""Increments of the central differences, relative to the quantities."""
 _SENSITIVITY_ALLOWED, _ROUGH = 1e-6, 1e-5
-"""Allowed error of sensitivities relative to the largest entry, and largest useful error of the references."""
+"""Allowed error of sensitivities, and largest error of a useful reference, both relative to the largest entry."""
 _KINK = 1e-3
-"""Relative difference of the derivatives to both sides that shows a kink."""
+"""Relative difference of the left and right derivatives from which a kink is assumed."""
 _FLOOR = 1e-3
 """Derivatives below this fraction of the largest value are compared as if they were that large."""
 _KINDS = ("cost", "q", "u", "multipliers")
@@ -438,7 +438,7 @@ Values = dict[str, Vector]
 
 @dataclass(frozen=True)
 class _Direction:
-    """Quantities that change, their values and changes; `prescribed` names quantities that follow no parameter."""
+    """The quantities to change, their values and changes; `prescribed` names quantities that depend on no parameter."""
 
     subject: str
     varied: tuple[Quantity, ...]
@@ -449,7 +449,7 @@ class _Direction:
 
 @dataclass(frozen=True)
 class _Reference:
-    """Differences extrapolated from a length and its half, and from its half and quarter; and the second difference."""
+    """Central differences, `fine` with half the increments; `bend` is the gap between left and right derivatives."""
 
     coarse: Values
     fine: Values
@@ -457,7 +457,7 @@ class _Reference:
 
 
 def check_sensitivities(context: Context) -> Iterator[Finding]:
-    """Compare sensitivities along two directions."""
+    """Compare the module's sensitivities with differences of solutions, for all quantities and for parameters alone."""
     module, solution = context.module, context.solution
     if module.metadata.sensitivities is None:
         yield does_not_apply("sensitivities", "the module has none, unless it is built with --sensitivities")
@@ -502,7 +502,7 @@ def _compared_sensitivities(
         return None if other is None else _values(other)
 
     def references_along(changes: Vector) -> list[_Reference]:
-        """Return references of all lengths; none if the problem cannot be solved at one of them."""
+        """Return a reference for each length in `_LENGTHS`; an empty list if a changed problem is not solved."""
         references = []
         for length in _LENGTHS:
             reference = _reference(lambda part: moved(changes, part), values, length)
@@ -558,7 +558,7 @@ def _compared_sensitivities(
 
 
 def _reference(moved: Callable[[float], Values | None], values: Values, length: float) -> _Reference | None:
-    """Return the differences of a length; None if the problem has no solution to one side."""
+    """Return differences with the increment `length`; None if `moved`, which solves after a change, does not solve."""
     differences, bend = [], dict[str, float]()
     for part in (length, 0.5 * length, 0.25 * length):
         above, below = moved(part), moved(-part)
@@ -575,7 +575,7 @@ def _reference(moved: Callable[[float], Values | None], values: Values, length: 
 
 
 def _is_kinked(references: Sequence[_Reference], kind: str, values: Vector) -> bool:
-    """Return True if derivatives to both sides differ by more than curvature, which is in proportion to lengths."""
+    """Return True if the gap between left and right derivatives does not shrink with the increment, as for a kink."""
     longer, last = references[-2].bend[kind], references[-1]
     floor = _FLOOR * float(np.abs(values).max(initial=0.0))
     largest = max(float(np.abs(last.fine[kind]).max(initial=0.0)), floor)
@@ -587,7 +587,7 @@ def _values(solution: ControlSolution) -> Values:
 
 
 def _solved_nearby(module: ModuleType, steps: int, data: Mapping[str, object], start: Vector) -> ControlSolution | None:
-    """Return the solution near another solution, to the smallest tolerance that is reached; None without solution."""
+    """Return the solution for `data` from the warm start `start`, to the smallest tolerance possible; else None."""
     for tolerance in _TOLERANCES:
         result: ControlSolution = module.solve(steps, **data, guess=start, warm=True, tolerance=tolerance)
         if result.status == "solved":
