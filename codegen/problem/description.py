@@ -30,7 +30,7 @@ They link symbols to each other, or express the order of declaration, which is t
 """
 
 
-def described(problem: Any, name: str = "problem") -> str:
+def described(problem: object, name: str = "problem") -> str:
     """Return the text that describes a problem.
 
     Raise ExpressionError for a part that is no expression, number, list or mapping. Its message begins with `name`.
@@ -42,7 +42,7 @@ def described(problem: Any, name: str = "problem") -> str:
     return "\n".join([*declared, *description.lines, body])
 
 
-def quantities_in(problem: Any) -> list[Quantity]:
+def quantities_in(problem: object) -> list[Quantity]:
     """Return the declared quantities in a problem in the order of their declaration.
 
     The partners of quantities are included, for example the velocity of a coordinate.
@@ -64,7 +64,7 @@ def quantities_in(problem: Any) -> list[Quantity]:
     return sorted(found, key=lambda symbol: symbol.declared)
 
 
-def _slots(symbol: Quantity) -> Iterator[tuple[str, Any]]:
+def _slots(symbol: Quantity) -> Iterator[tuple[str, object]]:
     """Yield the names and values of all attributes of a symbol, such as its value, guess, bounds, partner or lag."""
     for kind in type(symbol).__mro__:
         for name in vars(kind).get("__slots__", ()) if issubclass(kind, Quantity) else ():
@@ -72,7 +72,7 @@ def _slots(symbol: Quantity) -> Iterator[tuple[str, Any]]:
                 yield name, getattr(symbol, name)
 
 
-def _parts(value: Any) -> Iterator[tuple[str, Any]]:
+def _parts(value: object) -> Iterator[tuple[str, object]]:
     """Yield the names and values of the parts of a problem object, mapping or list; nothing for other values."""
     if isinstance(value, Connect):
         yield from ((part.name, getattr(value, part.name)) for part in fields(value) if part.name != "path")
@@ -96,7 +96,7 @@ def _parts(value: Any) -> Iterator[tuple[str, Any]]:
         yield from ((str(number), entry) for number, entry in enumerate(value))
 
 
-def _path(problem: Connect) -> Any:
+def _path(problem: Connect) -> object:
     """Return the expressions of the guessed path of particles for symbolic ends; None for a straight line."""
     if problem.path is None or not isinstance(problem.hamiltonian, Pairwise):
         return None
@@ -117,7 +117,7 @@ class _Description:
         self.lines: list[str] = []
         self.numbers: dict[sympy.Basic, int] = {}
 
-    def of(self, value: Any, where: str) -> str:
+    def of(self, value: object, where: str) -> str:
         """Return the text of a value; `where` names its position in the problem for messages of errors."""
         kind = type(value).__name__
         if isinstance(value, sympy.Basic):

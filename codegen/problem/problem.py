@@ -22,6 +22,9 @@ FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "
 Expression = Any
 """A sympy expression or a number."""
 
+Values = Mapping[Any, Expression]
+"""Expressions by declared symbols."""
+
 SAME_AT_BOTH_ENDS = (
     'declare V = free_parameter("V", guess) for each quantity v that returns, and write Eq(v, V) into the '
     "start_conditions of the first phase and into the end_conditions of the last"
@@ -51,7 +54,7 @@ def refusing(kind: Author) -> Author:
     written = kind.__init__
 
     @wraps(written)
-    def initialised(self: Any, *positional: Any, **named: Any) -> None:
+    def initialised(self: Any, *positional: object, **named: object) -> None:
         known = [argument.name for argument in fields(kind)]
         for name in named:
             if name in known:
@@ -112,10 +115,10 @@ class Problem(AuthorObject):
     _: KW_ONLY
     lagrangian: Expression = None
     hamiltonian: Expression = None
-    dynamics: Mapping[Any, Expression] | None = None
-    force: Mapping[Any, Expression] = field(default_factory=dict)
+    dynamics: Values | None = None
+    force: Values = field(default_factory=dict)
     duration: Expression
-    start: Mapping[Any, Expression] = field(default_factory=dict)
+    start: Values = field(default_factory=dict)
     steps: int = 100
     drawing: Sequence[Item] = ()
 
@@ -218,7 +221,7 @@ class Control(Problem):
     _: KW_ONLY
     cost: Expression = 0
     terminal_cost: Expression = 0
-    end: Mapping[Any, Expression] = field(default_factory=dict)
+    end: Values = field(default_factory=dict)
     maximise: Expression = 0
     terminal_maximise: Expression = 0
     start_conditions: Relations = ()
@@ -229,12 +232,12 @@ class Control(Problem):
     at: Mapping[Expression, Relations] = field(default_factory=dict)
     waypoints: Sequence[Relations | Waypoint] = ()
     constraint: Sequence[Expression] = ()
-    periodic: Mapping[Any, Expression] | Sequence[Any] = ()
-    history: Mapping[Any, Expression] = field(default_factory=dict)
+    periodic: Values | Sequence[Expression] = ()
+    history: Values = field(default_factory=dict)
     bodies: int = 1
     observations: Measurements | Sequence[Measurements] = ()
-    guess: Mapping[Any, Expression] | Trajectory = field(default_factory=dict)
-    scale: Mapping[Any, float] = field(default_factory=dict)
+    guess: Values | Trajectory = field(default_factory=dict)
+    scale: Values = field(default_factory=dict)
 
 
 @dataclass(frozen=True, init=False)
@@ -256,9 +259,9 @@ class Phases(AuthorObject):
     """
 
     phases: tuple[Control, ...]
-    jumps: Sequence[Mapping[Any, Expression]]
+    jumps: Sequence[Values]
 
-    def __init__(self, *phases: Control, jumps: Sequence[Mapping[Any, Expression]] = (), **others: Any) -> None:
+    def __init__(self, *phases: Control, jumps: Sequence[Values] = (), **others: object) -> None:
         """Store the phases and the jumps; raise ProblemFileError for arguments that belong to a single phase."""
         for name in others:
             raise ProblemFileError(

@@ -25,12 +25,17 @@ from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from types import CodeType, ModuleType, NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeAlias, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_args, get_origin
 
 from codegen.errors import ArgumentError, CodegenError, ProblemFileError, clause
 from codegen.problem import AuthorObject, perhaps
 from codegen.problem.points import beside
 
+if TYPE_CHECKING:
+    from codegen.problem.symbols import Quantity
+
+Written: TypeAlias = "tuple[str, Any, list[Quantity]]"
+"""The title of a problem, the object that `problem()` returned, and the quantities that were declared."""
 UNNAMED = "problem"
 """The default name of a problem object."""
 
@@ -72,7 +77,7 @@ class ProblemFile:
         annotated = ((argument.arg, argument.annotation) for argument, _ in _arguments(self.path))
         return {name for name, kind in annotated if isinstance(kind, ast.Name) and kind.id == "Points"}
 
-    def written(self, arguments: Mapping[str, str]) -> tuple[str, Any, Any]:
+    def written(self, arguments: Mapping[str, str]) -> Written:
         """Run the file; return the title, the problem object and the declared symbols; see `written_problem`."""
         return written_problem(self.path, arguments)
 
@@ -106,7 +111,7 @@ class ProblemObject:
         """An empty set: an object has no arguments."""
         return set()
 
-    def written(self, arguments: Mapping[str, str]) -> tuple[str, Any, Any]:
+    def written(self, arguments: Mapping[str, str]) -> Written:
         """Return the title, the problem object and its declared symbols; raise ArgumentError if `arguments` has any."""
         from codegen.problem.description import quantities_in
 
@@ -120,7 +125,7 @@ class ProblemObject:
 Source: TypeAlias = ProblemFile | ProblemObject
 
 
-def source_of(problem: Any, name: str | None = None, title: str | None = None) -> Source:
+def source_of(problem: object, name: str | None = None, title: str | None = None) -> Source:
     """Return the source for the path of a problem file, or for a Control, Simulate, Phases or Connect.
 
     `name` and `title` are the name and the title of an object. Raise ArgumentError for a name that is no identifier,
@@ -200,7 +205,7 @@ def settings_of(problem: Source | Path | str, arguments: Mapping[str, object] | 
 # Problem files
 
 
-def written_problem(path: Path, arguments: Mapping[str, str]) -> tuple[str, Any, Any]:
+def written_problem(path: Path, arguments: Mapping[str, str]) -> Written:
     """Run a problem file; return its title, the problem object and the symbols that were declared for the problem.
 
     The title is the first line of the docstring. The file is run again at each call. Afterwards sys.modules contains
@@ -426,7 +431,7 @@ def _arguments(path: Path) -> list[tuple[ast.arg, ast.expr | None]]:
     return []
 
 
-def converted(path: Path, text: str, parameter: inspect.Parameter) -> Any:
+def converted(path: Path, text: str, parameter: inspect.Parameter) -> object:
     """Return the value of an argument of problem(), converted from text to its annotated type or its default's type.
 
     Raise ArgumentError, which names the problem file `path`, if the text does not fit the type, or if values of the
@@ -452,7 +457,7 @@ def converted(path: Path, text: str, parameter: inspect.Parameter) -> Any:
     )
 
 
-def _readers(annotation: Any) -> list[tuple[str, Callable[[str], Any]]]:
+def _readers(annotation: object) -> list[tuple[str, Callable[[str], object]]]:
     """Return pairs of a description and a function for the type of an argument.
 
     The function converts text to a value, and raises ValueError if the text does not fit the description. The list is
@@ -468,7 +473,7 @@ def _readers(annotation: Any) -> list[tuple[str, Callable[[str], Any]]]:
         # None is tried first, because str and Path would accept the word "none" as a value.
         parts = [_readers(choice) for choice in sorted(choices, key=lambda choice: choice is not NoneType)]
         return [reader for part in parts for reader in part] if all(parts) else []
-    plain: dict[Any, tuple[str, Callable[[str], Any]]] = {
+    plain: dict[type, tuple[str, Callable[[str], object]]] = {
         int: ("a whole number", _integer),
         float: ("a finite number", _finite),
         bool: ("true or false", lambda text: _chosen(_TRUTH, text.strip().lower())),
@@ -482,7 +487,7 @@ def _readers(annotation: Any) -> list[tuple[str, Callable[[str], Any]]]:
 _TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
 
-def _chosen(values: Mapping[str, Any], text: str) -> Any:
+def _chosen(values: Mapping[str, object], text: str) -> object:
     if text not in values:
         raise ValueError(text)
     return values[text]

@@ -77,20 +77,20 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
 
         return refuse
 
-    def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
+    def __reduce_ex__(self, protocol: object) -> tuple[object, ...]:
         """Return the function, arguments and attributes that restore the same symbol from a pickle or for a copy."""
         kinds = [kind for kind in type(self).__mro__ if issubclass(kind, Quantity)]
         slots = [name for kind in kinds for name in vars(kind).get("__slots__", ()) if hasattr(self, name)]
         return _restored, (type(self), self.name, self.declared), {name: getattr(self, name) for name in slots}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         for name, value in state.items():
             setattr(self, name, value)
 
-    def _hashable_content(self) -> tuple[Any, ...]:
+    def _hashable_content(self) -> tuple[object, ...]:
         return (*super()._hashable_content(), self.declared)
 
-    def delayed(self, tau: Any) -> Delayed:
+    def delayed(self, tau: sympy.Expr | float) -> Delayed:
         """Raise SymbolError, because the symbol does not change with time."""
         raise SymbolError(f"{self}.delayed({tau})", f"{self} does not move: delay states, coordinates or controls")
 
@@ -125,7 +125,7 @@ class Moving(Quantity):
         symbol.past = {}
         return symbol
 
-    def delayed(self, tau: Any) -> Delayed:
+    def delayed(self, tau: sympy.Expr | float) -> Delayed:
         """Return the value at the time t - tau.
 
         Parameters
@@ -176,7 +176,7 @@ class Delayed(Quantity):
         symbol.partner, symbol.lag = partner, lag
         return symbol
 
-    def delayed(self, tau: Any) -> Delayed:
+    def delayed(self, tau: sympy.Expr | float) -> Delayed:
         """Return the value of the partner at a still earlier time, t - lag - tau."""
         return self.partner.delayed(self.lag + tau)
 
@@ -196,6 +196,7 @@ def recorded_declarations() -> Iterator[list[Quantity]]:
 
 
 _Declared = TypeVar("_Declared", bound=Quantity)
+_Partner = TypeVar("_Partner", "Velocity", "Momentum")
 
 
 class _Variable(Moving):
@@ -322,9 +323,9 @@ class FreeParameter(Quantity):
     """A number that is optimised together with the motion, with its initial guess and bounds; None means no bound."""
 
     __slots__ = ("guess", "lower", "upper")
-    guess: Any
-    lower: Any
-    upper: Any
+    guess: sympy.Expr | float
+    lower: sympy.Expr | float | None
+    upper: sympy.Expr | float | None
 
 
 class _Common(Quantity):
@@ -332,7 +333,7 @@ class _Common(Quantity):
 
     __slots__ = ()
 
-    def _hashable_content(self) -> tuple[Any, ...]:
+    def _hashable_content(self) -> tuple[object, ...]:
         return tuple(sympy.Symbol._hashable_content(self))
 
 
@@ -365,7 +366,7 @@ class Time(_Common):
                 raise ExpressionError(finding, first.rate_remedy)
         return True
 
-    def _hashable_content(self) -> tuple[Any, ...]:
+    def _hashable_content(self) -> tuple[object, ...]:
         return (*super()._hashable_content(), getattr(self, "unit", ""))
 
 
@@ -528,7 +529,7 @@ def controls(names: str, *, unit: str | None = None) -> tuple[ControlInput, ...]
     return _with_units(tuple(ControlInput(name) for name in _split(names)), unit)
 
 
-def parameter(name: str, value: Any, *, unit: str | None = None) -> Parameter:
+def parameter(name: str, value: float | tuple[float, str], *, unit: str | None = None) -> Parameter:
     """Declare one parameter, a number that can be changed without a new build.
 
     Parameters
@@ -547,7 +548,7 @@ def parameter(name: str, value: Any, *, unit: str | None = None) -> Parameter:
     return _with_units((symbol,), unit)[0]
 
 
-def parameters(**values: Any) -> tuple[Parameter, ...]:
+def parameters(**values: float | tuple[float, str]) -> tuple[Parameter, ...]:
     """Declare several parameters, numbers that can be changed without a new build.
 
     Parameters
@@ -569,7 +570,12 @@ def parameters(**values: Any) -> tuple[Parameter, ...]:
 
 
 def free_parameter(
-    name: str, guess: Any, lower: Any = None, upper: Any = None, *, unit: str | None = None
+    name: str,
+    guess: sympy.Expr | float,
+    lower: sympy.Expr | float | None = None,
+    upper: sympy.Expr | float | None = None,
+    *,
+    unit: str | None = None,
 ) -> FreeParameter:
     """Declare a number that is optimised together with the motion, such as a duration.
 
@@ -675,7 +681,9 @@ def _with_units(symbols: tuple[_Declared, ...], unit: str | None) -> tuple[_Decl
     return symbols
 
 
-def _pairs(qs: list[str], partners: list[str], kind: type[Any]) -> tuple[tuple[Coordinate, ...], tuple[Any, ...]]:
+def _pairs(
+    qs: list[str], partners: list[str], kind: type[_Partner]
+) -> tuple[tuple[Coordinate, ...], tuple[_Partner, ...]]:
     if len(qs) != len(partners):
         raise SymbolError(
             f"{len(qs)} coordinates ({' '.join(qs)}) but {len(partners)} partners ({' '.join(partners)})",

@@ -84,7 +84,7 @@ class Table:
         path = data_file(Path(file))
         self.data: TableData = read_table(path, Path(file).as_posix(), name, columns, output, kind, outside)
 
-    def __call__(self, *at: Any) -> Any:
+    def __call__(self, *at: Expr | float) -> Expr:
         """Return the value of the table for numbers or expressions, one for each input."""
         shape = self.data.shape
         if len(at) != len(shape.inputs):
@@ -174,7 +174,9 @@ _GUESSED = (Coordinate, State, ControlInput)
 """The kinds of quantities for which a trajectory may have a column."""
 
 
-def _require_arguments(file: Any, inputs: Any, output: Any, kind: Any, outside: Any, name: Any) -> None:
+def _require_arguments(
+    file: object, inputs: Sequence[str], output: str, kind: object, outside: object, name: object
+) -> None:
     if not isinstance(file, Path | str) or not str(file).isprintable():
         raise TableError(f"the file of a table is {file!r}", "give its path")
     if not isinstance(inputs, (tuple, list)) or len(inputs) not in (1, 2):
@@ -271,7 +273,7 @@ class Measurements:
         return f"Measurements({self.data.source!r}, values={self.values!r})"
 
 
-def _require_name(what: str, name: Any) -> None:
+def _require_name(what: str, name: object) -> None:
     if not isinstance(name, str) or not name.strip():
         raise TableError(f"{what} is {name!r}", "give the name of a column, as text")
 
