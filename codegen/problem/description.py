@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
 from pathlib import PurePath
-from typing import Any
 
 import numpy as np
 import sympy
