@@ -227,8 +227,7 @@ COLD = 16
 PARTS = 6
 """The number of grids per doubling for optima whose bounds become active."""
 ENOUGH, ACCURATE = 0.005, 1e-10
-"""Local orders have settled if they differ by at most ENOUGH; a limit is accurate if its relative error is below
-ACCURATE."""
+"""The largest difference of settled local orders, and the relative error below which a limit is accurate."""
 NO_MORE = 1e-11
 """Rounding errors are near if the relative differences of costs are below this value."""
 

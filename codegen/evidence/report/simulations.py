@@ -47,8 +47,7 @@ BELOW = 1
 ORDER_CHECKPOINTS = 4
 """The number of intervals between the times of errors for orders; their root mean square is smooth in h."""
 SPANS = (2.0, 4.0, 8.0, 1.0)
-"""The durations of the spans in the order of trial, as multiples of the time in which the state moves by its own
-size."""
+"""The durations of the spans in the order of trial, in units of the time in which the state moves by its size."""
 MOST_STEPS = 40_000
 RUNGS = sorted({n for k in range(100) if (n := ORDER_CHECKPOINTS * round(2.0 * 2.0 ** (k / 3.0))) <= MOST_STEPS})
 """The numbers of steps for orders: multiples of ORDER_CHECKPOINTS that grow by about a third of a doubling."""
@@ -216,8 +215,7 @@ def order_values(module: SimulateModule, spans: Iterable[Motion], limit: float) 
     """Return the errors by number of steps on the first span where local orders settle, else on the last span.
 
     On each span the number of steps grows until orders have settled, rounding errors dominate, or a solve takes more
-    than `limit` seconds. An error is the root mean square over checkpoints and components, relative to the sizes of the
-    components.
+    than `limit` seconds. An error is the root mean square over checkpoints and components, relative to component sizes.
     """
     values: Values = {}
     for motion in spans:
