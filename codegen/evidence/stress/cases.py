@@ -1,7 +1,4 @@
-"""Stress cases as data: a case, its measurement, and the outcome of the case with a verdict.
-
-A case passes only if its outcome is documented and expected.
-"""
+"""Stress cases as data: a case, its measurement, and its outcome, which passes if it is honest and expected."""
 
 from __future__ import annotations
 

@@ -215,7 +215,10 @@ def two_bodies(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def regulator(module: ModuleType, case: Case, result: Result) -> float:
-    """Compare J = eps^2/2 (l ((x0^2 + x1^2) coth(l T) - 2 x0 x1/sinh(l T)) + a (x1^2 - x0^2)), l^2 = a^2 + 1/eps^2."""
+    """Return the relative error of the cost against the closed form J.
+
+    J = eps^2/2 (l ((x0^2 + x1^2) coth(l T) - 2 x0 x1/sinh(l T)) + a (x1^2 - x0^2)), l^2 = a^2 + 1/eps^2.
+    """
     values = {"a": 1.0, "eps": 1.0, "T": 10.0, "begin": 1.5, "goal": 1.0} | dict(case.values)
     a, eps, T, x0, x1 = (values[name] for name in ("a", "eps", "T", "begin", "goal"))
     rate = math.hypot(a, 1.0 / eps)
@@ -226,32 +229,32 @@ def regulator(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def cubic_regulator(module: ModuleType, case: Case, result: Result) -> float:
-    """Compare J with F(1) + F(9/4) + (81/16 - 1)/2 for long times, F(y) = (y sqrt(1 + y^2) + asinh y)/2."""
+    """Return the cost error; for long times J = F(1) + F(9/4) + (81/16 - 1)/2, F(y) = (y sqrt(1 + y^2) + asinh y)/2."""
     first, last = ((y * math.hypot(1.0, y) + math.asinh(y)) / 2.0 for y in (1.0, 2.25))
     return _relative(result.cost, first + last + (81.0 / 16.0 - 1.0) / 2.0)
 
 
 def short_turn(module: ModuleType, case: Case, result: Result) -> float:
-    """Compare with 12 (angle)^2/T^3, the least integral of the squared torque if gravity has no time to act."""
+    """Return the cost error against 12 (angle)^2/T^3, the least squared torque if gravity has no time to act."""
     values = {"T": 1.0, "begin": 0.0, "goal": 1.0} | dict(case.values)
     exact = 12.0 * (values["goal"] - values["begin"]) ** 2 / values["T"] ** 3
     return _relative(result.cost, exact)
 
 
 def walled_cart(module: ModuleType, case: Case, result: Result) -> float:
-    """Compare the cost with 4/(9 wall)."""
+    """Return the cost error against 4/(9 wall)."""
     return _relative(result.cost, 4.0 / (9.0 * dict(case.values)["wall"]))
 
 
 def other_units(module: ModuleType, case: Case, result: Result) -> float:
-    """Compare with the transfer in units of one, whose cost is multiplied by m^2 GM^(3/2) r^(-5/2)."""
+    """Return the cost error against the transfer in units of one; costs scale with m^2 GM^(3/2) r^(-5/2)."""
     values = {"m": 1.0, "GM": 1.0, "r0": 1.0} | dict(case.values)
     plain = module.solve(result.steps, m=1.0, GM=1.0, r0=1.0, r1=1.2)
     return _relative(result.cost, plain.cost * values["m"] ** 2 * values["GM"] ** 1.5 * values["r0"] ** -2.5)
 
 
 def single_landmark(module: ModuleType, case: Case, result: Result) -> float:
-    """Compare with the squared distance 2 artanh(|y - x|/|1 - conj(x) y|)^2 in the metric 2 |dq|^2/(1 - |q|^2)^2."""
+    """Return the cost error: J = 2 artanh(|y - x|/|1 - conj(x) y|)^2, by the metric 2 |dq|^2/(1 - |q|^2)^2."""
     x0, y0, x1, y1 = case.points[0]
     start, target = complex(x0, y0), complex(x1, y1)
     exact = 2.0 * math.atanh(abs((target - start) / (1.0 - start.conjugate() * target))) ** 2
