@@ -37,7 +37,7 @@ _MOST_FREEDOM = 8
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Yield a case for each scheme, if the extent contains a long motion."""
+    """Yield a case for each scheme, or none if the extent has no long motion (`drift_steps` = 0)."""
 
     def measure(variant: Variant) -> Values:
         module = workshop.simulation(variant)
@@ -127,7 +127,7 @@ def trend_of(times: Vector, values: Vector) -> Trend:
 
 
 def section(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
-    """Return the section with a table of all schemes, or an empty list if nothing was measured."""
+    """Return the section with energy drift and symplecticity of all schemes, or an empty list without measurements."""
     measured = {
         v: values for v in variants if (values := store.get(section_of(problem, "long motion"), v.label)) is not None
     }
@@ -159,7 +159,7 @@ def section(store: Store, problem: Path, variants: Sequence[Variant], title: str
 
 
 def answer(values: Values) -> str:
-    """Return the verdict on a drift of the energy as text, with its cause."""
+    """Return in a few words whether the energy drifts, and why."""
     walk = BY_ROUNDING * values["rounding"]
     if values["oscillation"] > GROWN * values["first"] + walk:
         return "leaves its first swing"

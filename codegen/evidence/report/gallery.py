@@ -45,12 +45,12 @@ KINDS = {
     "simulate": Kind(simulations.cases, simulations.sections, simulations.measured, "trajectory"),
     "control": Kind(optima.cases, optima.sections, optima.measured, "cost"),
 }
-"""The kinds by task; landmark registration is one of the EXTRAS."""
+"""The measurements by task; landmark registration is one of the EXTRAS."""
 
 
 @dataclass(frozen=True)
 class Extra:
-    """An experiment of the thesis on one problem: the rows of its modules, its cases and its sections."""
+    """An experiment of the thesis: `rows` of its modules (see Row), and functions for its cases and sections."""
 
     rows: Sequence[Row]
     cases: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterator[Case]]
@@ -117,7 +117,7 @@ class Report:
 
 
 def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | None = None) -> Report:
-    """Measure every case that `folder` does not contain, and write the report; compare it with an earlier report."""
+    """Measure every case that `folder` does not contain; write the report and compare it with the `earlier` report."""
     before = None if earlier is None else read_record(earlier)
     folder.mkdir(parents=True, exist_ok=True)
     store = Store(folder / ("quick.jsonl" if extent.quick else "measurements.jsonl"))
@@ -129,7 +129,7 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
             selection = [choose(problem, store, extent) for problem in problems]
             plain = [v for c in selection for v in (*c.variants, *(c.extra.variants(c.problem) if c.extra else ()))]
             general = (v for c in selection for v in modules.general_forms(store, c.problem, c.variants, extent))
-            groups: tuple[Iterable[Variant], ...] = (plain, general)  # plain modules come first: their sizes decide
+            groups: tuple[Iterable[Variant], ...] = (plain, general)  # sizes of plain modules select general forms
             for variants in groups:
                 builds = {v.case: partial(build_one, v, workshop.folder) for v in variants}
                 gather(pool, store, MODULES, builds, lambda name: report_progress(1, f"building {name}"))

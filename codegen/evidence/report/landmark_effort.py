@@ -37,7 +37,7 @@ SCHEMES = ("explicit-euler", "symplectic-euler", "midpoint", "stormer-verlet", "
 
 
 def accuracy_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Yield the references, the rows of Table 5.2, the sweep of tolerances, and error against time of each scheme."""
+    """Yield cases: references, the rows of Table 5.2, a sweep of tolerances, and error against time of each scheme."""
     for count in (*settings.counts, 40):
         yield Case(REFERENCES, f"nc {count}", partial(_reference, settings, count))
         if count != 40:
@@ -87,7 +87,7 @@ WEAK_SOLUTION_SECTION = "weak solution"
 
 
 def weak_solution_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Yield the check of the weak equation along the motion of every set of landmarks."""
+    """Yield a case for every set of landmarks: the check of the weak equation along the motion."""
     for count in (*settings.counts, 40):
         yield Case(WEAK_SOLUTION_SECTION, f"nc {count}", partial(_defects, settings, count))
 
@@ -105,10 +105,9 @@ def _defects(settings: Settings, count: int) -> Values:
 
 
 def _weak_defect(module: ConnectModule, q: Vector, p: Vector, coefficients: Vector) -> tuple[float, float]:
-    """Return the largest component of the left side of the weak equation, and of its first term alone.
+    """Return the largest component of the weak equation's left side, and of its first term; `coefficients` define psi.
 
     By parts, (v . grad m) psi becomes -p . (psi div v + v . grad psi). The slopes of v are central differences.
-    `coefficients` (4, 4) define psi.
     """
     gradient, none = np.empty((2, *q.shape)), np.zeros((len(q), 0))
     module.hamiltonian_gradient(np.stack([q, p]), none, np.zeros(0), gradient)
@@ -155,7 +154,7 @@ landmarks is numerically singular."""
 
 
 def dimension_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Yield solves by explicit Euler, N = 10, with the Gaussian and the plate's kernel in the plane and in space."""
+    """Yield cases by explicit Euler, N = 10, with the Gaussian and the plate's kernel in the plane and in space."""
     for kernel, dimension in (("plate", 2),) if settings.quick else KERNELS:
         for count in COUNTS[:4] if settings.quick else COUNTS:
             name = f"{kernel} {dimension}-D; nc {count}"
@@ -196,7 +195,7 @@ MIDPOINT_SECTION = "midpoint effort"
 
 
 def midpoint_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Yield the generated solve for all sets of landmarks, and the nested solve for small sets."""
+    """Yield cases: the generated solve for all sets of landmarks, and the nested solve for small sets."""
     if settings.quick:
         return
     for count in (*settings.counts, 40):
@@ -259,7 +258,7 @@ _REPEAT = 5
 
 
 def fastest_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Yield for every scheme and target error the fewest steps, or the loosest tolerance, that meet the target."""
+    """Yield a case for every scheme and target error: the fewest steps or the loosest tolerance that meet it."""
     if settings.quick:
         return
 
@@ -346,7 +345,7 @@ def routes_of(scheme: str) -> list[Route]:
 
 
 def route_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Yield every route on every set of landmarks, with ever more steps until a solve takes longer than the limit."""
+    """Yield cases: every route on every set of landmarks, with ever more steps until a solve exceeds the limit."""
     for scheme in ("explicit-euler", "midpoint") if settings.quick else _EULERS:
         for route in routes_of(scheme):
             if settings.quick and (route.method != "stepping" or route.driver not in ("newton", "fsolve")):
@@ -361,7 +360,7 @@ def route_cases(settings: Settings, store: Store) -> Iterator[Case]:
 
 
 def case_name(scheme: str, route: str, count: int, steps: int) -> str:
-    """Return the name of a case."""
+    """Return the name of a case of a route."""
     return f"{scheme}; {route}; nc {count}; N {steps}"
 
 

@@ -47,7 +47,7 @@ def reference_cost(store: Store, count: int) -> float | None:
 
 
 def by_route(settings: Settings, store: Store, scheme: str, route: str, count: int) -> Rows:
-    """Return the solves of a scheme by a route."""
+    """Return the solves of a scheme by a route for `count` landmarks."""
     names = ((n, landmark_effort.case_name(scheme, route, count, n)) for n in settings.steps)
     rows = ((n, store.get(landmark_effort.ROUTES_SECTION, name)) for n, name in names)
     return [(n, values) for n, values in rows if values is not None and values["seconds"] is not None]
@@ -240,7 +240,7 @@ def jump_figure(settings: Settings, store: Store) -> Figure:
 
 
 def by_variant(settings: Settings, store: Store, variant: landmark_motion.Minimisation, count: int) -> Rows:
-    """Return the minimisations of a variant."""
+    """Return the minimisations of a variant for `count` landmarks."""
     rows = ((n, store.get(landmark_motion.JUMPS_SECTION, variant.case(count, n))) for n in settings.steps)
     return [(n, values) for n, values in rows if values is not None and values["error"] is not None]
 
@@ -310,7 +310,7 @@ def smoothness_figure(store: Store) -> Figure:
 
 
 def warps(store: Store, amplitude: float) -> list[Values]:
-    """Return the warps of an amplitude by increasing N, with errors against the finest; empty for fewer than two."""
+    """Return the warps of an amplitude by increasing N, with errors against the finest; empty for only one warp."""
     prefix = f"amplitude {amplitude:g};"
     rows = [v for name, v in store.rows(landmark_motion.SMOOTHNESS_SECTION) if name.startswith(prefix)]
     rows = sorted((v for v in rows if v["status"] == "solved"), key=lambda v: int(v["steps"]))

@@ -44,7 +44,7 @@ class Minimisation:
     tolerance: float
 
     def case(self, count: int, steps: int) -> str:
-        """Return the name of a case."""
+        """Return the name of the case."""
         return f"momenta on {self.momenta}; {self.path} paths; tolerance {self.tolerance:g}; nc {count}; N {steps}"
 
 
@@ -57,7 +57,7 @@ VARIANTS = tuple(
 
 
 def jump_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Yield every variant with ever more steps, until a solve takes longer than the limit."""
+    """Yield cases: every variant with ever more steps, until a solve takes longer than the limit."""
     if settings.quick:
         return
     for count in settings.counts[:2]:
@@ -165,7 +165,7 @@ PATHS_STEPS = 20
 
 
 def path_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Yield every initial guess for small sets of landmarks, for the trilobites, and for a hundred random landmarks."""
+    """Yield cases: every initial guess for small sets of landmarks, the trilobites, and a hundred random landmarks."""
     if settings.quick:
         return
     sets = {f"nc {n}": settings.points(n) for n in (*settings.counts, 40)} | {"nc 100, smooth": smooth_pair(100)}
@@ -175,7 +175,7 @@ def path_cases(settings: Settings, store: Store) -> Iterator[Case]:
 
 
 def _guess(module: ConnectModule, case: Any, kind: str) -> Vector:
-    """Return the states of an initial guess of a kind in KINDS, shape (N + 1, 2, n, d)."""
+    """Return the states of the initial guess `kind` (see KINDS), shape (N + 1, 2, n, d)."""
     if kind == "straight":
         return _straight_path(module, case)
     if kind == "curved":
@@ -222,7 +222,7 @@ _FINE, _ROWS = 640, 31
 
 
 def smoothness_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Yield warps by explicit Euler of increasing amplitude with ever more steps."""
+    """Yield cases: warps by explicit Euler with increasing displacements and ever more steps."""
     if settings.quick:
         return
     for amplitude in AMPLITUDES:

@@ -121,7 +121,7 @@ def _eulers(settings: Settings, store: Store) -> Section:
 
 
 def _stepping(store: Store, scheme: str, count: int, steps: int) -> Values | None:
-    """Return the values of the stepping route by Newton's method, or None if they were not measured."""
+    """Return the values of a scheme by stepping with Newton's method, or None if they were not measured."""
     name = landmark_effort.case_name(scheme, figures.STEPPING, count, steps)
     return store.get(landmark_effort.ROUTES_SECTION, name)
 

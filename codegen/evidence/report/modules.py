@@ -34,7 +34,7 @@ _FORMS = {
 
 
 def general_forms(store: Store, problem: Path, variants: Sequence[Variant], extent: Extent) -> list[Variant]:
-    """Return the general forms to build: none for particles, and none for modules too large for the extent."""
+    """Return the general forms to build: none for particles, and none for modules with too many operations."""
     if (store.get(SURVEYS, problem.stem) or {}).get("form") == PARTICLES:
         return []
     shown = [(v, store.get(MODULES, v.case) or {}) for v in _shown(store, variants)]
@@ -55,7 +55,7 @@ def _operations(module: Values, column: int) -> int:
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Yield a case for each general form, which compares it with the plain module."""
+    """Yield a case for each general form: the comparison of its solve with the plain module's solve."""
     for general in workshop.built(general_forms(workshop.store, problem, variants, extent)):
         yield Case(
             section_of(problem, "general form"), general.label, partial(_compared, workshop, general, extent.repeat)

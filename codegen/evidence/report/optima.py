@@ -68,17 +68,17 @@ from codegen.solving.results.result import Result
 
 DRIVERS = ("newton", "slsqp", "trust-constr", "fsolve")
 MOST_STEPS = 20_000
-"""The largest number of steps from which the number of steps of the first grid is derived."""
+"""The first grid is derived from the problem's own number of steps, or from this number if it is smaller."""
 QUICKLY = 0.01
 """The seconds of a solve below which ten times as many solves are timed."""
 NEAR = 0.01
-"""The reference's error is drawn if it exceeds this fraction of the least error."""
+"""The reference's error is drawn if it exceeds this fraction of the least error of the schemes."""
 OTHER_OPTIMUM = 0.1
 """The relative error of the cost on the finest grid above which a remark names possible reasons."""
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Yield every scheme on ever finer grids, mesh sequences, the reference, and all drivers on the coarsest grid."""
+    """Yield cases: every scheme on ever finer grids, mesh sequences, the reference, drivers on the coarsest grid."""
     store, modules = workshop.store, {v: workshop.control(v) for v in workshop.built(variants)}
     for variant, module in modules.items():
         first = _first_steps(module)
@@ -225,7 +225,7 @@ second case the last grid has at least FINE intervals."""
 COLD = 16
 """If coarse grids have no optimum, the first grid may be finer than requested by up to this factor."""
 PARTS = 6
-"""The number of grids per doubling for optima whose bounds become active."""
+"""The number of grids per doubling for optima whose bounds become active or inactive."""
 ENOUGH, ACCURATE = 0.005, 1e-10
 """The largest difference of settled local orders, and the relative error below which a limit is accurate."""
 NO_MORE = 1e-11
@@ -282,7 +282,7 @@ class _Sequence:
 
 
 def sequence(module: ControlModule, first: int, seconds: float) -> Values:
-    """Return the numbers of intervals and the costs of a mesh sequence, and the unknowns with switching bounds.
+    """Return the grids and costs of a mesh sequence, and the unknowns whose bounds become active or inactive.
 
     `first` is the number of intervals of the first grid. No grid starts after `seconds` of processor time, which does
     not depend on the load of the machine.

@@ -39,8 +39,7 @@ TOLERANCE, TOLERANCE_HIGH = 0.1, 0.3
 class Order:
     """A measured order, the largest difference of its local orders, and the least and the largest number of steps.
 
-    For a fit to irregular errors, `spread` is the range of residuals and `uncertainty` two standard errors of the
-    slope.
+    For a fit to irregular errors, `spread` is the range of residuals, `uncertainty` twice the slope's standard error.
     """
 
     value: float

@@ -52,13 +52,13 @@ MOST_STEPS = 40_000
 RUNGS = sorted({n for k in range(100) if (n := ORDER_CHECKPOINTS * round(2.0 * 2.0 ** (k / 3.0))) <= MOST_STEPS})
 """The numbers of steps for orders: multiples of ORDER_CHECKPOINTS that grow by about a third of a doubling."""
 ENOUGH, LEAST_RUNGS = 0.01, 12
-"""No further steps are tried if local orders differ by at most the first value after at least LEAST_RUNGS rungs."""
+"""No further steps are tried once local orders differ by at most ENOUGH, after at least LEAST_RUNGS trials."""
 _STATES = 3
 _QUANTITIES = (("trajectory", "error of trajectory"), ("energy", "error of energy"), ("momentum", "error of momentum"))
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Yield the reference, then every scheme with ever more steps, until a solve is slow or rounding dominates."""
+    """Yield cases: the reference, then each scheme with ever more steps until a solve is slow or rounding dominates."""
     store, modules = workshop.store, {v: workshop.simulation(v) for v in workshop.built(variants)}
     euler = next((module for v, module in modules.items() if v.scheme == "explicit-euler"), None)
     if euler is None:

@@ -123,7 +123,7 @@ LINEAR_ROWS = tuple(row[1:4] for row in LINEAR_METHODS)
 def linear_pendulum_cases(
     problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent
 ) -> Iterator[Case]:
-    """Yield N = 10, 15, ..., 200 for each transcription, every fourth of these in a quick report."""
+    """Yield a case for each transcription and N = 10, 15, ..., 200, or every fourth N in a quick report."""
 
     def measure(variant: Variant, steps: int) -> Values:
         return solved(workshop.control(variant), steps, extent.repeat)
@@ -199,7 +199,7 @@ TOLERANCE = 1e-11
 
 
 def orbit_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Yield both methods for one and two revolutions; the motions with the numbers of steps in FORCES are stored."""
+    """Yield cases: both methods, one and two revolutions; motions with the numbers of steps in FORCES are stored."""
     for variant, (label, *_) in zip(variants, ORBIT_METHODS, strict=True):
         for revolutions, sweep in SWEEPS.items():
             wanted = sorted({*(sweep[::3] if extent.quick else sweep), *FORCES[revolutions]})
@@ -232,7 +232,7 @@ def _transfer(workshop: Workshop, variant: Variant, revolutions: int, steps: int
 
 
 def _reintegrated(module: ControlModule, solution: ControlSolution, revolutions: int) -> Values:
-    """Return the motion by R-K and its misses: m (r'' - r phi'^2) = -GM m/r^2 and (m r^2 phi')' = r u."""
+    """Integrate m (r'' - r phi'^2) = -GM m/r^2 and (m r^2 phi')' = r u, u splined; return the motion and its misses."""
     values = module.metadata.parameters
     m, gravity, r0, r1 = (values[name] for name in ("m", "GM", "r0", "r1"))
     t = solution.t

@@ -58,12 +58,13 @@ class Setup:
 class Case:
     """One solve of a module with run-time values, and the expected outcome.
 
-    `reason` explains the expected outcome `expect`; the outcomes `allowed` pass as well. `reference` names the function
-    that computes the error (see `measure.REFERENCES`). `bound` is the largest error that the order of the scheme
-    promises, or NaN without a promise. `drift` is the largest relative change of energy that counts as bounded.
-    `h_omega` is the time step times the largest frequency. `textbook` asks for the residuals of the scheme's textbook
-    equations in extended precision, `limit` for the largest stable step. `points` are rows of start and target, `noise`
-    perturbs the initial guess of an optimisation, `seconds` is the time limit.
+    `reason` explains the expected outcome `expect`; the outcomes `allowed` pass as well. `values` are arguments of the
+    solve, `every` and `doublings` options of `api.solve`. `reference` names the function that computes the error (see
+    `measure.REFERENCES`). `bound` is the largest error that the order of the scheme promises, or NaN without a promise.
+    `drift` is the largest relative change of energy that counts as bounded. `h_omega` is the time step times the
+    largest frequency. `textbook` asks for the residuals of the scheme's textbook equations in extended precision,
+    `limit` for the largest stable step. `points` are rows of start and target, `noise` perturbs the initial guess of an
+    optimisation, `seconds` is the time limit.
     """
 
     name: str
@@ -225,7 +226,7 @@ def _rounding(*arrays: NDArray[np.float64] | None) -> float:
 
 
 def _of_simulations(module: ModuleType, case: Case, result: Result) -> float:
-    """Return the limit of residuals; variational steps divide rounding errors by h, and stiff springs amplify them."""
+    """Return the limit of residuals: variational steps divide rounding errors by h, and stiff springs amplify them."""
     h = result.t[-1] / max(result.steps, 1)
     stiff = 10.0 * rounding_level(module, result.steps, result.q, result.p) if case.every == 1 else 0.0
     return max(1e-10, _rounding(result.q, result.p) * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)

@@ -28,7 +28,7 @@ REFUSED = ("refused",)
 
 
 def control_cases() -> Iterator[Case]:
-    """Yield long horizons, boundary layers, extreme units, tiny durations, large turns, poor initial guesses."""
+    """Yield cases: long horizons, boundary layers, extreme units, tiny durations, large turns, poor initial guesses."""
     # Hypersensitive: the state decays and grows by exp(sqrt(2) t) at the two ends, and is nearly zero in between.
     rate = math.sqrt(2.0)
     for T, steps in ((1e-6, 10), (1.0, 1), (1.0, 20), (100.0, 1000), (1000.0, 10_000), (10_000.0, 100_000)):
@@ -153,7 +153,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 def particle_cases() -> Iterator[Case]:
-    """Yield landmarks that nearly meet or lie close to the boundary, large turns, and bodies of unequal mass."""
+    """Yield cases: landmarks close together or to the boundary, large turns, short durations, unequal masses."""
     for name in CONNECT_SCHEMES:
         yield from landmarks((None, name))
     for name in PAIR_SCHEMES:
@@ -176,7 +176,7 @@ def pair(distance: float, stretch: float) -> Rows:
 
 
 def landmarks(scheme: SchemeOf) -> Iterator[Case]:
-    """Yield one, two and six landmarks in the unit disc."""
+    """Yield cases of one, two and six landmarks in the unit disc."""
     module = setup("landmarks", scheme)
     steps, order = 20, registered(scheme).order
 
@@ -237,7 +237,7 @@ def landmarks(scheme: SchemeOf) -> Iterator[Case]:
 
 
 def bodies(scheme: SchemeOf) -> Iterator[Case]:
-    """Yield two bodies that circle each other at unit distance, or fall into each other."""
+    """Yield cases of two bodies that circle each other at unit distance, or fall into each other."""
     module = setup("gravity", scheme)
     h, steps = (0.01, 2000) if registered(scheme).order < 4 else (0.1, 200)
     for ratio in (1.0, 1e-6, 1e-12):
@@ -279,7 +279,7 @@ BODY_SCHEMES = ("rk4", "butcher-6", "yoshida-4", "kahan-li-8")
 
 
 def higher_order_cases() -> Iterator[Case]:
-    """Yield problems on which a scheme of higher order changes the result.
+    """Yield cases in which a scheme of higher order changes the result.
 
     The stability limits of the oscillator follow from the coefficients of the schemes. On ellipses, an order shows only
     if the time step resolves the closest approach. Further cases are a stiff spring with a swing, a million steps, and

@@ -66,7 +66,7 @@ def measure(module: ModuleType, case: Case) -> Measurement:
 
 
 def _with_values(module: ModuleType, case: Case) -> Any:
-    """Return a copy of the module with the values of the case as default arguments, and with a noisy initial guess."""
+    """Return a copy of the module with the case's values as default arguments, and with a noisy initial guess."""
     values = _as_keywords(case.values)
     varied = ModuleType(module.__name__)
     vars(varied).update(vars(module))
@@ -105,7 +105,7 @@ def _as_keywords(values: Values) -> dict[str, object]:
 
 
 def _drift(case: Case, result: Result, keeps_energy: bool) -> float:
-    """Return the largest change of energy relative to its first value or to the weights; NaN without an energy."""
+    """Return the largest change of energy relative to its first value or to the masses' weight; NaN without energy."""
     if result.energy is None:
         return math.nan
     energy = np.asarray(result.energy, dtype=float)
@@ -141,7 +141,7 @@ def oscillator(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def stable_step(module: ModuleType, case: Case, result: Result) -> float:
-    """Return the relative error of the largest stable step by bisection against the scheme's coefficients."""
+    """Return the relative difference between the largest stable steps by bisection and by the scheme's coefficients."""
     measured, exact = stable_limit(module, case), systems.limit(registered((result.method, result.scheme)))
     if measured == exact:
         return 0.0
@@ -158,7 +158,7 @@ def discrete_oscillator(module: ModuleType, case: Case, result: Result) -> float
 
 
 def kepler(module: ModuleType, case: Case, result: Result) -> float:
-    """Return the final error by Kepler's equation E - e sin E = pi + t for the ellipse of unit semi-major axis."""
+    """Return the error of the last position; with unit semi-major axis, Kepler's equation is E - e sin E = pi + t."""
     e = float(result.q[0, 0]) - 1.0
     mean = np.mod(math.pi + result.t, 2.0 * math.pi)
     anomaly = np.where(e > 0.8, math.pi, mean)
@@ -206,7 +206,7 @@ def _integrated(field: Callable[[float, Vector], Vector], start: Vector, t: Vect
 
 
 def two_bodies(module: ModuleType, case: Case, result: Result) -> float:
-    """Return the error of a circle of radius d with omega = sqrt(G (m1 + m2)/d^3), relative to d."""
+    """Return the error, relative to the distance d, against a circle with omega = sqrt(G (m1 + m2)/d^3)."""
     masses = dict(case.values).get("m", (1.0, 0.001))
     relative = result.q[:, 2:] - result.q[:, :2]
     distance = float(np.linalg.norm(relative[0]))
@@ -235,7 +235,7 @@ def cubic_regulator(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def short_turn(module: ModuleType, case: Case, result: Result) -> float:
-    """Return the cost error against 12 (angle)^2/T^3, the least squared torque if gravity has no time to act."""
+    """Return the cost error against 12 (angle)^2/T^3, the least integral of the squared torque without gravity."""
     values = {"T": 1.0, "begin": 0.0, "goal": 1.0} | dict(case.values)
     exact = 12.0 * (values["goal"] - values["begin"]) ** 2 / values["T"] ** 3
     return _relative(result.cost, exact)
@@ -276,7 +276,7 @@ def reintegrated(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def at_rest(module: ModuleType, case: Case, result: Result) -> float:
-    """Return the larger value of cost and motion, which both vanish."""
+    """Return the larger of the cost and the largest displacement, which both vanish at rest."""
     return max(abs(result.cost or 0.0), float(np.abs(result.q - result.q[0]).max()))
 
 

@@ -24,7 +24,7 @@ SchemeOf: TypeAlias = tuple[str | None, str]
 MECHANICAL: tuple[SchemeOf, ...] = tuple(
     (method, name) for method in ("hamiltonian", "variational") for name in schemes.METHODS[method]
 )
-"""All schemes for mechanical systems; only the oscillator has cases for all, which are cheap and have closed forms."""
+"""All schemes for mechanical systems; the oscillator uses all, since its cases are cheap and have closed forms."""
 
 EULER, IMPLICIT_EULER, SYMPLECTIC_EULER, MIDPOINT, VERLET = (
     ("hamiltonian", name)
@@ -76,7 +76,7 @@ EPS = 2.0**-52
 
 
 def stiff_cases() -> Iterator[Case]:
-    """Yield oscillations with time steps below and beyond the stability limit."""
+    """Yield cases of oscillations with time steps below and beyond the stability limit."""
     for scheme in of_order(0, 2):
         yield from oscillator(scheme)
     for scheme in STIFF_SCHEMES:
@@ -133,14 +133,14 @@ def spurious_outcomes(scheme: SchemeOf, h_omega: float) -> tuple[str, ...]:
     """Return further honest outcomes of an implicit scheme with steps far beyond the fast motion.
 
     The equations of nonlinear problems then have distant solutions, and the prediction from which Newton's method
-    starts is off by (h omega)^2 stretches. Newton's method may find a distant solution, whose energy shows the failure,
-    or none.
+    starts is off by (h omega)^2 stretches. It may find a distant solution, whose energy shows the failure, or no
+    solution.
     """
     return ("unsuitable", "refused") if math.isinf(limit(registered(scheme))) and h_omega >= 10.0 else ()
 
 
 def oscillator(scheme: SchemeOf) -> Iterator[Case]:
-    """Yield the largest stable step, and steps below and beyond it."""
+    """Yield cases of the oscillator: the largest stable step, and steps below and beyond it."""
     module = setup("oscillator", scheme)
     yield Case(
         "oscillator, largest stable step", "stiff", module, "accurate", "follows from the table of every scheme",
@@ -162,7 +162,7 @@ def oscillator(scheme: SchemeOf) -> Iterator[Case]:
 
 
 def spring_pendulum(scheme: SchemeOf) -> Iterator[Case]:
-    """Yield vibrations with unit energy (k s^2/2 = 1 for the stretch s) together with a swing."""
+    """Yield cases of a vibration with unit energy (k s^2/2 = 1 for the stretch s) together with a swing."""
     module = setup("spring_pendulum", scheme)
     for k in (1e2, 1e6, 1e12):
         omega = math.sqrt(k)
@@ -195,7 +195,7 @@ def pericentre_rate(e: float) -> float:
 
 
 def orbits_cases() -> Iterator[Case]:
-    """Yield ellipses of increasing eccentricity."""
+    """Yield cases of ellipses with increasing eccentricity."""
     for scheme in KEPLER_SCHEMES:
         for e in (0.5, 0.9, 0.99, 0.999999):
             resolved = math.ceil(2.0 * math.pi * pericentre_rate(e) / (0.02 if registered(scheme).order > 1 else 0.005))
@@ -239,7 +239,7 @@ RATE = 3.0
 
 
 def chaos_cases() -> Iterator[Case]:
-    """Yield chains of pendulums with extreme masses and with stiff rods."""
+    """Yield cases of chains of pendulums, with extreme masses and with stiff rods."""
     for scheme in CHAIN_SCHEMES:
         module = setup("pendulum_chain", scheme)
         yield _short(module, "double pendulum", 2.0, 200)
@@ -288,7 +288,7 @@ def chaos_cases() -> Iterator[Case]:
 
 
 def _short(module: Setup, name: str, duration: float, steps: int, heavy: float = 1.0, light: float = 1.0) -> Case:
-    """Return a comparison with DOP853 before chaos prevails: an error grows by exp(t) at most."""
+    """Return a case that DOP853 checks before chaos prevails; errors are assumed to grow by at most exp(t)."""
     h = duration / steps
     bound = (RATE * h) ** 2 / 4.0 * (1.0 + RATE * duration) * math.exp(duration)
     return Case(
@@ -304,7 +304,7 @@ HORIZON_SCHEMES = (SYMPLECTIC_EULER, MIDPOINT, VERLET)
 
 
 def horizons_cases() -> Iterator[Case]:
-    """Yield one step to a million steps, compared with closed forms."""
+    """Yield cases of one step to a million steps, compared with closed forms."""
     for scheme in HORIZON_SCHEMES:
         for steps in (1, 2, 10, 1000, 30_000, 1_000_000):
             yield Case(
@@ -339,7 +339,7 @@ INPUT_SCHEMES = (MIDPOINT, VERLET)
 
 
 def inputs_cases() -> Iterator[Case]:
-    """Yield numbers at the ends of the floating-point range, singular points, and invalid values."""
+    """Yield cases with numbers at the ends of the floating-point range, singular points, and invalid values."""
     for scheme in INPUT_SCHEMES:
         module = setup("oscillator", scheme)
         # A linear problem: the motion is the same in every unit of length and time.

@@ -28,7 +28,7 @@ STYLES = {"accurate": "green", "bounded": "cyan", "unsuitable": "yellow", "refus
 class Line:
     """A row as text: the cells under COLUMNS, the finding, the reason for the expectation, True if the case passed.
 
-    `figure` is the number in the overview: the stability limit if the case measures it, else the error, else the energy
+    `figure` is the number in the overview: the stability limit if it is measured, else the error, else the energy
     drift.
     """
 
@@ -62,7 +62,7 @@ def _number(value: float) -> str:
 
 
 def _sections(rows: Iterable[Row]) -> list[Section]:
-    """Return the rows by family, in the order of the families."""
+    """Return one section for each family, in the order of the families."""
     families: dict[str, list[Line]] = {}
     for row in rows:
         case, run = row.case, row.measurement
