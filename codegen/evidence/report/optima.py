@@ -252,7 +252,7 @@ class _Sequence:
         begin = time.process_time()
         try:
             result = api.solve(self.module, steps=steps, warm=warm)
-            if not result.solved and warm is not None:  # a grid in between is closer to the coarser one
+            if not result.solved and warm is not None:  # try a grid in between
                 between = api.solve(self.module, steps=3 * steps // 4, warm=warm)
                 if between.solved:
                     result = api.solve(self.module, steps=steps, warm=between.unknowns)

@@ -7,9 +7,9 @@ The textbook equations of a step are evaluated in extended precision on the stat
 Geometric numerical integration, I.1 and VI.3; variational schemes in their Hamiltonian form, Marsden and West (2001),
 section 2.6.
 
-The action of a scheme on the oscillator q' = p, p' = -q follows from the coefficients of the scheme. A step of length x
-multiplies (q, p) by a matrix. A symplectic step is stable while the trace of the matrix lies between -2 and 2 (Hairer,
-Lubich and Wanner 2006, I.5.2 and VIII.6), and then rotates points along an ellipse.
+The effect of a scheme on the oscillator q' = p, p' = -q follows from the coefficients of the scheme. A step of length x
+multiplies (q, p) by a matrix. A symplectic step is stable while the trace of the matrix lies between -2 and 2. The step
+then rotates points along an ellipse (Hairer, Lubich and Wanner 2006, I.5.2 and VIII.6).
 """
 
 from __future__ import annotations
