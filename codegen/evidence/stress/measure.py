@@ -254,7 +254,7 @@ def other_units(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def single_landmark(module: ModuleType, case: Case, result: Result) -> float:
-    """Return the cost error: J = 2 artanh(|y - x|/|1 - conj(x) y|)^2, by the metric 2 |dq|^2/(1 - |q|^2)^2."""
+    """Return the cost error; J = 2 artanh(|y - x|/|1 - conj(x) y|)^2, squared distance for 2 |dq|^2/(1 - |q|^2)^2."""
     x0, y0, x1, y1 = case.points[0]
     start, target = complex(x0, y0), complex(x1, y1)
     exact = 2.0 * math.atanh(abs((target - start) / (1.0 - start.conjugate() * target))) ** 2
