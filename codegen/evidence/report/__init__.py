@@ -1,4 +1,7 @@
-"""Reports: everything that is measured about problems, on one page."""
+"""Reports: one HTML page with all measurements of a problem, or of all problems in a folder.
+
+"The thesis" treats symplectic integrators in optimal control and image registration; reports repeat its experiments.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ if TYPE_CHECKING:
     from codegen.evidence.report.gallery import Report
 
 STUDIES = ("image_registration",)
-"""The names of problem files that have a study of their own."""
+"""The names of problem files whose report is a special study, without sections for every problem."""
 
 
 def problems_report(
@@ -24,29 +27,29 @@ def problems_report(
     limit: float | None = None,
     earlier: Path | None = None,
 ) -> Report:
-    """Measure the cases that `folder` lacks and write page, CSV and JSON.
+    """Write the report on a problem or on a folder of problems; return its path and regressions.
 
     Parameters
     ----------
     problem
-        The problem file; with `everything` a folder of them, by default ./problems.
+        The problem file. With `everything` it is a folder of problem files, by default ./problems.
     folder
-        The folder of the page and of the measurements.
+        The folder of the page, the CSV, the JSON and the measurements. Measured cases are not repeated.
     everything
         Report on all problems of a folder.
     quick
         Measure a few cases only.
     limit
-        No finer grids or further steps after a solve of more than `limit` seconds.
+        Seconds of one solve, after which a scheme is not solved on finer grids; None keeps the default.
     earlier
-        An earlier report for a comparison, by its JSON or its folder.
+        The JSON file or the folder of an earlier report, which is compared with the new report.
 
     Raises
     ------
     ArgumentError
-        The choice of problems cannot be used, or there is no earlier report.
+        The choice of problems cannot be used, or no comparison with an earlier report is possible.
     ProblemFileError
-        There is no such problem file.
+        The problem file does not exist.
     """
     if not everything:
         if problem is None:

@@ -1,7 +1,7 @@
-"""Modules for a report: two worker processes derive and compile them into a folder beside the page.
+"""The generation of a report's modules: two worker processes derive and compile them into a folder beside the page.
 
-A survey of a problem file lists the methods and schemes that may apply, and the optimal cost where the problem has a
-closed form. Surveys and builds need sympy, so that they run in the workers only.
+A survey of a problem file lists the methods and schemes that may apply, and the optimal cost if a closed form exists.
+Surveys and builds need sympy, so they run in the worker processes only.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from codegen.solving.loading import (
 
 WORKERS = 2
 MODULES, SURVEYS = "modules", "surveys"
-"""Sections of the store."""
+"""The sections of the store with the properties of modules and of problem files."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A problem with a method, a scheme of a stated order and arguments of problem().
+    """The inputs of one generated module: problem file, method, scheme with its stated order, arguments of problem().
 
-    `general` asks for the general form of the module, which leaves nothing out.
+    `general` asks for the general form of the module, which also contains the parts that the problem does not need.
     """
 
     problem: Path
@@ -50,35 +50,35 @@ class Variant:
 
     @property
     def label(self) -> str:
-        """Method, scheme and arguments in words."""
+        """Return method, scheme and arguments as text."""
         settings = "".join(f", {name} = {value}" for name, value in self.arguments)
         return f"{self.method} {self.scheme}{settings}{', general form' if self.general else ''}"
 
     @property
     def case(self) -> str:
-        """The name of the variant in the store."""
+        """Return the name of the module's case in the store."""
         return f"{self.problem.stem}; {self.label}"
 
     def run(self, steps: int) -> str:
-        """The name of a solve with a number of steps in the store."""
+        """Return the name of the case in the store that solves with `steps` time steps."""
         return f"{self.label}; N {steps}"
 
     def rows(self, store: Store, section: str) -> list[Values]:
-        """The solves of the variant in a section of the store, by growing number of steps."""
+        """Return the solves of the variant in a section of the store, by increasing number of steps."""
         rows = [values for name, values in store.rows(section) if name.startswith(f"{self.label}; N ")]
         return sorted(rows, key=lambda values: values["steps"])
 
 
 class Workshop:
-    """Builds variants and returns their modules; a module that was built before is not built again."""
+    """A folder of generated modules by variant; a module without a file is built on demand."""
 
     def __init__(self, folder: Path, store: Store) -> None:
-        """Modules are written to `folder`; build times and refusals go to the store."""
+        """Set the folder of the modules, and the store that lists built and refused variants."""
         self.folder, self.store = folder, store
         self._paths: dict[Variant, Path] = {}
 
     def module(self, variant: Variant) -> GeneratedModule:
-        """The module of a variant that was built; raises CodegenError for a variant that was refused."""
+        """Return the module of a variant; raise CodegenError if the variant cannot be built."""
         if variant not in self._paths:
             values = self.store.get(MODULES, variant.case)
             path = self.folder / values["file"] if values is not None and values.get("file") else None
@@ -86,25 +86,25 @@ class Workshop:
         return load(self._paths[variant])
 
     def control(self, variant: Variant) -> ControlModule:
-        """The module of an optimal control problem."""
+        """Return the module of an optimal control problem."""
         module = self.module(variant)
         assert is_control(module)
         return module
 
     def simulation(self, variant: Variant) -> SimulateModule:
-        """The module of a simulation."""
+        """Return the module of a simulation."""
         module = self.module(variant)
         assert is_simulation(module)
         return module
 
     def built(self, variants: Iterable[Variant]) -> list[Variant]:
-        """The variants that have a module."""
+        """Return the variants that were built without an error."""
         return [v for v in variants if (self.store.get(MODULES, v.case) or {}).get("status") == "built"]
 
 
 @contextmanager
 def workers() -> Iterator[ProcessPoolExecutor]:
-    """Worker processes, so that neither sympy nor a compilation disturbs the measurements."""
+    """Yield a pool of worker processes, so that neither sympy nor a compilation disturbs the measurements."""
     pool = ProcessPoolExecutor(WORKERS, multiprocessing.get_context("spawn"), _prepare_worker)
     try:
         yield pool
@@ -119,7 +119,7 @@ def gather(
     jobs: Mapping[str, Callable[[], Values]],
     report_progress: Callable[[str], None],
 ) -> None:
-    """Let the workers do the jobs of a section that the store does not contain yet."""
+    """Call each function of `jobs` (by case name) in the pool unless the store has its values; store the values."""
     pending = {name: pool.submit(job) for name, job in jobs.items() if store.get(section, name) is None}
     for name, future in pending.items():
         report_progress(name)
@@ -127,7 +127,7 @@ def gather(
 
 
 def _prepare_worker() -> None:
-    """Import slow libraries and let numba compile a function, so that no build time contains these."""
+    """Import slow libraries and let numba compile a function, so that build times do not contain either."""
     threading.Thread(target=end_with_parent, daemon=True).start()
     from numba import njit
 
@@ -138,11 +138,11 @@ def _prepare_worker() -> None:
 
 
 def survey_of(problem: Path) -> Values:
-    """Task, form, number of phases, usable methods and schemes, and the optimal cost, as plain values for JSON.
+    """Return the properties of a problem file for the store: task, form, number of phases, schemes, optimal cost.
 
-    A scheme is a row (method, name, order, True if it is symplectic). The default of the problem comes first. Only the
-    build tells whether a scheme applies. The optimal cost is None unless the maximum principle has a closed-form
-    solution. A file that cannot be read is recorded as refused. Runs in a worker.
+    A scheme is a row (method, name, order, True if it is symplectic); the default of the problem comes first. Only a
+    build shows if a scheme applies. The optimal cost is None unless the maximum principle has a closed-form solution.
+    For a file that cannot be read, the status is "refused". The function runs in a worker process.
     """
     from codegen.discretise import schemes
     from codegen.discretise.model.definitions import Model
@@ -177,7 +177,7 @@ def survey_of(problem: Path) -> Values:
 
 
 def build_one(variant: Variant, folder: Path) -> Values:
-    """Derive, write and compile a module; return times, sizes and omissions. Runs in a worker."""
+    """Derive, write and compile a module; return times, sizes and omitted parts. Runs in a worker process."""
     from codegen.emit.naming import Choices
     from codegen.solving import api
     from codegen.solving.compiler import generate
@@ -200,13 +200,13 @@ def build_one(variant: Variant, folder: Path) -> Values:
         steps = few_steps(module, min(10, module.metadata.steps))
         api.solve(module, steps=steps)  # compiles what scipy's optimisers call
     is_new = bool(machine_code_counts(module)[0])  # else the machine code was read from disk
-    # Processor seconds that the derivation of either form takes once sympy's caches know the problem.
+    # Processor seconds of the derivation of each form, while sympy's caches contain the problem.
     times = {}
     for name, general in (("plain", False), ("general", True)) if variant.general else ():
         begin = time.process_time()
         generate(variant.problem, dict(variant.arguments), Choices(variant.scheme, variant.method, general=general))
         times[f"{name} derivation processor seconds"] = time.process_time() - begin
-    # Kernel lines are the first part of the module, which is special to the problem.
+    # Kernel lines are the first part of the module, which is specific to the problem.
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines()
     heads = [i for i, line in enumerate(lines) if line.startswith("# ---- ")]

@@ -1,10 +1,10 @@
-"""A long motion of every scheme: the symplecticity of one emitted step, and the trend of the energy's error in time.
+"""A long motion by every scheme: the symplecticity of one generated step, and the trend of the energy error in time.
 
-The derivative S of a step is computed by central differences of order ten of the emitted step itself. In double
-precision |S'JS - J| is then accurate to about 1e-13. A drift of the energy is a statistical question, because its error
-oscillates, and rounding makes the error a random walk. A straight line is fitted to the means over blocks of time. The
-standard error of its slope comes from the residuals, and is larger where neighbours are correlated (Priestley 1981,
-Spectral analysis and time series, section 5.3).
+The derivative S of a step is computed by central differences of order ten of the generated step itself. In double
+precision |S'JS - J| is then accurate to about 1e-13. A drift of the energy is a statistical question, because the error
+oscillates, and rounding makes it a random walk. A straight line is fitted to the means over blocks of time. The
+standard error of its slope follows from the residuals. It is larger if neighbouring residuals are correlated (Priestley
+1981, Spectral analysis and time series, section 5.3).
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from codegen.solving import api
 from codegen.solving.loading import SimulateModule, Vector
 
 STORED, BLOCKS = 2000, 50
-"""Stored states of a long motion, and blocks over which they are averaged."""
+"""The number of stored states of a long motion, and the number of time blocks over which they are averaged."""
 SIGNIFICANT, BY_ROUNDING = 3.0, 10.0
-"""The least significant t value of a slope, and the least ratio of a rise to the random walk of rounding."""
+"""The least significant t value of a slope, and the least ratio of its rise to the random walk by rounding errors."""
 GROWN = 2.0
-"""An error has grown if its range is larger than GROWN times the range in the problem's own duration."""
+"""The error has grown if its range exceeds GROWN times its range in the problem's own duration."""
 _OFFSETS = np.array([-5, -4, -3, -2, -1, 1, 2, 3, 4, 5])
 _WEIGHTS = np.array([-2, 25, -150, 600, -2100, 2100, -600, 150, -25, 2]) / 2520.0
 _DISTANCE = 0.02
 _MOST_FREEDOM = 8
-"""The largest number of coordinates for which the derivative of a step is computed."""
+"""The largest number of components (q, p) of a state for which the derivative of a step is computed."""
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """One case for each scheme, if the extent asks for a long motion."""
+    """Yield a case for each scheme, or none if the extent has no long motion (`drift_steps` = 0)."""
 
     def measure(variant: Variant) -> Values:
         module = workshop.simulation(variant)
@@ -49,7 +49,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
 
 
 def drift_values(module: SimulateModule, steps: int) -> Values:
-    """Trend, oscillation and rounding over `steps` steps of the problem's own length, and the defect of a step."""
+    """Return trend, oscillation and rounding error of the energy over `steps` steps, and the symplecticity defect."""
     grid = module.make_grid(int(module.metadata.steps))
     try:
         defect = (
@@ -65,7 +65,7 @@ def drift_values(module: SimulateModule, steps: int) -> Values:
     states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
     errors = solution.energy - solution.energy[0]
     trend = trend_of(solution.t, errors)
-    # The energy's error by rounding alone: half a unit in the last place of every state, in each of `steps` steps.
+    # The energy error by rounding alone: half a unit in the last place of every component, in each of the steps.
     parameters, change = module.make_grid(1).parameters, []
     for z in states[:: max(1, len(states) // 20)]:
         slopes = []
@@ -84,7 +84,7 @@ def drift_values(module: SimulateModule, steps: int) -> Values:
 
 
 def symplecticity_defect(module: SimulateModule, h: float, state: Vector) -> float:
-    """The largest entry of S'JS - J of the emitted step of length h at (q, p), by central differences of order ten."""
+    """Return max |S'JS - J| with the derivative S of the step h at (q, p), by central differences of order ten."""
     half, columns = state.size // 2, []
     for i in range(state.size):
         distance = _DISTANCE * max(1.0, abs(state[i]))
@@ -102,19 +102,19 @@ def symplecticity_defect(module: SimulateModule, h: float, state: Vector) -> flo
 
 @dataclass(frozen=True)
 class Trend:
-    """The rise of a straight line through block means over the whole time, and its standard error."""
+    """The rise of the fitted straight line over the whole time, and the standard error of the rise."""
 
     rise: float
     error: float
 
     @property
     def t(self) -> float:
-        """The rise in standard errors."""
+        """Return the rise in standard errors."""
         return self.rise / self.error if self.error else 0.0
 
 
 def trend_of(times: Vector, values: Vector) -> Trend:
-    """The rise of oscillating values, by block means; the lag-one correlation of residuals corrects its error."""
+    """Return the trend of oscillating values by block means; correlated residuals (lag one) enlarge its error."""
     size = len(values) // BLOCKS
     x, y = (np.reshape(column[: BLOCKS * size], (BLOCKS, size)).mean(axis=1) for column in (times, values))
     x = (x - x.mean()) / (times[-1] - times[0])
@@ -127,7 +127,7 @@ def trend_of(times: Vector, values: Vector) -> Trend:
 
 
 def section(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
-    """A table of all schemes; an empty list if nothing was measured."""
+    """Return the section with energy drift and symplecticity of all schemes, or an empty list without measurements."""
     measured = {
         v: values for v in variants if (values := store.get(section_of(problem, "long motion"), v.label)) is not None
     }
@@ -159,7 +159,7 @@ def section(store: Store, problem: Path, variants: Sequence[Variant], title: str
 
 
 def answer(values: Values) -> str:
-    """In words, if and why the energy drifts."""
+    """Return in a few words whether the energy drifts, and why."""
     walk = BY_ROUNDING * values["rounding"]
     if values["oscillation"] > GROWN * values["first"] + walk:
         return "leaves its first swing"

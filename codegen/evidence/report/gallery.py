@@ -1,8 +1,7 @@
 """Reports of problems: survey, build, measure missing cases, then write page, CSV and JSON; comparison of reports.
 
-The registries KINDS and EXTRAS list the measurements of a task and the experiments of the thesis on single problems.
-The JSON of a report holds the environment, the seeds, and a flat record for every case. A later report is compared with
-these records.
+KINDS lists the measurements for each task, EXTRAS the experiments of the thesis on single problems. The JSON file of a
+report contains the environment, the seeds, and a record for every case. A later report is compared with these records.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ Row: TypeAlias = tuple[str, str, int] | tuple[str, str, int, tuple[tuple[str, st
 
 @dataclass(frozen=True)
 class Kind:
-    """The measurements of a task: cases, sections of the page, results of a scheme, and the kind of its errors."""
+    """The functions that measure and show problems of one task; `error` names the quantity whose error is measured."""
 
     cases: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterator[Case]]
     sections: Callable[[Store, Path, Sequence[Variant], str], list[Section]]
@@ -46,19 +45,19 @@ KINDS = {
     "simulate": Kind(simulations.cases, simulations.sections, simulations.measured, "trajectory"),
     "control": Kind(optima.cases, optima.sections, optima.measured, "cost"),
 }
-"""Kinds of problems by task; landmark registration is one of the extras."""
+"""The measurements by task; landmark registration is one of the EXTRAS."""
 
 
 @dataclass(frozen=True)
 class Extra:
-    """An experiment of the thesis: rows (method, scheme, order, arguments) of modules, cases and sections."""
+    """An experiment of the thesis: `rows` of its modules (see Row), and functions for its cases and sections."""
 
     rows: Sequence[Row]
     cases: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterator[Case]]
     sections: Callable[[Store, Path], list[Section]]
 
     def variants(self, problem: Path) -> list[Variant]:
-        """The modules of the experiment."""
+        """Return the variants that the experiment needs."""
         return [Variant(problem, *row) for row in self.rows]
 
 
@@ -69,12 +68,12 @@ EXTRAS = {
     "image_registration": Extra((), thesis.landmark_cases, thesis.landmark_sections),  # the study builds its modules
     "hovercraft": Extra(thesis.HOVERCRAFT_ROWS, thesis.hovercraft_cases, thesis.hovercraft_sections),
 }
-"""Experiments by the names of problem files."""
+"""The experiments by the name of the problem file."""
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """A problem with the variants that are measured, and the names of the schemes that are omitted."""
+    """A problem with the variants that are measured, and the labels of the variants that are omitted."""
 
     problem: Path
     task: str
@@ -83,16 +82,16 @@ class Chosen:
 
     @property
     def extra(self) -> Extra | None:
-        """The experiment of the thesis on the problem."""
+        """Return the experiment of the thesis on the problem, or None."""
         return EXTRAS.get(self.problem.stem)
 
     def measured(self, store: Store) -> dict[Variant, Measured]:
-        """The results of every variant."""
+        """Return the results of every variant."""
         return {v: KINDS[self.task].measured(store, self.problem, v) for v in self.variants}
 
 
 def choose(problem: Path, store: Store, extent: Extent) -> Chosen:
-    """The schemes to be measured: the default, those of highest and lowest order, then others up to the limit."""
+    """Select the variants to measure: the default, the highest and the lowest order, then others up to the limit."""
     survey = store.get(SURVEYS, problem.stem) or {}
     task = survey.get("task", "")
     if task not in KINDS:
@@ -111,14 +110,14 @@ def choose(problem: Path, store: Store, extent: Extent) -> Chosen:
 
 @dataclass(frozen=True)
 class Report:
-    """The page, and the regressions against an earlier report."""
+    """The path of the page, and the regressions against an earlier report."""
 
     page: Path
     regressions: tuple[Regression, ...] = ()
 
 
 def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | None = None) -> Report:
-    """Measure every case that `folder` does not hold yet, and write the report; compare with an earlier report."""
+    """Measure every case that `folder` does not contain; write the report and compare it with the `earlier` report."""
     before = None if earlier is None else read_record(earlier)
     folder.mkdir(parents=True, exist_ok=True)
     store = Store(folder / ("quick.jsonl" if extent.quick else "measurements.jsonl"))
@@ -130,7 +129,7 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
             selection = [choose(problem, store, extent) for problem in problems]
             plain = [v for c in selection for v in (*c.variants, *(c.extra.variants(c.problem) if c.extra else ()))]
             general = (v for c in selection for v in modules.general_forms(store, c.problem, c.variants, extent))
-            groups: tuple[Iterable[Variant], ...] = (plain, general)  # sizes of plain modules decide on general forms
+            groups: tuple[Iterable[Variant], ...] = (plain, general)  # sizes of plain modules select general forms
             for variants in groups:
                 builds = {v.case: partial(build_one, v, workshop.folder) for v in variants}
                 gather(pool, store, MODULES, builds, lambda name: report_progress(1, f"building {name}"))
@@ -185,7 +184,7 @@ def _cases(chosen: Chosen, workshop: Workshop, extent: Extent) -> Iterator[Case]
 
 
 def _title_of(problem: Path) -> str:
-    """The first paragraph of a problem file."""
+    """Return the first paragraph of the docstring of a problem file."""
     text = ast.get_docstring(ast.parse(problem.read_bytes())) or problem.stem
     return text.split("\n\n")[0].replace("\n", " ").rstrip(".")
 
@@ -194,7 +193,7 @@ def _title_of(problem: Path) -> str:
 
 
 def summary(selection: Sequence[Chosen], store: Store) -> Section:
-    """One row for every problem, and the number of schemes with each verdict on their orders."""
+    """Return the section with a row for each problem, and with the number of schemes for each verdict on orders."""
     rows = tuple(_row(chosen, store) for chosen in selection)
     head = ("problem", "task", "schemes", "best order measured", "default N", "error at default N", "solve time there",
             "status there", "lines", "parts left out")  # fmt: skip
@@ -246,30 +245,30 @@ def _row(chosen: Chosen, store: Store) -> tuple[str, ...]:
 NAME = "report.json"
 SEEDS = {"states at which conserved momenta are sought": "numpy default_rng(0)"}
 ERROR_FACTOR, LEAST_ERROR = 2.0, 1e-11
-"""An error is worse if it grew by more than this factor, and is larger than rounding explains."""
+"""An error is worse if it grew by more than this factor, and is larger than rounding errors can explain."""
 TIME_FACTOR, LEAST_SECONDS = 2.0, 2e-3
-"""A time is worse if it grew by more than this factor, and is longer than a busy machine explains."""
+"""A time is worse if it grew by more than this factor, and is longer than a busy machine can explain."""
 ORDER_LOSS = 0.3
-"""An order is worse if it fell by more than this."""
+"""An order is worse if it fell by more than this value."""
 MORE_ITERATIONS, MORE_LINES = 1.1, 1.1
-"""Iterations and lines are worse if they grew by more than these factors; one more iteration does not count."""
+"""Iterations and lines are worse if they grew by more than these factors; one more iteration is accepted."""
 _LOAD = "load of the machine when the page was module"
 
 
 @dataclass(frozen=True)
 class Record:
-    """The environment of a report and a flat record for every case."""
+    """The environment of a report, and a dictionary of plain values for every case."""
 
     environment: Values
     cases: tuple[Values, ...]
 
     def plain(self) -> Values:
-        """The record as plain values for JSON."""
+        """Return the record as plain values for JSON."""
         return {"environment": dict(self.environment), "cases": [dict(case) for case in self.cases]}
 
 
 def record_of(selection: Sequence[Chosen], store: Store, environment: Values) -> Record:
-    """Every run with its status, error and seconds, every scheme with its order and the size of its module."""
+    """Return the record of a report: status, error and time of solves, order and module size of schemes."""
     cases: list[Values] = []
     for chosen in (c for c in selection if c.task in KINDS):
         name = chosen.problem.stem
@@ -291,7 +290,7 @@ def record_of(selection: Sequence[Chosen], store: Store, environment: Values) ->
 
 
 def read_record(path: Path) -> Record:
-    """An earlier report, by its JSON or its folder; ArgumentError if there is no report."""
+    """Return the record of an earlier report by its JSON file or its folder; raise ArgumentError without a report."""
     file = path / NAME if path.is_dir() else path
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
@@ -303,7 +302,7 @@ def read_record(path: Path) -> Record:
 
 @dataclass(frozen=True)
 class Regression:
-    """A case that became worse: the quantity, and its values in both reports."""
+    """A quantity of a case that became worse, with its values in both reports."""
 
     problem: str
     case: str
@@ -313,25 +312,25 @@ class Regression:
 
     @property
     def decides(self) -> bool:
-        """Return True if this is a failure; times depend on the load of the machine and are for information only."""
+        """Return True if the regression is a failure; times depend on the load of the machine and only inform."""
         return self.what != "seconds"
 
 
 def compared(before: Record, after: Record) -> list[Regression]:
-    """The regressions between two reports; ArgumentError if these have no case in common."""
+    """Return the regressions between two reports; raise ArgumentError if the reports have no case in common."""
     if not _shared(before, after):
         raise ArgumentError("the two reports have no case in common", "compare reports of the same problems")
     return regressions(before.cases, after.cases)
 
 
 def _shared(before: Record, after: Record) -> int:
-    """The number of cases that both reports have."""
+    """Return the number of cases in both reports."""
     keys = [{(row["problem"], row["case"]) for row in record.cases} for record in (before, after)]
     return len(keys[0] & keys[1])
 
 
 def regressions(before: Sequence[Values], after: Sequence[Values]) -> list[Regression]:
-    """The quantities that are worse in `after`, for the cases that both sequences of flat records have."""
+    """Return the quantities that are worse in `after`, for the cases that both sequences contain."""
     earlier = {(row["problem"], row["case"]): row for row in before}
     worse: list[Regression] = []
     for new in after:
@@ -357,7 +356,7 @@ def regressions(before: Sequence[Values], after: Sequence[Values]) -> list[Regre
 
 
 def comparison(worse: Sequence[Regression], before: Record, after: Record) -> Section:
-    """The section on regressions against the earlier report."""
+    """Return the section on regressions against the earlier report."""
     text = (
         f"A case is worse if its error grew by more than a factor {ERROR_FACTOR:g} (and exceeds "
         f"{LEAST_ERROR:g}), its time by more than {TIME_FACTOR:g} (and exceeds "
@@ -379,7 +378,7 @@ def comparison(worse: Sequence[Regression], before: Record, after: Record) -> Se
 
 
 def table_of(worse: Sequence[Regression]) -> TerminalTable:
-    """The regressions as a table of rich for a terminal; rich takes long to import."""
+    """Return the regressions as a table for a terminal; rich is imported here because its import is slow."""
     from rich.table import Table as TerminalTable
 
     table = TerminalTable(title="Worse than on record (times inform, the rest decides)", title_justify="left")

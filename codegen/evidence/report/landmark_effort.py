@@ -1,9 +1,9 @@
-"""The effort of landmark registration: accuracy, routes of solution, the fastest scheme, dimensions.
+"""The effort of landmark registration: accuracy, routes of solution, the fastest scheme, space dimensions.
 
 The particle ansatz m = sum_i p_i delta(x - q_i) is checked as a weak solution of the Euler-Poincare equations (thesis,
-B.2), m_t + v . grad m + (grad v)' m + m div v = 0. For every test function psi, the sum over particles of d/dt (p_i
-psi(q_i)) must equal the sum of the terms with v. Only the values and slopes of psi at the particles matter. Test
-functions are random polynomials that vanish on the circle with their normal derivatives.
+B.2), m_t + v . grad m + (grad v)' m + m div v = 0. For every test function psi, the sum of d/dt (p_i psi(q_i)) over
+particles must cancel the terms with v. Only the values and slopes of psi at the particles matter. Test functions are
+random polynomials, which vanish on the unit circle with their normal derivatives.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from codegen.solving.results.result import Result
 
 REFERENCES, TABLE, TOLERANCES, WORK = "references", "table 5.2", "tolerances", "work and precision"
 EXACT = 1e-13
-"""The tolerance of the reference, by dop853; the thesis's was 2.24e-14, by ode113."""
+"""The tolerance of the reference by dop853. The thesis uses 2.24e-14 in ode113."""
 THESIS_TABLE = {"midpoint": (9399.0, 1.729e-3), "lsoda 1e-02": (63.30, 2.803e-6), "explicit-euler": (19.14, 3.751e-3)}
 """Seconds and error in cost of Table 5.2; lsoda stands for Matlab's ode113 with the tolerance of the thesis."""
 ROWS = ("midpoint", "lsoda 1e-02", "explicit-euler", "dop853 1e-06", "symplectic-euler", "rk4")
@@ -37,7 +37,7 @@ SCHEMES = ("explicit-euler", "symplectic-euler", "midpoint", "stormer-verlet", "
 
 
 def accuracy_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """References, the rows of Table 5.2, the sweep of tolerances, and error against time of every scheme."""
+    """Yield cases: references, the rows of Table 5.2, a sweep of tolerances, and error against time of each scheme."""
     for count in (*settings.counts, 40):
         yield Case(REFERENCES, f"nc {count}", partial(_reference, settings, count))
         if count != 40:
@@ -87,7 +87,7 @@ WEAK_SOLUTION_SECTION = "weak solution"
 
 
 def weak_solution_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Random test functions on every set of landmarks along their motion."""
+    """Yield a case for every set of landmarks: the check of the weak equation along the motion."""
     for count in (*settings.counts, 40):
         yield Case(WEAK_SOLUTION_SECTION, f"nc {count}", partial(_defects, settings, count))
 
@@ -105,9 +105,9 @@ def _defects(settings: Settings, count: int) -> Values:
 
 
 def _weak_defect(module: ConnectModule, q: Vector, p: Vector, coefficients: Vector) -> tuple[float, float]:
-    """The largest component of the weak equation's left side, and of its first term alone.
+    """Return the largest component of the weak equation's left side, and of its first term; `coefficients` define psi.
 
-    (v . grad m) psi becomes -p . (psi div v + v . grad psi) by parts; the slopes of v are central differences.
+    By parts, (v . grad m) psi becomes -p . (psi div v + v . grad psi). The slopes of v are central differences.
     """
     gradient, none = np.empty((2, *q.shape)), np.zeros((len(q), 0))
     module.hamiltonian_gradient(np.stack([q, p]), none, np.zeros(0), gradient)
@@ -136,7 +136,7 @@ def _weak_defect(module: ConnectModule, q: Vector, p: Vector, coefficients: Vect
 
 
 def _field(module: ConnectModule, q: Vector, p: Vector, x: Vector) -> Vector:
-    """The field v at positions x, shape (m, 2): the velocity of particles there without momentum."""
+    """Return the field v at positions x, shape (m, 2): the velocity of particles at x without momentum."""
     positions, count = np.concatenate([q, x]), len(q)
     none, matrix = np.zeros((len(positions), 0)), np.empty((len(positions),) * 2)
     module.momentum_matrix(np.stack([positions, np.zeros_like(positions)]), none, np.zeros(0), matrix)
@@ -149,12 +149,12 @@ DIMENSION_SECTION = "dimension"
 COUNTS = (5, 10, 20, 50, 100, 200)
 KERNELS = (("plate", 2), ("plate", 3), ("gauss", 2), ("gauss", 3))
 WIDTH = 0.15
-"""The width of the Gaussian, which the module calls `width_`; with wider ones the kernel matrix of many landmarks is
-numerically singular."""
+"""The width of the Gaussian, the parameter `width_` of the module. With a wider Gaussian the kernel matrix of many
+landmarks is numerically singular."""
 
 
 def dimension_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Explicit Euler steps, N = 10, with the Gaussian and the plate's kernel in the plane and in space."""
+    """Yield cases by explicit Euler, N = 10, with the Gaussian and the plate's kernel in the plane and in space."""
     for kernel, dimension in (("plate", 2),) if settings.quick else KERNELS:
         for count in COUNTS[:4] if settings.quick else COUNTS:
             name = f"{kernel} {dimension}-D; nc {count}"
@@ -179,7 +179,7 @@ def _grown(settings: Settings, kernel: str, dimension: int, count: int) -> Value
 
 
 def _least_time(run: Callable[[], object], repeats: int) -> float:
-    """The least processor time of several warm runs, in seconds; other work on the machine lengthens it little."""
+    """Return the least processor time of warm runs, in seconds; other work on the machine has little effect on it."""
     run()
     times = []
     for _ in range(repeats):
@@ -195,7 +195,7 @@ MIDPOINT_SECTION = "midpoint effort"
 
 
 def midpoint_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """The nested solve on few landmarks, the generated solve on these and on forty."""
+    """Yield cases: the generated solve for all sets of landmarks, and the nested solve for small sets."""
     if settings.quick:
         return
     for count in (*settings.counts, 40):
@@ -218,20 +218,20 @@ def _generated(settings: Settings, count: int) -> Values:
 
 
 def _nested(settings: Settings, count: int) -> Values:
-    """The thesis's method: fsolve for the initial momenta, and inside it fsolve for every implicit step."""
+    """Measure the thesis's method: fsolve for the initial momenta, and inside it fsolve for every implicit step."""
     module, points = settings.module("midpoint"), settings.points(count)
     case = module.make_case(points.start, points.target, 10)
     h, gradient = case.duration / case.steps, np.empty((2, *points.start.shape))
 
     def equations(after: Vector, before: Vector) -> Vector:
-        """The midpoint rule, which fsolve solves with Jacobians by differences."""
+        """Return the residual of the midpoint rule, whose Jacobian fsolve approximates by differences."""
         middle = 0.5 * (before + after.reshape(before.shape))
         module.hamiltonian_gradient(middle, case.own, case.parameters, gradient)
         change = h * np.stack([gradient[1], -gradient[0]])
         return np.ravel(after.reshape(before.shape) - before - change)
 
     def miss(momenta: Vector) -> Vector:
-        """The distance from the targets after all steps."""
+        """Return the final positions minus the targets."""
         state = np.stack([points.start, momenta.reshape(points.start.shape)])
         for _ in range(case.steps):
             state = fsolve(equations, state.ravel(), args=(state,), xtol=1e-8).reshape(state.shape)
@@ -253,12 +253,12 @@ STEPPED = ("explicit-euler", "symplectic-euler", "midpoint", "stormer-verlet", "
            "butcher-6")  # fmt: skip
 ADAPTIVE = ("lsoda", "dop853")
 _MOST_STEPS, _ASYMPTOTIC = 3000, 40
-"""The largest number of steps, and the number from which on the order predicts how many steps are needed."""
+"""The largest number of steps, and the number from which on the order predicts the steps for a target."""
 _REPEAT = 5
 
 
 def fastest_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """For every scheme and target, the fewest steps or the loosest tolerance that meets it."""
+    """Yield a case for every scheme and target error: the fewest steps or the loosest tolerance that meet it."""
     if settings.quick:
         return
 
@@ -269,12 +269,12 @@ def fastest_cases(settings: Settings, store: Store) -> Iterator[Case]:
         return cost
 
     def solve(scheme: str, **options: Any) -> tuple[Result, float]:
-        """A result on the forty landmarks and the error of its cost."""
+        """Return a result on the forty landmarks and the error of its cost."""
         result = api.solve(settings.module(scheme), points=settings.landmarks, **options)
         return result, abs(result.cost - reference()) if result.solved and result.cost is not None else math.inf
 
     def fewest_steps(scheme: str, target: float) -> Values:
-        """The error falls with the power of N that is the order of the scheme."""
+        """Search for the fewest steps that meet the target error; errors are assumed to fall like N^-order."""
         order, steps, error = settings.module(scheme).metadata.order, 1, math.inf
         while steps <= _MOST_STEPS:
             _, error = solve(scheme, steps=steps)
@@ -289,7 +289,7 @@ def fastest_cases(settings: Settings, store: Store) -> Iterator[Case]:
         return {"reached": False, "steps": _MOST_STEPS, "error": error, "seconds": math.inf}
 
     def loosest_tolerance(scheme: str, target: float) -> Values:
-        """The search tries four tolerances a decade."""
+        """Search for the loosest tolerance that meets the target error, with four tolerances per decade."""
         for quarter in range(4, 53):
             tolerance = 10.0 ** (-quarter / 4)
             _, error = solve(scheme, tolerance=tolerance)
@@ -309,12 +309,12 @@ def fastest_cases(settings: Settings, store: Store) -> Iterator[Case]:
 
 ROUTES_SECTION = "sweeps"
 DRAWN = 20
-"""The number of steps whose paths are drawn."""
+"""The number of steps of the paths that figures show."""
 
 
 @dataclass(frozen=True)
 class Route:
-    """A way to the solution: method and driver, and the schemes that are solved by it."""
+    """A way to solve: a method with a driver, and the schemes that are solved in this way."""
 
     method: str
     driver: str
@@ -322,7 +322,7 @@ class Route:
 
     @property
     def label(self) -> str:
-        """The name of the route on the page."""
+        """Return the name of the route on the page."""
         return f"{self.method}, {self.driver}"
 
 
@@ -340,12 +340,12 @@ ROUTES = (
 
 
 def routes_of(scheme: str) -> list[Route]:
-    """The routes by which a scheme is solved."""
+    """Return the routes that solve a scheme."""
     return [route for route in ROUTES if scheme in route.schemes]
 
 
 def route_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Every route on every set of landmarks, with ever more steps until a solve takes longer than the limit."""
+    """Yield cases: every route on every set of landmarks, with ever more steps until a solve exceeds the limit."""
     for scheme in ("explicit-euler", "midpoint") if settings.quick else _EULERS:
         for route in routes_of(scheme):
             if settings.quick and (route.method != "stepping" or route.driver not in ("newton", "fsolve")):
@@ -360,7 +360,7 @@ def route_cases(settings: Settings, store: Store) -> Iterator[Case]:
 
 
 def case_name(scheme: str, route: str, count: int, steps: int) -> str:
-    """The name of a case."""
+    """Return the name of a case of a route."""
     return f"{scheme}; {route}; nc {count}; N {steps}"
 
 

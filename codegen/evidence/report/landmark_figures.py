@@ -1,7 +1,7 @@
 """The figures of the study of landmark registration, and the selections of measured values that they show.
 
-The first part redoes the figures of chapter 5: landmarks, cost and time of every route, paths, adaptive codes. The
-second part belongs to the open questions of chapter 6.
+The first part repeats the figures of chapter 5 of the thesis: landmarks, cost and time of every route, paths, adaptive
+codes. The second part belongs to the open questions of chapter 6.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ COLOURS = {
     "action, slsqp": RED,
 }
 STEPPING = "stepping, newton"
-"""The route of the thesis's stepping method, by the generated Newton's method."""
+"""The label of the stepping route, which solves for the initial momenta by the generated Newton's method."""
 
 Rows = list[tuple[int, Values]]
-"""Numbers of steps, or of landmarks, and the values that were measured with them."""
+"""Numbers of steps or of landmarks, each with the measured values."""
 
 
 def reference_cost(store: Store, count: int) -> float | None:
-    """The cost of the reference of a set of landmarks, None if it was not measured."""
+    """Return the cost of the reference for a set of landmarks, or None if it was not measured."""
     return (store.get(landmark_effort.REFERENCES, f"nc {count}") or {}).get("cost")
 
 
 def by_route(settings: Settings, store: Store, scheme: str, route: str, count: int) -> Rows:
-    """The solves of a scheme by a route."""
+    """Return the solves of a scheme by a route for `count` landmarks."""
     names = ((n, landmark_effort.case_name(scheme, route, count, n)) for n in settings.steps)
     rows = ((n, store.get(landmark_effort.ROUTES_SECTION, name)) for n, name in names)
     return [(n, values) for n, values in rows if values is not None and values["seconds"] is not None]
 
 
 def _panels(counts: Sequence[int], size: tuple[float, float], *labels: str) -> tuple[Figure, NDArray[np.object_]]:
-    """A figure with a row of axes for each label and a column for each number of landmarks, against N."""
+    """Return a figure and its axes against N: a row for each label, a column for each number of landmarks."""
     figure = Figure(figsize=size, layout="constrained")
     rows = figure.subplots(len(labels), len(counts), squeeze=False)
     for row, label in zip(rows, labels, strict=True):
@@ -70,7 +70,7 @@ def _panels(counts: Sequence[int], size: tuple[float, float], *labels: str) -> t
 
 
 def landmarks(settings: Settings) -> Figure:
-    """Figure 5.1: initial and final landmarks, and the curved paths from which the iterations start."""
+    """Draw Figure 5.1: initial and final landmarks, and the curved paths of the initial guess."""
     figure = Figure(figsize=(3.1 * len(settings.counts), 3.2), layout="constrained")
     panels = figure.subplots(1, len(settings.counts), squeeze=False)[0]
     for axes, count in zip(panels, settings.counts, strict=True):
@@ -81,7 +81,7 @@ def landmarks(settings: Settings) -> Figure:
 
 
 def _draw_paths(axes: Axes, path: Vector | Sequence[object], title: str) -> None:
-    """Paths of points in the unit disc, array of shape (N + 1, n, 2)."""
+    """Draw paths of points in the unit disc; `path` has shape (N + 1, n, 2)."""
     path = np.asarray(path, dtype=float)
     axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, color=GREY, linewidth=0.8))
     axes.plot(path[:, :, 0], path[:, :, 1], color=BLUE, linewidth=1.0)
@@ -94,7 +94,7 @@ def _draw_paths(axes: Axes, path: Vector | Sequence[object], title: str) -> None
 
 
 def routes(settings: Settings, store: Store, scheme: str) -> Figure:
-    """Figures 5.2 to 5.4 and 5.8 to 5.10: distance of the cost from the exact cost, and seconds, against N."""
+    """Draw Figures 5.2 to 5.4 or 5.8 to 5.10: error of the cost, and seconds, against N for every route."""
     counts = settings.counts
     figure, (above, below) = _panels(counts, (3.3 * len(counts) + 0.2, 5.6), "|cost − exact|", "seconds")
     for cost_axes, time_axes, count in zip(above, below, counts, strict=True):
@@ -120,7 +120,7 @@ def routes(settings: Settings, store: Store, scheme: str) -> Figure:
 
 
 def route_paths(settings: Settings, store: Store, scheme: str) -> Figure:
-    """Figures 5.5 to 5.7 and 5.11 to 5.13: the paths of every route."""
+    """Draw Figures 5.5 to 5.7 or 5.11 to 5.13: the paths by every route."""
     counts, paths = settings.counts, {}
     for route in landmark_effort.routes_of(scheme):
         for count in counts:
@@ -144,7 +144,7 @@ def route_paths(settings: Settings, store: Store, scheme: str) -> Figure:
 
 
 def best_of_each(settings: Settings, store: Store) -> Figure:
-    """Figures 5.14 to 5.16: stepping by explicit Euler, by the midpoint rule, and by an adaptive code."""
+    """Draw Figures 5.14 to 5.16: stepping by explicit Euler, by the midpoint rule, and by an adaptive code."""
     counts = settings.counts
     figure, (above, below) = _panels(counts, (3.3 * len(counts) + 0.2, 5.2), "cost", "seconds")
     for cost_axes, time_axes, count in zip(above, below, counts, strict=True):
@@ -162,7 +162,7 @@ def best_of_each(settings: Settings, store: Store) -> Figure:
 
 
 def eulers(settings: Settings, store: Store) -> Figure:
-    """The symplectic and implicit Euler methods, whose figures the thesis omits, and the explicit one."""
+    """Draw the cost errors of the Euler methods, of which the thesis shows one, and of the midpoint rule."""
     counts = settings.counts
     figure, (panels,) = _panels(counts, (3.3 * len(counts) + 0.2, 3.1), "|cost − exact|")
     colours = {"explicit-euler": BLUE, "implicit-euler": RED, "symplectic-euler": GREEN, "midpoint": DARK}
@@ -181,7 +181,7 @@ def eulers(settings: Settings, store: Store) -> Figure:
 
 
 def tolerance_sweep(store: Store) -> Figure:
-    """Figure 5.17: error in cost and seconds against the tolerance of the adaptive codes."""
+    """Draw Figure 5.17: error in cost and seconds against the tolerance of the adaptive codes."""
     exact = reference_cost(store, 40)
     figure = Figure(figsize=(8.0, 3.1), layout="constrained")
     first, second = figure.subplots(1, 2)
@@ -205,7 +205,7 @@ def tolerance_sweep(store: Store) -> Figure:
 
 
 def forty(store: Store) -> Figure:
-    """Figure 5.18: the paths of the forty landmarks, magnified."""
+    """Draw Figure 5.18: the paths of the forty landmarks, magnified."""
     figure = Figure(figsize=(5.2, 5.0), layout="constrained")
     axes = figure.subplots()
     _draw_paths(axes, (store.get(landmark_effort.REFERENCES, "nc 40") or {})["path"], "")
@@ -217,7 +217,7 @@ def forty(store: Store) -> Figure:
 
 
 def jump_figure(settings: Settings, store: Store) -> Figure:
-    """Error of the optimiser's cost against Newton's on the same discrete problem, and its seconds, against N."""
+    """Draw the difference between the costs of SLSQP and of Newton's method, and the seconds of SLSQP, against N."""
     counts = settings.counts[:2]
     figure, (above, below) = _panels(counts, (4.6 * len(counts), 5.8), "|cost − minimum|", "seconds")
     styles = {
@@ -240,13 +240,13 @@ def jump_figure(settings: Settings, store: Store) -> Figure:
 
 
 def by_variant(settings: Settings, store: Store, variant: landmark_motion.Minimisation, count: int) -> Rows:
-    """The minimisations of a variant."""
+    """Return the minimisations of a variant for `count` landmarks."""
     rows = ((n, store.get(landmark_motion.JUMPS_SECTION, variant.case(count, n))) for n in settings.steps)
     return [(n, values) for n, values in rows if values is not None and values["error"] is not None]
 
 
 def work_and_precision(store: Store) -> Figure:
-    """Error in cost against seconds on forty landmarks."""
+    """Draw the error in cost against seconds for forty landmarks."""
     exact = reference_cost(store, 40)
     figure = Figure(figsize=(5.6, 3.9), layout="constrained")
     axes = figure.subplots()
@@ -267,7 +267,7 @@ def work_and_precision(store: Store) -> Figure:
 
 
 def dimension_figure(store: Store) -> Figure:
-    """Seconds of one trajectory and of a solve against the number of landmarks."""
+    """Draw the seconds of a trajectory and of a solve against the number of landmarks."""
     figure = Figure(figsize=(8.2, 3.4), layout="constrained")
     panels = figure.subplots(1, 2)
     for (name, rows), colour in zip(by_kernel(store).items(), (AMBER, RED, BLUE, DARK), strict=False):
@@ -281,7 +281,7 @@ def dimension_figure(store: Store) -> Figure:
 
 
 def by_kernel(store: Store) -> dict[str, Rows]:
-    """Numbers of landmarks and the values measured with them, for every kernel and dimension."""
+    """Return the numbers of landmarks with their measured values, for every kernel and dimension."""
     lines: dict[str, Rows] = {}
     for name, values in store.rows(landmark_effort.DIMENSION_SECTION):
         kernel, _, count = name.partition("; nc ")
@@ -290,7 +290,7 @@ def by_kernel(store: Store) -> dict[str, Rows]:
 
 
 def smoothness_figure(store: Store) -> Figure:
-    """Error of the warp of the whole disc, and the least change of area, against N."""
+    """Draw the error of the warped grid, and the least ratio of areas, against N."""
     figure = Figure(figsize=(8.2, 3.4), layout="constrained")
     first, second = figure.subplots(1, 2)
     for amplitude, colour in zip(landmark_motion.AMPLITUDES, (BLUE, GREEN, RED), strict=True):
@@ -310,7 +310,7 @@ def smoothness_figure(store: Store) -> Figure:
 
 
 def warps(store: Store, amplitude: float) -> list[Values]:
-    """The warps of an amplitude by growing N, with errors against the finest warp; empty without that warp."""
+    """Return the warps of an amplitude by increasing N, with errors against the finest; empty for only one warp."""
     prefix = f"amplitude {amplitude:g};"
     rows = [v for name, v in store.rows(landmark_motion.SMOOTHNESS_SECTION) if name.startswith(prefix)]
     rows = sorted((v for v in rows if v["status"] == "solved"), key=lambda v: int(v["steps"]))

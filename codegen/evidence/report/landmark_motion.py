@@ -1,15 +1,15 @@
 """The motion of landmarks: jumps between paths, initial paths, the smoothness of warps.
 
-Jumps. These cases show the optimiser of the thesis's Figures 5.8 and 5.9: momenta on nodes, and loose tolerances. The
-thesis minimises 2 h sum H over positions and momenta at the nodes, both averaged on intervals. Only averages of momenta
+Jumps. In Figures 5.8 and 5.9 of the thesis, time and error of the optimiser jump from one N to the next. The thesis
+minimises 2 h sum H over positions and momenta at the nodes, both averaged on intervals. Only averages of momenta
 matter: p_k + (-1)^k a has the same averages for every a, the same cost and the same constraints, so that the minimum is
 never isolated. The generated module has one momentum for each interval. Both forms are given to scipy's SLSQP, from the
-thesis's curved paths and from straight ones, with the thesis's tolerance 1e-6 and with a tight one. They are compared
-with Newton's solution of the same discrete problem.
+thesis's curved paths and from straight paths, with the thesis's tolerance 1e-6 and with a tight one. The results are
+compared with Newton's solution of the same discrete problem.
 
-Smoothness. The errors and folds of the warp of the whole disc show how many steps a smooth warp needs. Points without
-momentum follow v(x) = sum_j p_j G(x, q_j). An explicit step x + h v(x) is one to one where h times the Lipschitz
-constant of v is below one. Cells of a grid whose signed area becomes negative show a fold.
+Smoothness. The errors and folds of a warped grid show how many steps a smooth warp needs. Points without momentum
+follow v(x) = sum_j p_j G(x, q_j). An explicit step x + h v(x) is one to one if h times the Lipschitz constant of v is
+below one. A cell of the grid with a negative signed area shows a fold.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ LOOSE, TIGHT = 1e-6, 1e-14
 
 @dataclass(frozen=True)
 class Minimisation:
-    """Momenta on "nodes" or "intervals", "curved" or "straight" initial paths, and the tolerance."""
+    """A minimisation: momenta on "nodes" or "intervals", "curved" or "straight" initial paths, and the tolerance."""
 
     momenta: str
     path: str
     tolerance: float
 
     def case(self, count: int, steps: int) -> str:
-        """The name of a case."""
+        """Return the name of the case."""
         return f"momenta on {self.momenta}; {self.path} paths; tolerance {self.tolerance:g}; nc {count}; N {steps}"
 
 
@@ -57,7 +57,7 @@ VARIANTS = tuple(
 
 
 def jump_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Every variant with ever more steps until a solve takes longer than the limit."""
+    """Yield cases: every variant with ever more steps, until a solve takes longer than the limit."""
     if settings.quick:
         return
     for count in settings.counts[:2]:
@@ -72,16 +72,16 @@ def jump_cases(settings: Settings, store: Store) -> Iterator[Case]:
 
 
 def _null_space(count: int) -> Values:
-    """The number of directions of the unknowns that change neither cost nor constraints, by a rank."""
+    """Return the numbers of directions of the unknowns that change neither cost nor constraints, by a matrix rank."""
     matrices = {momenta: unknowns(momenta, 2 * count, 10) for momenta in ("nodes", "intervals")}
     return {name: int(matrix.shape[1] - np.linalg.matrix_rank(matrix)) for name, matrix in matrices.items()}
 
 
 def unknowns(momenta: str, size: int, steps: int) -> Matrix:
-    """The matrix that maps the unknowns of the minimiser to those of the action.
+    """Return the matrix that maps the unknowns of the minimiser to the unknowns of the action.
 
-    These are inner positions, then momenta: on intervals as the action has them, or on nodes, averaged between
-    neighbours.
+    Both are inner positions (`size` entries per node), then momenta. The action has momenta on intervals. If `momenta`
+    is "nodes", the minimiser has momenta on nodes, which are averaged between neighbours.
     """
     inner = (steps - 1) * size
     if momenta == "intervals":
@@ -96,7 +96,7 @@ def unknowns(momenta: str, size: int, steps: int) -> Matrix:
 
 
 def _straight_path(module: ConnectModule, case: Any) -> Vector:
-    """Positions on straight lines at constant speed and their momenta, shape (N + 1, 2, n, d)."""
+    """Return the positions on straight lines at constant speed and their momenta, shape (N + 1, 2, n, d)."""
     states = np.zeros((case.steps + 1, 2, *case.start.shape))
     velocity = (case.target - case.start) / case.duration
     for k in range(case.steps + 1):
@@ -165,7 +165,7 @@ PATHS_STEPS = 20
 
 
 def path_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Every guess on few landmarks, on the trilobites, and on a hundred random landmarks."""
+    """Yield cases: every initial guess for small sets of landmarks, the trilobites, and a hundred random landmarks."""
     if settings.quick:
         return
     sets = {f"nc {n}": settings.points(n) for n in (*settings.counts, 40)} | {"nc 100, smooth": smooth_pair(100)}
@@ -175,7 +175,7 @@ def path_cases(settings: Settings, store: Store) -> Iterator[Case]:
 
 
 def _guess(module: ConnectModule, case: Any, kind: str) -> Vector:
-    """States of a kind of guess, shape (N + 1, 2, n, d)."""
+    """Return the states of the initial guess `kind` (see KINDS), shape (N + 1, 2, n, d)."""
     if kind == "straight":
         return _straight_path(module, case)
     if kind == "curved":
@@ -216,13 +216,13 @@ def _iterations(settings: Settings, points: PointSet, kind: str) -> Values:
 
 SMOOTHNESS_SECTION = "smoothness"
 AMPLITUDES = (0.5, 1.0, 2.0)
-"""Displacements of the trilobites' landmarks as multiples of the given ones; the last stay inside the disc."""
+"""Factors of the displacements of the trilobites' landmarks, which stay inside the disc with the last factor."""
 SMOOTHNESS_STEPS = (1, 2, 3, 5, 10, 20, 40, 80)
 _FINE, _ROWS = 640, 31
 
 
 def smoothness_cases(settings: Settings, store: Store) -> Iterator[Case]:
-    """Explicit Euler warps of growing amplitude with ever more steps."""
+    """Yield cases: warps by explicit Euler with increasing displacements and ever more steps."""
     if settings.quick:
         return
     for amplitude in AMPLITUDES:
@@ -232,7 +232,7 @@ def smoothness_cases(settings: Settings, store: Store) -> Iterator[Case]:
 
 
 def grid() -> Vector:
-    """Points of the square that the unit circle surrounds, shape (rows, rows, 2)."""
+    """Return the points of a grid on a square inside the unit circle, shape (rows, rows, 2)."""
     line = np.linspace(-0.7, 0.7, _ROWS)
     return np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1)
 
@@ -243,7 +243,7 @@ def _warp(settings: Settings, amplitude: float, steps: int) -> Values:
     solution = module.solve(points.start, target, steps)
     if solution.status != "solved":
         return {"status": solution.status, "steps": steps}
-    # The images of points under the steps, and the greatest difference quotient of h v on the grid.
+    # The images of the grid under the steps, and the largest difference quotient of h v on the grid.
     x = grid().reshape(-1, 2)
     count = solution.q.shape[1]
     matrix, none = np.empty((count + len(x),) * 2), np.zeros((count + len(x), 0))
@@ -264,6 +264,6 @@ def _warp(settings: Settings, amplitude: float, steps: int) -> Values:
 
 
 def cell_areas(positions: Vector) -> Vector:
-    """Signed areas of the cells of a grid, by their diagonals."""
+    """Return the signed areas of the cells of a grid from their diagonals; `positions` has shape (rows, rows, 2)."""
     first, second = positions[1:, 1:] - positions[:-1, :-1], positions[:-1, 1:] - positions[1:, :-1]
     return 0.5 * (first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])

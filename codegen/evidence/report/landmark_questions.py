@@ -10,13 +10,13 @@ from codegen.evidence.report.page import Picture, Section, Table, listed, number
 from codegen.evidence.report.store import Settings, Store
 
 _THESIS = Minimisation("nodes", "curved", LOOSE)
-"""The minimisation of the thesis."""
+"""The variant of the minimisation that the thesis uses."""
 _JUMP = 5.0
-"""A jump is a growth of the error by this factor from one N to the next as iterations fall."""
+"""A jump is a growth of the error by this factor from one N to the next, while the iterations decrease."""
 
 
 def question_sections(settings: Settings, store: Store) -> list[Section]:
-    """Questions in the order of chapter 6, then the check of appendix B.2."""
+    """Return the sections on the questions of chapter 6, then on the check of appendix B.2."""
     return [
         _paths(settings, store), _dimension(store), _smoothness(store), _jumps(settings, store),
         _midpoint(settings, store), _orders(store), _ansatz(store),
@@ -180,7 +180,7 @@ def _jumps(settings: Settings, store: Store) -> Section:
 
 
 def _conclusions(count: int, by_variant: dict[Minimisation, landmark_figures.Rows]) -> list[str]:
-    """Conclusions on tolerances, momenta and paths, for one set of landmarks."""
+    """Return conclusions on tolerances, momenta and initial paths, for the set of `count` landmarks."""
     worst = {variant: max(v["error"] for _, v in line) for variant, line in by_variant.items()}
     loose = max((error for variant, error in worst.items() if variant.tolerance == LOOSE), default=None)
     tight = max((error for variant, error in worst.items() if variant.tolerance == TIGHT), default=None)
@@ -283,7 +283,7 @@ def _orders(store: Store) -> Section:
         "Error against time on forty landmarks; crosses: adaptive codes of scipy at the tolerances of the sweep.",
         svg(landmark_figures.work_and_precision, store),
     )
-    # The scheme that reaches each error first, and the times of explicit Euler, midpoint and DOP853.
+    # The fastest scheme for each error, compared with explicit Euler, midpoint and DOP853.
     texts, columns = [], []
     schemes = (*landmark_effort.STEPPED, *landmark_effort.ADAPTIVE)
     for target in landmark_effort.TARGETS:

@@ -1,7 +1,7 @@
 """The study of landmark registration: measure missing cases, then write page, CSV and JSON.
 
-The first sections of the page are tables 5.1 and 5.2 and the figures of chapter 5 of the thesis, with conclusions from
-the measured values. The open questions follow.
+The first sections of the page repeat Tables 5.1 and 5.2 and the figures of chapter 5 of the thesis, with conclusions
+from the measured values. Sections on the open questions of chapter 6 follow.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ PARTS: tuple[tuple[str, Callable[[Settings, Store], Iterator[Case]]], ...] = (
     ("weak solution", landmark_effort.weak_solution_cases),
     ("jumps", landmark_motion.jump_cases),
 )
-"""Parts of the study in the order in which they are measured."""
+"""The parts of the study, with functions that yield their cases, in the order of measurement."""
 
 THESIS_TIMES = {3: (157.5, 381.0, 1.705, 41.80), 4: (831.6, 786.6, 2.974, 79.81), 5: (7345.0, 1543.0, 4.663, 205.4)}
-"""Seconds of Table 5.1 at N = 100: optimal control, full solve, stepping by fsolve and by fmin."""
+"""Seconds of Table 5.1 by number of landmarks, N = 100: optimal control, full, stepping by fsolve and by fmin."""
 _THESIS_ROUTES = ("action, slsqp", "full, fsolve", "stepping, fsolve", "stepping, fmin")
 _NEWTON_ROUTES = ("action, newton", "full, newton", "stepping, newton")
 
 
 def run(settings: Settings, folder: Path) -> Path:
-    """Measure every case that `folder` does not hold yet; return the page, beside which are the CSV and the JSON."""
+    """Measure every case that `folder` does not contain; write page, CSV and JSON, and return the path of the page."""
     folder.mkdir(parents=True, exist_ok=True)
     store = Store(folder / ("quick.jsonl" if settings.quick else "measurements.jsonl"))
     with progress("", len(PARTS)) as report_progress:
@@ -77,7 +77,7 @@ def run(settings: Settings, folder: Path) -> Path:
 
 
 def sections(settings: Settings, store: Store) -> list[Section]:
-    """The sections on chapter 5 of the thesis, and on the open questions."""
+    """Return the sections on chapter 5 of the thesis, and on its open questions."""
     text = (
         "Random landmarks as in the thesis's initialisation (E.3.6), drawn anew because Matlab's random numbers are "
         "not available: costs therefore differ from the thesis's, orders and routes may be compared."
@@ -121,13 +121,13 @@ def _eulers(settings: Settings, store: Store) -> Section:
 
 
 def _stepping(store: Store, scheme: str, count: int, steps: int) -> Values | None:
-    """The stepping solution of a scheme by Newton's method."""
+    """Return the values of a scheme by stepping with Newton's method, or None if they were not measured."""
     name = landmark_effort.case_name(scheme, figures.STEPPING, count, steps)
     return store.get(landmark_effort.ROUTES_SECTION, name)
 
 
 def _routes(settings: Settings, store: Store, scheme: str, title: str, costs: str, paths: str) -> Section:
-    """The routes of a scheme: conclusions, a table of times, and the figures of costs and paths."""
+    """Return the section on the routes of a scheme; `costs` and `paths` are numbers of figures in the thesis."""
     by_route = {
         (route.label, count): dict(figures.by_route(settings, store, scheme, route.label, count))
         for route in landmark_effort.routes_of(scheme)
@@ -180,7 +180,7 @@ def _routes(settings: Settings, store: Store, scheme: str, title: str, costs: st
             f"With nc = {count} and N = {most} the fastest route is {fastest[1]} "
             f"({seconds(fastest[0])}), the slowest that was run {slowest[1]} ({seconds(slowest[0])})."
         )
-    # The largest difference in cost between solved routes of stepping and full kind.
+    # The largest difference in cost between solved routes, for Euler's methods without the routes of the action.
     spreads = []
     for landmarks in settings.counts:
         for steps in settings.steps:
@@ -214,7 +214,7 @@ def _routes(settings: Settings, store: Store, scheme: str, title: str, costs: st
 
 
 def _time_or_reach(values: dict[int, Values], steps: int) -> str:
-    """The time of a solve with a number of steps, else the largest number of steps with its time."""
+    """Return the time of the solve with `steps` steps as text, else the largest N in `values` with its time."""
     if steps in values:
         failed = values[steps]["status"] != "solved"
         return seconds(values[steps]["seconds"]) + (" (failed)" if failed else "")

@@ -1,6 +1,6 @@
-"""Sections about the modules of a problem: times and sizes, omissions, and the savings against the general form.
+"""Sections about the modules of a problem: times, sizes, omitted parts, and the savings against the general form.
 
-A module omits what its problem does not need. The general form is the same module without any omission.
+A module omits the parts that its problem does not need. The general form is the same module with all parts.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _FORMS = {
 
 
 def general_forms(store: Store, problem: Path, variants: Sequence[Variant], extent: Extent) -> list[Variant]:
-    """The general forms to be built: none for particles, nor of modules that are too large for the extent."""
+    """Return the general forms to build: none for particles, and none for modules with too many operations."""
     if (store.get(SURVEYS, problem.stem) or {}).get("form") == PARTICLES:
         return []
     shown = [(v, store.get(MODULES, v.case) or {}) for v in _shown(store, variants)]
@@ -42,7 +42,7 @@ def general_forms(store: Store, problem: Path, variants: Sequence[Variant], exte
 
 
 def _shown(store: Store, variants: Sequence[Variant]) -> list[Variant]:
-    """The default scheme, and the first explicit scheme of order 2 or more."""
+    """Return the variants that are shown in detail: the default, and the first explicit scheme of order 2 or more."""
     modules = {v: store.get(MODULES, v.case) or {} for v in variants}
     built = [v for v in variants if modules[v].get("status") == "built"]
     explicit = [v for v in built if v.order > 1 and modules[v].get("solver") == "explicit"]
@@ -50,12 +50,12 @@ def _shown(store: Store, variants: Sequence[Variant]) -> list[Variant]:
 
 
 def _operations(module: Values, column: int) -> int:
-    """Operations of one evaluation of all kernels, before (0) or after (1) common subexpressions are shared."""
+    """Return the operations of all kernels, before (column 0) or after (1) common subexpressions are shared."""
     return sum(pair[column] for pair in module["operations"].values())
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Both forms on the problem's own number of steps."""
+    """Yield a case for each general form: the comparison of its solve with the plain module's solve."""
     for general in workshop.built(general_forms(workshop.store, problem, variants, extent)):
         yield Case(
             section_of(problem, "general form"), general.label, partial(_compared, workshop, general, extent.repeat)
@@ -63,10 +63,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
 
 
 def _compared(workshop: Workshop, general: Variant, repeat: int) -> Values:
-    """Status and seconds of a solve by either form, and the difference of the answers.
-
-    The difference is that of costs, or of the final states of a simulation; it is relative.
-    """
+    """Return status and seconds of a solve with both forms, and the relative difference of costs or final states."""
     modules = workshop.module(replace(general, general=False)), workshop.module(general)
     steps = min(MOST_STEPS, int(modules[0].metadata.steps))
     try:
@@ -88,7 +85,7 @@ def _compared(workshop: Workshop, general: Variant, repeat: int) -> Values:
 
 
 def modules(store: Store, variants: Sequence[Variant], title: str, omitted: Sequence[str]) -> Section:
-    """Times and sizes of every module, operations of its kernels, refusals, and schemes that were not measured."""
+    """Return the section with times, sizes and operations of modules, and the refused and the `omitted` schemes."""
     rows, refused = [], []
     for variant in variants:
         values = store.get(MODULES, variant.case)
@@ -123,7 +120,7 @@ def modules(store: Store, variants: Sequence[Variant], title: str, omitted: Sequ
 
 
 def omissions(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
-    """The omissions of modules with their reasons, and a table of the two forms of each module that has both."""
+    """Return the section with the omitted parts of modules, their reasons, and a comparison with the general form."""
     survey, tables, answers = store.get(SURVEYS, problem.stem) or {}, list[Table](), list[str]()
     for variant in _shown(store, variants):
         plain, general = store.get(MODULES, variant.case) or {}, replace(variant, general=True)

@@ -9,11 +9,11 @@ bounds for Euler approximation of linear-quadratic control problems with bang-ba
 Optim. 2 (2012), for controls that switch.
 
 Limits of costs on ever finer grids. Smooth sequences are extrapolated: Richardson (1911); Romberg's scheme as in
-Hairer, Norsett and Wanner (1993), section II.9. Where errors vary with the grid, the limit is fitted.
+Hairer, Norsett and Wanner (1993), section II.9. Where errors vary irregularly with the grid, the limit is fitted.
 
-Mesh sequences. Each grid starts from the optimum on a coarser grid, so that all grids follow one optimum. From a
-problem's own guess every grid may end in another local optimum, and long problems need finer grids than a guess leads
-to. A mesh sequence starts from a coarse grid and doubles it. Where bounds become active or inactive within the motion,
+Mesh sequences. A mesh sequence starts from a coarse grid and doubles it. Each grid starts from the optimum on a coarser
+grid, so that all grids follow one optimum. From the problem's own initial guess, each grid might end in another local
+optimum, or fail on the fine grids that long problems need. Where bounds become active or inactive within the motion,
 the error varies with the position of these times in their intervals. Grids with other numbers of intervals are then
 added.
 """
@@ -68,17 +68,17 @@ from codegen.solving.results.result import Result
 
 DRIVERS = ("newton", "slsqp", "trust-constr", "fsolve")
 MOST_STEPS = 20_000
-"""The largest number of steps from which the first grid is derived."""
+"""The first grid is derived from the problem's own number of steps, or from this number if it is smaller."""
 QUICKLY = 0.01
-"""Seconds of a solve below which more repetitions are timed."""
+"""The seconds of a solve below which ten times as many solves are timed."""
 NEAR = 0.01
-"""The reference's error is drawn where it is more than this part of the least error."""
+"""The reference's error is drawn if it exceeds this fraction of the least error of the schemes."""
 OTHER_OPTIMUM = 0.1
-"""A relative error of the finest cost from which on a remark names the possible reasons."""
+"""The relative error of the cost on the finest grid above which a remark names possible reasons."""
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Every scheme on ever finer grids, mesh sequences, the reference, then the drivers on the coarsest grid."""
+    """Yield cases: every scheme on ever finer grids, mesh sequences, the reference, drivers on the coarsest grid."""
     store, modules = workshop.store, {v: workshop.control(v) for v in workshop.built(variants)}
     for variant, module in modules.items():
         first = _first_steps(module)
@@ -94,7 +94,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
         )
     if not modules:
         return
-    # Optima of all schemes of order 2 and more converge alike, so that the problem's own scheme comes first.
+    # Costs by all schemes of order 2 or more converge alike; among these the problem's own scheme comes first.
     default = next(iter(modules))
     trusted = sorted(modules, key=lambda v: (-min(v.order, 2), v != default))
     exact = (store.get(SURVEYS, problem.stem) or {}).get("exact cost")
@@ -109,12 +109,12 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
 
 
 def _first_steps(module: ControlModule) -> int:
-    """The coarsest grid: a quarter of the problem's own number of steps, at least 5."""
+    """Return the number of intervals of the coarsest grid: a quarter of the problem's own number, at least 5."""
     return max(5, min(MOST_STEPS, module.metadata.steps) // 4)
 
 
 def solved(module: ControlModule, steps: int, repeat: int, driver: str = "newton") -> Values:
-    """Status, cost, times and residuals of a solution from the problem's own guess."""
+    """Return status, cost, times and residuals of a solve from the problem's own initial guess."""
     try:
         result = well_timed(module, driver, repeat, steps=steps)
     except CodegenError as error:  # such as too little memory, or a driver that does not apply
@@ -129,7 +129,7 @@ def solved(module: ControlModule, steps: int, repeat: int, driver: str = "newton
 
 
 def well_timed(module: GeneratedModule, driver: str, repeat: int, **options: Any) -> Result:
-    """A result whose time is the least of `repeat` solves, of ten times as many where a solve takes milliseconds."""
+    """Return a result with the least time of `repeat` solves, or of ten times as many if a solve takes milliseconds."""
     result = api.solve(module, driver, repeat=1, **options)
     if repeat > 1 and result.seconds_solve < 1.0:
         return api.solve(module, driver, repeat=10 * repeat if result.seconds_solve < QUICKLY else repeat, **options)
@@ -137,7 +137,7 @@ def well_timed(module: GeneratedModule, driver: str, repeat: int, **options: Any
 
 
 def _reference(store: Store, problem: Path, trusted: Sequence[Variant], exact: float | None) -> Values:
-    """The closed form, else the limit of the mesh sequence of the first scheme that has a limit."""
+    """Return the reference cost: `exact`, else the limit of the first mesh sequence of `trusted` that has a limit."""
     if exact is not None:
         return {"cost": exact, "error": 1e-15 * abs(exact), "how": "closed form of the maximum principle"}
     for variant in trusted:
@@ -151,12 +151,12 @@ def _reference(store: Store, problem: Path, trusted: Sequence[Variant], exact: f
 # ---- Limits of costs ----
 
 FAR = 0.2
-"""Costs that differ by more than this part belong to unrelated optima."""
+"""Costs with a larger relative difference belong to unrelated optima."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """An extrapolated value, its error, and the method."""
+    """The extrapolated limit of a sequence of costs, its estimated error, and the method as text."""
 
     value: float
     error: float
@@ -164,10 +164,10 @@ class Limit:
 
 
 def limit_of(costs: Sequence[float], order: int) -> Limit:
-    """The limit of costs on N, 2N, 4N, ... intervals, for errors h^p + h^(p+1) + ..., or h^p + h^(p+2) + ...
+    """Return the limit of costs on N, 2N, 4N, ... intervals, for errors h^p + h^(p+1) + ..., or h^p + h^(p+2) + ...
 
-    Symmetric schemes have the second form. The elimination of a power gives a column. The result is from the column
-    whose last two entries agree best; their distance is the error.
+    p is the `order`. Symmetric schemes have the second form. Each elimination of a power gives a column. The result is
+    from the column whose last two entries agree best; the difference of these entries is the error.
     """
     error, value, eliminated = math.inf, costs[-1], tuple[int, ...]()
     for step in (1, 2):
@@ -187,10 +187,10 @@ def _power(exponent: int) -> str:
 
 
 def fitted_limit(steps: Sequence[int], costs: Sequence[float], order: int) -> Limit:
-    """J in J + c N^-p by least squares over the finest quarter of a range of N; the error is two standard errors.
+    """Return J in J + c N^-p, p = `order`, by least squares over the grids with at least a quarter of the largest N.
 
-    Coarse grids are used down to the first whose cost is far from the finest cost and so belongs to another optimum.
-    Residuals are assumed to be proportional to the error itself, so that the weight of a row is N^p.
+    Grids up to the last one whose cost is far from the finest cost are left out, since they belong to another optimum.
+    Residuals are assumed to be proportional to N^-p, so the weight of a row is N^p. The error is two standard errors.
     """
     rows = [(n, cost) for n, cost in zip(steps, costs, strict=True) if 4 * n >= max(steps)]
     far = [i for i, (_, cost) in enumerate(rows) if abs(cost - rows[-1][1]) > FAR * abs(rows[-1][1])]
@@ -208,7 +208,7 @@ def fitted_limit(steps: Sequence[int], costs: Sequence[float], order: int) -> Li
 
 
 def _limit(values: Values) -> Limit | None:
-    """The limit of the costs of a mesh sequence; None for fewer than three grids."""
+    """Return the limit of the costs of a mesh sequence, or None for fewer than three grids."""
     if len(values["steps"]) < 3:
         return None
     if values["switching"]:
@@ -220,22 +220,21 @@ def _limit(values: Values) -> Limit | None:
 
 MOST_INTERVALS = 1_500_000
 FINEST_SMOOTH, FINEST_SWITCHING, FINE = 1024, 128, 2000
-"""Largest ratio of the last grid to the first for smooth optima. Ratio where bounds become active, and the least number
-of intervals of the last grid there."""
+"""The largest ratio of the last grid to the first, for smooth optima and for optima whose bounds become active. In the
+second case the last grid has at least FINE intervals."""
 COLD = 16
-"""The first grid may be so much finer than requested, where coarser grids have no optimum."""
+"""If coarse grids have no optimum, the first grid may be finer than requested by up to this factor."""
 PARTS = 6
-"""Grids per doubling where bounds become active."""
+"""The number of grids per doubling for optima whose bounds become active or inactive."""
 ENOUGH, ACCURATE = 0.005, 1e-10
-"""Local orders have settled if they differ by no more than the first; limits if their relative error is below the
-second."""
+"""The largest difference of settled local orders, and the relative error below which a limit is accurate."""
 NO_MORE = 1e-11
-"""Relative differences of costs below which rounding is near."""
+"""Rounding errors are near if the relative differences of costs are below this value."""
 
 
 @dataclass
 class _Sequence:
-    """Optima by growing number of intervals, and the remaining seconds of processor time."""
+    """A mesh sequence: optima by increasing number of intervals, and the remaining seconds of processor time."""
 
     module: ControlModule
     seconds: float
@@ -249,14 +248,11 @@ class _Sequence:
         return [float(result.cost or 0.0) for result in self.results]
 
     def solve(self, steps: int, warm: Vector | None) -> Result | None:
-        """An optimum from a coarser one, directly or through a grid in between, else from the problem's own guess.
-
-        None if all of these fail.
-        """
+        """Return an optimum from a coarser one (`warm`), else from the problem's guess; None if all solves fail."""
         begin = time.process_time()
         try:
             result = api.solve(self.module, steps=steps, warm=warm)
-            if not result.solved and warm is not None:
+            if not result.solved and warm is not None:  # try a grid in between
                 between = api.solve(self.module, steps=3 * steps // 4, warm=warm)
                 if between.solved:
                     result = api.solve(self.module, steps=steps, warm=between.unknowns)
@@ -286,9 +282,10 @@ class _Sequence:
 
 
 def sequence(module: ControlModule, first: int, seconds: float) -> Values:
-    """Numbers of intervals and costs of a mesh sequence, and the unknowns whose bounds become active or inactive.
+    """Return the grids and costs of a mesh sequence, and the unknowns whose bounds become active or inactive.
 
-    No grid is begun after `seconds` of processor time, which does not depend on the load of the machine.
+    `first` is the number of intervals of the first grid. No grid starts after `seconds` of processor time, which does
+    not depend on the load of the machine.
     """
     grids = _Sequence(module, seconds)
     steps, changes = first, list[str]()
@@ -305,7 +302,7 @@ def sequence(module: ControlModule, first: int, seconds: float) -> Values:
             if not changes and (steps >= FINEST_SMOOTH * first or grids.has_settled()):
                 break
         steps *= 2
-    between: list[tuple[int, float]] = []  # grids whose numbers of intervals are between those of the sequence
+    between: list[tuple[int, float]] = []  # grids between two grids of the sequence
     if changes and len(grids.steps) > 2:
         for (coarse, fine), result in zip(pairwise(grids.steps), grids.results, strict=False):
             for part in range(1, PARTS):
@@ -320,9 +317,9 @@ def sequence(module: ControlModule, first: int, seconds: float) -> Values:
 
 
 def switching(module: ControlModule, result: Result) -> list[str]:
-    """The unknowns of which a bound becomes active or inactive between two neighbouring nodes or intervals.
+    """Return the names of unknowns with a bound that becomes active or inactive between adjacent nodes or intervals.
 
-    A bound is active where its multiplier, the slope of the Lagrangian, exceeds the distance from the bound.
+    A bound is active if its multiplier, the derivative of the Lagrangian, exceeds the distance from the bound.
     Inequality path constraints have slack unknowns, which are bounded.
     """
     if not module.metadata.inequalities:
@@ -342,7 +339,7 @@ def switching(module: ControlModule, result: Result) -> list[str]:
 
 
 def all_grids(values: Values) -> tuple[list[int], list[float]]:
-    """Numbers of intervals of all grids, growing, and their costs."""
+    """Return the numbers of intervals of all grids in increasing order, and their costs."""
     pairs = sorted(
         [*zip(values["steps"], values["costs"], strict=True),
          *zip(values["more steps"], values["more costs"], strict=True)]
@@ -351,16 +348,16 @@ def all_grids(values: Values) -> tuple[list[int], list[float]]:
 
 
 ELSEWHERE = 1e-3
-"""Limits that differ by more than this part, and by ten times their errors, belong to different local optima."""
+"""Limits that differ by more than this fraction plus ten times their errors belong to different local optima."""
 EXACT = 1e-9
-"""Where no relative error is larger, no order can be measured."""
+"""No order is measured if no relative error exceeds this value."""
 OCTAVES = 16
-"""The ratio of the largest to the least number of intervals of a fit."""
+"""The largest ratio of numbers of intervals in a fit."""
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """A measured order with its verdict, unknowns whose bounds become active within the motion, finest N, remarks."""
+    """A measured order and its verdict, unknowns with switching bounds, the finest N, the error there, and remarks."""
 
     order: Order | None
     verdict: str
@@ -371,7 +368,7 @@ class Convergence:
 
 
 def convergence_of(store: Store, problem: Path, variant: Variant, expected: int) -> Convergence:
-    """The convergence of the mesh sequence of a scheme."""
+    """Return the convergence of the mesh sequence of a scheme; the verdict compares it with the `expected` order."""
     values = store.get(section_of(problem, "mesh sequences"), variant.label)
     limit = None if values is None else _limit(values)
     if values is None or limit is None:
@@ -392,8 +389,8 @@ def convergence_of(store: Store, problem: Path, variant: Variant, expected: int)
     if max(errors) < EXACT:
         return Convergence(None, "exact on every grid", **last)
     if switching:
-        # A reference that is fitted to the finest quarter of these grids allows no order there. Coarse grids are used
-        # down to the first that has an unrelated optimum.
+        # If the reference is fitted to the finest quarter of these grids, only coarser grids can show an order. Grids
+        # up to the last one with an unrelated optimum are left out.
         is_reference = variant.label == reference.get("scheme") or bool(remark)
         top = steps[-1] // 4 if is_reference else steps[-1]
         rows = [(n, error) for n, error in zip(steps, errors, strict=True) if top <= OCTAVES * n and n <= top]
@@ -427,10 +424,10 @@ _SWITCHING = (
 
 
 def measured(store: Store, problem: Path, variant: Variant) -> Measured:
-    """The runs of a scheme, relative errors of its cost, and the order of its mesh sequence.
+    """Return the solves of a scheme, the relative errors of their costs, and the order of the mesh sequence.
 
-    Errors are None where a solve failed or there is no reference. The expected order is the scheme's, but 2 at most
-    where controls are constant on intervals.
+    Errors are None if a solve failed or if there is no reference. The expected order is the order of the scheme, but at
+    most 2 where controls are constant on intervals.
     """
     rows = variant.rows(store, section_of(problem, "optima"))
     exact = (store.get(section_of(problem, "reference"), "cost") or {}).get("cost")
@@ -440,14 +437,14 @@ def measured(store: Store, problem: Path, variant: Variant) -> Measured:
 
 
 def _error(values: Values, exact: float | None) -> float | None:
-    """|J - J*|/|J*|, absolute for J* = 0."""
+    """Return |J - J*|/|J*|, or |J| for J* = 0; None for a failed solve or an unknown J* (`exact`)."""
     if exact is None or values["status"] != "solved" or values["cost"] is None:
         return None
     return float(abs(values["cost"] - exact) / (abs(exact) or 1.0))
 
 
 def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
-    """Cost errors against steps and time, and a comparison of drivers."""
+    """Return the section with cost errors against steps and time, and with a comparison of drivers."""
     reference = store.get(section_of(problem, "reference"), "cost") or {}
     exact = reference.get("cost")
     schemes = {v: m for v in variants if (m := measured(store, problem, v)).rows}

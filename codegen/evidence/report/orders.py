@@ -1,8 +1,8 @@
-"""Measured orders of convergence: slopes that have settled, above the plateau of rounding and of the reference.
+"""Measured orders of convergence: slopes that have settled, above the errors by rounding and of the reference.
 
-Between numbers of steps N_i the local order is log(e_i/e_i+1)/log(N_i+1/N_i). It tends to the order of the scheme until
-rounding takes over. An order is reported where local orders agree with each other over a range of N, whatever their
-value. Where no such range is reached no order is reported, and the verdict is that convergence is not asymptotic.
+Between numbers of steps N_i with errors e_i the local order is log(e_i/e_i+1)/log(N_i+1/N_i). It tends to the order of
+the scheme until rounding errors dominate. An order is reported if local orders agree with each other over a range of N,
+whatever their value. Without such a range, no order is reported and the verdict is "not asymptotic".
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from codegen.evidence.report.page import number, slope
 from codegen.evidence.report.store import Values
 
 LEAST_POINTS, LEAST_RANGE = 3, 2.0
-"""The least number of successive points of the least-squares fit, and the least factor in N."""
+"""The least number of successive points in a least-squares fit, and the least ratio of its last to its first N."""
 ABOVE, ABOVE_REFERENCE = 100.0, 30.0
-"""A point counts if its error exceeds the plateau by the first factor and the reference's error by the second."""
+"""A point counts if its error exceeds the plateau of rounding and the reference's error by these factors."""
 LEAST_FIT, ABOVE_REFERENCE_FIT = 8, 5.0
-"""The least number of grids of a fit to varying errors, and the factor by which these exceed the reference's error."""
+"""The least number of grids in a fit to irregular errors, and their least ratio to the reference's error."""
 SHRINKING = 0.75
-"""Rounding is taken to have begun where an error is more than this multiple of the error with half as many steps."""
+"""Rounding errors dominate if an error exceeds this multiple of the error with half as many steps."""
 SMALL = 1e-6
-"""Rounding begins below this error only."""
+"""The relative error above which rounding errors cannot dominate."""
 LARGE = 0.5
-"""Relative errors from this one on belong to motions unlike the exact one, and show no order."""
+"""The relative error from which on a motion is unlike the exact motion and shows no order."""
 SETTLED, SETTLED_HIGH, HIGH = 0.03, 0.15, 5.0
-"""Local orders have settled if they differ by no more than the first; by the second, if they are above the third."""
+"""Local orders have settled if they differ by at most the first value, or by the second if they are above HIGH."""
 TOLERANCE, TOLERANCE_HIGH = 0.1, 0.3
-"""The largest difference between a measured and the expected order; the second from order 6 on."""
+"""The largest accepted difference between measured and expected order, below order 6 and from order 6 on."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """A measured order, the difference of its local orders, and the range of numbers of steps.
+    """A measured order, the largest difference of its local orders, and the least and the largest number of steps.
 
-    For a fit to errors that vary with the grid, `uncertainty` is twice the standard error of the slope.
+    For a fit to irregular errors, `spread` is the range of residuals, `uncertainty` twice the slope's standard error.
     """
 
     value: float
@@ -50,13 +50,13 @@ class Order:
 
     @property
     def range(self) -> str:
-        """The range of numbers of steps in words."""
+        """Return the range of numbers of steps as text."""
         return f"{self.coarsest} to {self.finest}"
 
 
 @dataclass(frozen=True)
 class Measured:
-    """The runs of a scheme by growing number of steps with their errors, and the order with its verdict."""
+    """The solves of a scheme by increasing number of steps, their errors, and the order with its verdict."""
 
     rows: list[Values]
     errors: list[float | None]
@@ -66,10 +66,10 @@ class Measured:
 
 
 def measured_order(steps: Sequence[int], errors: Sequence[float | None], floor: float = 0.0) -> Order | None:
-    """The exponent a of errors ~ N^-a over the finest range of N where local orders have settled, else None.
+    """Return the exponent a of errors ~ N^-a over the finest range of N where local orders have settled, or None.
 
     `floor` is the error of the reference with which `errors` were computed. The plateau of rounding follows from the
-    errors themselves: it begins where they are small and no longer shrink.
+    errors themselves: it begins where they are small and no longer decrease.
     """
     points = [(n, error) for n, error in above_plateau(steps, errors, floor) if error < LARGE]
     for last in range(len(points) - 1, -1, -1):
@@ -87,9 +87,9 @@ def measured_order(steps: Sequence[int], errors: Sequence[float | None], floor: 
 
 
 def fitted_order(steps: Sequence[int], errors: Sequence[float], floor: float = 0.0) -> Order | None:
-    """The exponent by least squares over all grids with errors above the reference's, whatever the local orders.
+    """Return the exponent by least squares over all errors above the reference's error; None for too few grids.
 
-    This is for errors that vary with the position in its interval at which a control switches. None for too few grids.
+    The fit serves irregular errors, which vary with the position of a switching time in its interval.
     """
     kept = [(n, error) for n, error in zip(steps, errors, strict=True) if error > ABOVE_REFERENCE_FIT * floor]
     if len(kept) < LEAST_FIT:
@@ -102,7 +102,7 @@ def fitted_order(steps: Sequence[int], errors: Sequence[float], floor: float = 0
 
 
 def verdict(order: Order | None, expected: int) -> str:
-    """The verdict on a measured order: empty if it is the expected order."""
+    """Return the verdict on a measured order as text, which is empty if the order is as expected."""
     if order is None:
         return "not asymptotic"
     tolerance = max(TOLERANCE_HIGH if expected >= 6 else TOLERANCE, order.uncertainty or 0.0)
@@ -112,7 +112,7 @@ def verdict(order: Order | None, expected: int) -> str:
 
 
 def order_text(order: Order | None, remark: str) -> str:
-    """The measured order with its verdict."""
+    """Return the measured order with a remark as text, or the remark alone without an order."""
     if order is None:
         return remark
     value = number(order.value) if order.uncertainty is None else f"{order.value:.2f} ± {order.uncertainty:.2f}"
@@ -120,13 +120,13 @@ def order_text(order: Order | None, remark: str) -> str:
 
 
 def is_exhausted(steps: Sequence[int], errors: Sequence[float | None]) -> bool:
-    """Return True if the last two errors lie on the plateau, so that more steps add no information."""
+    """Return True if the last errors lie on the plateau of rounding, so that more steps add no information."""
     finite = [error for error in errors if error is not None and math.isfinite(error)]
     return len(finite) >= LEAST_POINTS + 2 and len(above_plateau(steps, errors)) <= len(finite) - 3
 
 
 def above_plateau(steps: Sequence[int], errors: Sequence[float | None], floor: float = 0.0) -> list[tuple[int, float]]:
-    """Numbers of steps and errors, by growing N, up to where rounding or the reference ends convergence."""
+    """Return pairs (steps, error) by increasing steps, up to where rounding or the reference ends convergence."""
     rows = sorted((n, e) for n, e in zip(steps, errors, strict=True) if e is not None and math.isfinite(e))
     kept: list[tuple[int, float]] = []
     for n, error in rows:

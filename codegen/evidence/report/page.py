@@ -1,4 +1,4 @@
-"""The page of a report: its parts, the form of numbers, figures that all problems share, and the HTML file.
+"""The page of a report: its parts, the format of numbers, figures for all problems, and the HTML file.
 
 The HTML file needs no other file. A scheme has the same colour in every figure.
 """
@@ -24,12 +24,12 @@ from codegen.files import rendered
 from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY, STYLE
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-"""A table for str.translate."""
+"""The table for str.translate that turns digits into superscripts."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table: caption, names of the columns, rows of texts; `kind` is "words" if the cells are sentences."""
+    """A table: caption, column headings, rows of cells; `kind` is "words" if the cells are sentences."""
 
     caption: str
     head: tuple[str, ...]
@@ -37,7 +37,7 @@ class Table:
     kind: str = "numbers"
 
     def without_empty_columns(self) -> Table:
-        """The table without the columns whose cells are all empty."""
+        """Return the table without the columns whose cells are all empty."""
         kept = [i for i, _ in enumerate(self.head) if any(row[i] for row in self.rows)]
         rows = tuple(tuple(row[i] for i in kept) for row in self.rows)
         return replace(self, head=tuple(self.head[i] for i in kept), rows=rows)
@@ -45,7 +45,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure as SVG, and its caption."""
+    """A figure as SVG text, and its caption."""
 
     caption: str
     svg: str
@@ -53,7 +53,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page."""
+    """A part of the page: title, paragraphs, tables and figures."""
 
     title: str
     texts: tuple[str, ...] = ()
@@ -62,7 +62,7 @@ class Section:
 
 
 def page(title: str, introduction: str, sections: Sequence[Section], environment: Mapping[str, object]) -> str:
-    """The text of an HTML file that needs no other file."""
+    """Return the text of a self-contained HTML file; the footer shows the `environment`, values by name."""
     named: list[tuple[str, object]] = []
     for name, value in environment.items():
         if isinstance(value, Mapping):
@@ -74,7 +74,7 @@ def page(title: str, introduction: str, sections: Sequence[Section], environment
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` significant digits in the usual notation; a dash for None."""
+    """Return a number as text with `digits` significant digits; a dash for None, NaN and infinity."""
     if value is None or not math.isfinite(value):
         return "–"
     if value == 0.0:
@@ -87,7 +87,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def seconds(value: float | None) -> str:
-    """A time in milliseconds or seconds; a dash for None."""
+    """Return a time in seconds as text in milliseconds or seconds; a dash for None."""
     if value is None or not math.isfinite(value):
         return "–"
     if value < 1.0:
@@ -96,21 +96,21 @@ def seconds(value: float | None) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names joined by commas and a final `and`; `none` for an empty sequence."""
+    """Return the names joined by commas and a final "and"; "none" for an empty sequence."""
     if not names:
         return "none"
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float:
-    """The exponent a of y ~ x^a, by least squares; NaN for fewer than three points."""
+    """Return the exponent a of y ~ x^a by least squares of the logarithms; NaN for fewer than three points."""
     if len(x) < 3:
         return math.nan
     return float(np.polyfit(np.log(x), np.log(np.maximum(y, 1e-300)), 1)[0])
 
 
 def svg(draw: Callable[..., Figure], *arguments: object) -> str:
-    """The figure that a function of these arguments draws, as text that can be part of a page."""
+    """Return the figure of draw(*arguments) as SVG text that can be part of an HTML page."""
     with matplotlib.rc_context({**STYLE, "savefig.transparent": True}):
         figure, text = draw(*arguments), io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None})
@@ -121,17 +121,17 @@ _PALETTE = (
     RED, AMBER, GREEN, "#7FCDBB", BLUE, PINK, "#D6616B", SKY, "#084594", "#54278F", "#6A3D9A", DARK, "#B3A100",
     "#E7969C", "#8C6D31", "#843C39", "#637939", "#C2185B", GREY, "#31A354", "#393B79", "#7A5230", "#756BB1", "#E6550D",
 )  # fmt: skip
-"""Colours of schemes in the order of the registry; the hues of further schemes follow the golden section."""
+"""The colours of schemes in the order of the registry; the hues of further schemes follow the golden ratio."""
 _MARKERS = {1: "", 2: "", 4: "o", 6: "s", 8: "^"}
 MANY = 12
-"""More lines than this need larger axes."""
+"""The number of lines above which a figure has larger axes."""
 LEAST_SPAN = 10.0
-"""The least ratio between the ends of an axis of steps or seconds; a narrower axis would magnify the clock's noise."""
+"""The least ratio of the ends of an axis of steps or seconds; shorter axes magnify the noise of the clock."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """Points of a scheme, by growing number of steps; logarithmic axes omit values that are None or zero."""
+    """The results of a scheme, by increasing number of steps; logarithmic axes omit values that are None or zero."""
 
     scheme: str
     method: str
@@ -142,11 +142,11 @@ class Line:
 
     @property
     def label(self) -> str:
-        """The entry of the legend."""
+        """Return the entry of the legend."""
         return f"{self.method} {self.scheme}"
 
     def style(self) -> dict[str, Any]:
-        """Keywords of a plotted line: variational schemes are dashed, higher orders have markers."""
+        """Return the keywords of the plotted line: variational schemes are dashed, higher orders have markers."""
         return {
             "color": colour_of(self.scheme), "linestyle": "--" if self.method == "variational" else "-",
             "marker": _MARKERS.get(self.order, "o"), "markersize": 3.2, "linewidth": 1.3,
@@ -155,21 +155,24 @@ class Line:
 
 @cache
 def colour_of(scheme: str) -> str:
-    """The colour of a scheme in every figure; for a scheme outside the registry it depends on the name alone."""
+    """Return the colour of a scheme in all figures; without a registry entry, the colour depends on the name alone."""
     from codegen.discretise import schemes
 
     methods = ("hamiltonian", "variational", schemes.FIRST_ORDER, schemes.PARTICLES)
     names = list(dict.fromkeys(entry.name for method in methods for entry in schemes.of_method(method)))
     if scheme not in names:
         return _PALETTE[sum(map(ord, scheme)) % len(_PALETTE)]
-    index = names.index(scheme)  # in the registry
+    index = names.index(scheme)
     if index < len(_PALETTE):
         return _PALETTE[index]
     return to_hex(tuple(hsv_to_rgb((0.618034 * index % 1.0, 0.7, 0.6))))
 
 
 def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | None = None) -> Figure:
-    """One row for every kind of error (its name, and a line for each scheme): against steps, and against seconds."""
+    """Draw one row for each group (name of an error, a line for each scheme): errors against steps and against seconds.
+
+    `floor` is the error of the reference, which the first row shows as a dotted line.
+    """
     count = len({line.label for _, lines in groups for line in lines})
     height = (2.75 if count <= MANY else 3.9) * len(groups) + 0.2 * math.ceil(count / 3)
     figure = Figure(figsize=(9.2 if count <= MANY else 10.8, height + 0.3), layout="constrained")
@@ -193,7 +196,7 @@ def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | 
             axes.minorticks_off()
             for axis in (axes.xaxis, axes.yaxis):
                 axis.set_major_formatter(FuncFormatter(_power_of_ten))
-            # The x axis spans a decade at least, with ticks at 1, 2 and 5 times powers of ten if it spans little more.
+            # The x axis spans at least a decade; a short axis has ticks at 1, 2 and 5 times powers of ten.
             low, high = axes.get_xlim()
             if high / low < LEAST_SPAN:
                 middle = math.sqrt(low * high)
@@ -213,12 +216,12 @@ def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | 
 
 
 def _power_of_ten(value: float, _position: int | None = None) -> str:
-    """A tick label in plain text, which matplotlib sets many times as fast as a formula."""
+    """Return a tick label in plain text, which matplotlib draws many times faster than a formula."""
     return "10" + str(round(math.log10(value))).translate(SUPERSCRIPTS) if value > 0.0 else ""
 
 
 def times_of_drivers(rows: Sequence[tuple[str, float, bool]]) -> Figure:
-    """Bars of the seconds of each driver (name, seconds, True if solved), on a logarithmic axis."""
+    """Draw the seconds of drivers as bars on a logarithmic axis; a row is (name, seconds, True if solved)."""
     figure = Figure(figsize=(5.6, 0.36 * len(rows) + 0.7), layout="constrained")
     axes = figure.subplots()
     for height, (_, time, solved) in enumerate(rows[::-1]):

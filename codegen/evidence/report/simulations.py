@@ -1,10 +1,10 @@
 """Simulations: errors of every scheme against steps and run time, measured orders, and the sections of the page.
 
-Orders are measured on a span of the motion in which the asymptotic range is reached. Over many periods the error is a
-sum of terms that grow with time at different rates, and rounding grows as well. Between the coarsest useful step and
-the plateau no power of the step need prevail. One power prevails on a span in which the state moves by about its own
-size. The number of steps grows by a third of a doubling at a time until local orders have settled. Where rounding comes
-first, longer and shorter spans are tried.
+Orders are measured on a short time span. Over many periods the error is a sum of terms that grow with time at different
+rates, and rounding errors grow as well. Between the coarsest useful step and the plateau of rounding, no single power
+of the time step need prevail. One power prevails on a span in which the state moves by about its own size. The number
+of steps grows by a factor of 2^(1/3) until local orders have settled. If rounding errors dominate first, longer and
+shorter spans are tried.
 """
 
 from __future__ import annotations
@@ -39,26 +39,26 @@ from codegen.evidence.report.store import Case, Extent, Store, Values, section_o
 from codegen.solving.loading import Matrix, SimulateModule, Vector
 
 TIGHT, LOOSE = 3e-14, 1e-13
-"""Relative tolerances of the reference, and of a second run that shows the error of the reference."""
+"""The relative tolerances of the reference, and of a second run that shows the error of the reference."""
 CHECKPOINTS = 20
-"""Intervals between the times at which trajectories are compared."""
+"""The number of intervals between the times at which trajectories are compared."""
 BELOW = 1
-"""How often the problem's own number of steps is halved for the coarsest grid."""
+"""The number of halvings from the problem's own number of steps to the coarsest grid."""
 ORDER_CHECKPOINTS = 4
-"""Intervals between the times at which errors for orders are taken; their root mean square varies smoothly with h."""
+"""The number of intervals between the times of errors for orders; their root mean square is smooth in h."""
 SPANS = (2.0, 4.0, 8.0, 1.0)
-"""Durations of the spans in turn, in units of the time in which the state moves by its own size."""
+"""The durations of the spans in the order of trial, in units of the time in which the state moves by its size."""
 MOST_STEPS = 40_000
 RUNGS = sorted({n for k in range(100) if (n := ORDER_CHECKPOINTS * round(2.0 * 2.0 ** (k / 3.0))) <= MOST_STEPS})
-"""Numbers of steps for orders: multiples of the number of checkpoints that grow by a third of a doubling."""
+"""The numbers of steps for orders: multiples of ORDER_CHECKPOINTS that grow by about a third of a doubling."""
 ENOUGH, LEAST_RUNGS = 0.01, 12
-"""The number of steps grows no further once local orders differ by no more than the first, after LEAST_RUNGS rungs."""
+"""No further steps are tried once local orders differ by at most ENOUGH, after at least LEAST_RUNGS trials."""
 _STATES = 3
 _QUANTITIES = (("trajectory", "error of trajectory"), ("energy", "error of energy"), ("momentum", "error of momentum"))
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """The reference, then every scheme with ever more steps, until a solve is slow or rounding has taken over."""
+    """Yield cases: the reference, then each scheme with ever more steps until a solve is slow or rounding dominates."""
     store, modules = workshop.store, {v: workshop.simulation(v) for v in workshop.built(variants)}
     euler = next((module for v, module in modules.items() if v.scheme == "explicit-euler"), None)
     if euler is None:
@@ -98,10 +98,10 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
 
 @dataclass(frozen=True)
 class Motion:
-    """States (q, p) at M + 1 times, shape (M + 1, 2n).
+    """A reference motion: states (q, p) at M + 1 times, shape (M + 1, 2n).
 
     `error` is the difference between two tolerances, relative to the sizes of the components. `energy_scale` is the
-    largest sum of |p_i dq_i/dt|, twice the kinetic energy where there is one.
+    largest sum of |p_i dq_i/dt|, which is twice the kinetic energy if there is one.
     """
 
     times: Vector
@@ -112,9 +112,9 @@ class Motion:
 
 
 def reference_motion(module: SimulateModule, checkpoints: int, duration: float | None = None) -> Motion:
-    """DOP853 through the field of an explicit Euler module, restarted at every checkpoint.
+    """Return the motion by DOP853 on the vector field of an explicit Euler module, restarted at each checkpoint.
 
-    The default duration is the problem's own.
+    `checkpoints` is the number of intervals. The default duration is the problem's own.
     """
     duration = _duration_of(module) if duration is None else duration
     field, start, times = _field_of(module, duration), _start_of(module), np.linspace(0.0, duration, checkpoints + 1)
@@ -134,9 +134,9 @@ def reference_motion(module: SimulateModule, checkpoints: int, duration: float |
 
 
 def _field_of(module: SimulateModule, duration: float) -> Callable[[float, Vector], Vector]:
-    """The vector field of a problem from a step of its explicit Euler method: (z_1 - z_0)/h, for a long h.
+    """Return the vector field f(t, z) of a problem from one step of explicit Euler: (z_1 - z_0)/h, for a long h.
 
-    The step is linear in h, so that a long step loses no digits to the subtraction.
+    The step is linear in h, so that a long step loses no digits in the subtraction.
     """
     h = 2.0 ** math.ceil(math.log2(duration))
     grid = module.make_grid(1, duration=h)
@@ -144,7 +144,7 @@ def _field_of(module: SimulateModule, duration: float) -> Callable[[float, Vecto
 
 
 def component_sizes(states: Matrix) -> Vector:
-    """The largest position for every position, and the largest momentum for every momentum; shape (2n,)."""
+    """Return the largest position for every position, and the largest momentum for every momentum; shape (2n,)."""
     size = np.abs(states).max(axis=0)
     half = size.size // 2
     return np.concatenate([np.full(half, part.max() or 1.0) for part in (size[:half], size[half:])])
@@ -156,16 +156,16 @@ def _duration_of(module: SimulateModule) -> float:
 
 
 def _start_of(module: SimulateModule) -> Vector:
-    """The initial state (q, p), flat."""
+    """Return the initial state (q, p), shape (2n,)."""
     return np.asarray(module.make_grid(1).start, dtype=float).ravel()
 
 
 def conserved(module: SimulateModule) -> dict[str, Callable[[Matrix], Vector]]:
-    """Momenta that Noether's theorem conserves, by name, as functions of states of shape (..., 2n).
+    """Return the momenta that Noether's theorem conserves, by name, as functions of states of shape (..., 2n).
 
-    A momentum whose rate is exactly zero at several states belongs to a cyclic coordinate on which no force acts. For
-    particles in Cartesian axes, the total momentum along each axis and angular momenta are tested in the same way, up
-    to rounding.
+    A momentum whose rate is exactly zero at several random states belongs to a cyclic coordinate on which no force
+    acts. For particles in Cartesian coordinates, the total momentum along each axis and the angular momenta are tested
+    in the same way, up to rounding errors.
     """
     field, start = _field_of(module, _duration_of(module)), _start_of(module)
     generator, half = np.random.default_rng(0), start.size // 2
@@ -204,7 +204,7 @@ def _angular_momentum(z: Matrix, a: int, b: int, axes: int) -> Vector:
 
 
 def _torques(z: Vector, rate: Vector, a: int, b: int, axes: int) -> Vector:
-    """The terms of the rate of an angular momentum."""
+    """Return the terms of the rate of the angular momentum in the plane of the axes a and b."""
     (q, p), (dq, dp) = np.split(z, 2), np.split(rate, 2)
     return np.concatenate(
         [dq[b::axes] * p[a::axes], q[b::axes] * dp[a::axes], -dq[a::axes] * p[b::axes], -q[a::axes] * dp[b::axes]]
@@ -212,10 +212,10 @@ def _torques(z: Vector, rate: Vector, a: int, b: int, axes: int) -> Vector:
 
 
 def order_values(module: SimulateModule, spans: Iterable[Motion], limit: float) -> Values:
-    """The errors on the first span where local orders settle; else on the last span.
+    """Return the errors by number of steps on the first span where local orders settle, else on the last span.
 
-    On each span the number of steps grows until orders have settled, rounding has taken over, or a solve takes more
-    than `limit` seconds. An error is the root mean square over checkpoints and components, relative to their sizes.
+    On each span the number of steps grows until orders have settled, rounding errors dominate, or a solve takes more
+    than `limit` seconds. An error is the root mean square over checkpoints and components, relative to component sizes.
     """
     values: Values = {}
     for motion in spans:
@@ -251,7 +251,7 @@ def _reference(module: SimulateModule) -> Values:
 
 
 def _errors(module: SimulateModule, euler: SimulateModule, reference: Values, steps: int, repeat: int) -> Values:
-    """Largest errors at the checkpoints: of the state by component's size, of energy and conserved momenta."""
+    """Return the largest relative errors at the checkpoints: of the state, the energy and the conserved momenta."""
     try:
         result = well_timed(module, "newton", repeat, steps=steps, every=steps // CHECKPOINTS)
     except CodegenError as error:  # such as too little memory
@@ -277,7 +277,7 @@ def _errors(module: SimulateModule, euler: SimulateModule, reference: Values, st
 
 
 def measured(store: Store, problem: Path, variant: Variant) -> Measured:
-    """The runs of a scheme, errors of its trajectory, and the order that errors on a short span show."""
+    """Return the solves of a scheme, the errors of their trajectories, and the order measured on a short span."""
     rows, values = (
         variant.rows(store, section_of(problem, "errors")),
         store.get(section_of(problem, "orders"), variant.label),
@@ -288,7 +288,7 @@ def measured(store: Store, problem: Path, variant: Variant) -> Measured:
 
 
 def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
-    """Errors against steps and time, and a table of schemes."""
+    """Return the section with errors against steps and time, and with a table of schemes."""
     reference = store.get(section_of(problem, "reference"), "motion")
     schemes = {v: m for v in variants if (m := measured(store, problem, v)).rows}
     if reference is None or not schemes:
@@ -316,7 +316,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     ]
     if reference["conserved"]:
         texts.append(f"Conserved by Noether's theorem, and compared: {listed(reference['conserved'])}.")
-    # The fastest scheme below each of some errors, with its time beside the time of the default scheme.
+    # The fastest scheme for each of several errors, compared with the time of the default scheme.
     fastest = []
     for error in (1e-3, 1e-6, 1e-9, 1e-12):
         times = {v: t for v, m in schemes.items() if (t := _time_to(m.rows, error)) is not None}
@@ -355,5 +355,5 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
 
 
 def _time_to(rows: Sequence[Values], error: float) -> float | None:
-    """Seconds of the cheapest run whose trajectory is that accurate."""
+    """Return the seconds of the fastest solve whose trajectory error is at most `error`, or None."""
     return min((v["seconds"] for v in rows if (v.get("trajectory") or 1e300) <= error), default=None)

@@ -1,6 +1,6 @@
 """The extent of a report, the cases that it measures, and the store of measured values.
 
-The store is a file with one JSON object a line. A case that the store contains is not measured again.
+The store is a file with one JSON object per line. A case that the store contains is not measured again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Case:
-    """A measurement: a section of the report, a name that is unique in the section, and the function that measures."""
+    """A measurement: a section of the store, a name that is unique in the section, and the function that measures."""
 
     section: str
     name: str
@@ -35,15 +35,15 @@ class Case:
 
 
 def section_of(problem: Path, part: str) -> str:
-    """The section of a problem: its optima, mesh sequences, errors, orders, reference, drivers, and others."""
+    """Return the name of a section of the store: the problem and a part, such as "optima", "errors" or "orders"."""
     return f"{problem.stem}: {part}"
 
 
 class Store:
-    """The measured values of all cases, kept in a file of JSON lines; damaged lines are measured again."""
+    """The measured values of all cases, kept in a file of JSON lines; cases in damaged lines are measured again."""
 
     def __init__(self, path: Path) -> None:
-        """Read the file if there is one."""
+        """Read the file if it exists."""
         self.path, self._values = path, dict[tuple[str, str], Values]()
         if path.is_file():
             for line in path.read_text(encoding="utf-8").splitlines():
@@ -54,7 +54,7 @@ class Store:
                     continue  # a run was killed while it wrote this line
 
     def measured(self, case: Case) -> bool:
-        """Measure a case unless the store contains it; return True if it was measured."""
+        """Measure and store a case unless the store contains it; return True if it was measured."""
         if (case.section, case.name) in self._values:
             return False
         values = {key: _plain(value) for key, value in case.measure().items()}
@@ -66,15 +66,15 @@ class Store:
         return True
 
     def get(self, section: str, name: str) -> Values | None:
-        """The values of a case, None if it was not measured."""
+        """Return the values of a case, or None if the case was not measured."""
         return self._values.get((section, name))
 
     def rows(self, section: str) -> Iterator[tuple[str, Values]]:
-        """Names and values of a section, in the order in which they were measured."""
+        """Yield the names and values of the cases of a section, in the order of measurement."""
         yield from ((name, values) for (part, name), values in self._values.items() if part == section)
 
     def table(self) -> str:
-        """Every number as CSV: section, case, quantity, value; arrays have one row for each entry."""
+        """Return all values as CSV text: section, case, quantity, value; arrays have one row for each entry."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(["section", "case", "quantity", "value"])
@@ -96,7 +96,7 @@ def _entries(quantity: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and lists that JSON has; numbers that are not finite become null."""
+    """Return a value in the types of JSON: arrays become lists, and numbers that are not finite become null."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, (list, tuple)):
@@ -106,16 +106,16 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Extent:
-    """Limits of a report on problems.
+    """The limits of a report on problems.
 
-    Numbers of steps are doubled `simulation_doublings` or `control_doublings` times, but not after a solve of more
-    than `limit` seconds. Times are the least of `repeat` solves. A simulation is measured by at most `most_simulated`
-    schemes. A control problem is measured by at most `most_schemes` schemes of order `most_order` or less, since
+    Numbers of steps are doubled `simulation_doublings` or `control_doublings` times, but not after a solve of more than
+    `limit` seconds. A time is the least of `repeat` solves. A simulation is measured with at most `most_simulated`
+    schemes. A control problem is measured with at most `most_schemes` schemes of order `most_order` or less, since
     modules of schemes with many stages take long to build. With `only_default_of_phases` a problem with several phases
-    has one scheme. A mesh sequence, in which the order of an optimum is measured, begins no grid after
-    `sequence_seconds`. scipy's drivers are measured where there are at most `driver_unknowns` unknowns. The general
-    form is built of modules with at most `general_operations` operations. The energy of a simulation is followed over
-    `drift_steps` steps, and not at all if these are zero.
+    has only the default scheme. A mesh sequence, which measures the order of an optimum, starts no grid after
+    `sequence_seconds`. The drivers are compared if there are at most `driver_unknowns` unknowns. The general form is
+    built for modules with at most `general_operations` operations. The energy of a simulation is observed over
+    `drift_steps` steps, or not at all for 0.
     """
 
     quick: bool = False
@@ -134,30 +134,30 @@ class Extent:
 
 
 FULL = Extent()
-"""One problem with all schemes."""
+"""The extent of a report on a single problem."""
 GALLERY = Extent(
     control_doublings=3, sequence_seconds=10.0, most_schemes=2, most_order=2, only_default_of_phases=True,
     most_simulated=8, limit=1.0, repeat=2, driver_unknowns=150, general_operations=60, drift_steps=0,
 )  # fmt: skip
-"""A folder of problems in less than 20 minutes on two processors."""
+"""The extent of a report on a folder of problems, which takes less than 20 minutes on two processors."""
 QUICK = Extent(
     quick=True, simulation_doublings=5, control_doublings=3, sequence_seconds=2.0, most_schemes=2, most_order=2,
     most_simulated=4, limit=0.5, repeat=1, driver_unknowns=0, general_operations=0, drift_steps=0,
 )  # fmt: skip
-"""The extent in continuous integration."""
+"""The extent of a report in continuous integration."""
 QUICK_PROBLEMS = ("pendulum", "linear_pendulum")
-"""The problems of a folder that the quick form measures."""
+"""The problems of a folder that a quick report measures."""
 
 NODES = tuple(range(10, 101, 5))
-"""The thesis's numbers of steps, 10:5:100."""
+"""The numbers of steps in the thesis: 10, 15, ..., 100."""
 
 
 @dataclass(frozen=True)
 class Settings:
     """The extent of the study of landmark registration.
 
-    These are the problem file, sets of few landmarks, numbers of steps, and the seconds of a solve after which a route
-    goes no further.
+    `counts` are the sizes of the small sets of landmarks, `steps` the numbers of time steps. A route of solution stops
+    at the first number of steps with a solve of more than `limit` seconds.
     """
 
     problem: Path
@@ -168,15 +168,15 @@ class Settings:
 
     @property
     def landmarks(self) -> PointSet:
-        """The 40 landmarks of two trilobites, from the data beside the problem file."""
+        """Return the 40 landmarks of two trilobites, from the data beside the problem file."""
         return read_points(self.problem.parent / "data" / "trilobite40.csv", 2)
 
     def points(self, count: int) -> PointSet:
-        """The forty landmarks of the trilobites, or few random landmarks."""
+        """Return the landmarks of the trilobites if `count` is 40, else `count` random landmarks."""
         return self.landmarks if count == 40 else few_landmarks(count)
 
     def module(self, scheme: str, method: str | None = None, **arguments: str) -> ConnectModule:
-        """The generated module of a scheme and a method."""
+        """Return the generated module of a scheme and a method, with `arguments` of problem()."""
         return _module(self.problem, scheme, method, tuple(sorted(arguments.items())))
 
 
@@ -186,15 +186,15 @@ def _module(path: Path, scheme: str, method: str | None, arguments: tuple[tuple[
 
 
 def quick_settings(problem: Path) -> Settings:
-    """A study that takes less than a minute: one set of landmarks, three numbers of steps, the fast routes."""
+    """Return the settings of a study of less than a minute: one set of landmarks, three grids, the fast routes."""
     return Settings(problem, (3,), (10, 20, 40), 2.0, quick=True)
 
 
 def few_landmarks(count: int) -> PointSet:
-    """The thesis's random landmarks (E.3.6), from numpy's generator with the number of landmarks as its seed.
+    """Return random landmarks as in the thesis (E.3.6), from numpy's generator with `count` as its seed.
 
-    Radii are r0 and r1 = r0 + 0.1 U, angles a0 = 2 pi U and a1 = a0 + 0.1 pi U. Radii of 0.9 and more are reduced by
-    0.4. Matlab's `rand('state', nc)` is not available, so the points differ from the thesis's.
+    With U uniform in [0, 1), radii are r0 and r1 = r0 + 0.1 U, angles a0 = 2 pi U and a1 = a0 + 0.1 pi U. Radii of 0.9
+    and more are reduced by 0.4. Matlab's `rand('state', nc)` is not available, so the thesis has other points.
     """
     generator = np.random.default_rng(count)
 
@@ -210,7 +210,7 @@ def few_landmarks(count: int) -> PointSet:
 
 
 def smooth_pair(count: int, dimension: int = 2) -> PointSet:
-    """Random points of the disc or ball of radius 0.9, and their images under a smooth displacement."""
+    """Return random points of the disc or ball of radius 0.9, and their images under a smooth displacement."""
     generator = np.random.default_rng(1)
     direction = generator.normal(size=(count, dimension))
     radius = 0.9 * generator.random(count) ** (1.0 / dimension)

@@ -1,9 +1,9 @@
 """Experiments of the thesis on problems of the gallery: further modules, cases and sections.
 
-Figures 3.3 to 3.9 of the thesis show the orbital transfer by midpoint and Euler, checked by a Runge-Kutta code. The
-method R-K interpolates the optimal force of the midpoint rule by a cubic spline and integrates the forced equations
-with it. That motion should end on the target orbit. Its miss distance is an error that does not depend on the generated
-code.
+Figures 3.3 to 3.9 of the thesis show the orbital transfer by the midpoint rule and by Euler's method. A Runge-Kutta
+code, R-K, checks them. It interpolates the optimal force of the midpoint rule by a cubic spline and integrates the
+equations of motion with this force. The motion should end on the target orbit. Its miss distance is an error that does
+not depend on the generated code.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ HOVERCRAFT_STEPS = 20
 
 
 def hovercraft_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """A case for each number of craft."""
+    """Yield a case for each number of craft."""
     for variant, count in zip(variants, CRAFT, strict=True):
         yield Case(HOVERCRAFT_SECTION, f"{count} craft", partial(_formation, workshop, variant, extent.repeat))
 
 
 def _formation(workshop: Workshop, variant: Variant, repeat: int) -> Values:
-    """A solution with the positions and headings of the guess and of the optimum."""
+    """Return a solution with the positions and headings of the initial guess and of the optimum."""
     module = workshop.control(variant)
     grid, shape = module.make_grid(HOVERCRAFT_STEPS), (HOVERCRAFT_STEPS + 1, module.metadata.bodies, 3)
     _, guess, *_ = module.unpack(grid, module.initial_guess(grid))
@@ -54,7 +54,7 @@ def _formation(workshop: Workshop, variant: Variant, repeat: int) -> Values:
 
 
 def hovercraft_sections(store: Store, problem: Path) -> list[Section]:
-    """A table and the paths."""
+    """Return the section with a table of solves and the figure of the paths."""
     runs = {n: values for n in CRAFT if (values := store.get(HOVERCRAFT_SECTION, f"{n} craft")) is not None}
     if not runs:
         return []
@@ -72,7 +72,7 @@ def hovercraft_sections(store: Store, problem: Path) -> list[Section]:
 
 
 def _paths(runs: dict[int, Values]) -> Figure:
-    """A row for each number of craft: paths with headings, and the polygon of the final positions."""
+    """Draw a row for each number of craft: paths with headings, and the polygon of the final positions."""
     figure = Figure(figsize=(8.6, 4.3 * len(runs)), layout="constrained")
     rows = figure.subplots(len(runs), 2, squeeze=False, sharex="row", sharey="row")
     for row, (count, values) in zip(rows, runs.items(), strict=True):
@@ -96,13 +96,13 @@ def _paths(runs: dict[int, Values]) -> Figure:
 
 
 def landmark_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """The quick form of the study for every extent: the complete study takes longer than all other cases."""
+    """Yield the cases of the quick study for every extent: the complete study takes longer than all other cases."""
     for _, part in landmark_study.PARTS:
         yield from part(quick_settings(problem), workshop.store)
 
 
 def landmark_sections(store: Store, problem: Path) -> list[Section]:
-    """The thesis's tables and figures of one set of few landmarks and of the trilobites."""
+    """Return the thesis's tables and figures for one small set of landmarks and for the trilobites."""
     reason = f"One set of few landmarks, fast routes, no open questions: codegen report {problem.name} has them all."
     return [Section(f"{problem.stem}: landmarks", (reason,)), *landmark_study.sections(quick_settings(problem), store)]
 
@@ -116,14 +116,14 @@ LINEAR_METHODS = (
     ("Euler", "hamiltonian", "explicit-euler", 1, RED, "-"),
     ("Ham. Eq'ns", "hamiltonian", "midpoint", 2, GREEN, "--"),
 )
-"""The thesis's name, method, scheme, order, colour and style of the line."""
+"""Name in the thesis, method, scheme, order, colour and style of the line."""
 LINEAR_ROWS = tuple(row[1:4] for row in LINEAR_METHODS)
 
 
 def linear_pendulum_cases(
     problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent
 ) -> Iterator[Case]:
-    """N = 10:5:200 for each transcription, every fourth of these in the quick form."""
+    """Yield a case for each transcription and N = 10, 15, ..., 200, or every fourth N in a quick report."""
 
     def measure(variant: Variant, steps: int) -> Values:
         return solved(workshop.control(variant), steps, extent.repeat)
@@ -138,7 +138,7 @@ def _rows(store: Store, label: str) -> list[Values]:
 
 
 def linear_pendulum_sections(store: Store, problem: Path) -> list[Section]:
-    """Cost, error and time against the number of steps."""
+    """Return the section with cost, error and time against the number of steps."""
     exact = (store.get(SURVEYS, problem.stem) or {}).get("exact cost")
     if exact is None or not _rows(store, "Var."):
         return []
@@ -166,7 +166,7 @@ def linear_pendulum_sections(store: Store, problem: Path) -> list[Section]:
 
 
 def _linear_figure(store: Store, exact: float) -> Figure:
-    """Cost, error and time against the number of steps."""
+    """Draw cost, error and time against the number of steps."""
     figure = Figure(figsize=(9.6, 3.3), layout="constrained")
     costs, errors, times = figure.subplots(1, 3)
     for label, _, _, _, colour, style in LINEAR_METHODS:
@@ -194,12 +194,12 @@ ORBIT_METHODS = (("Mid.", "variational", "midpoint", 2, BLUE), ("Euler", "hamilt
 ORBIT_ROWS = tuple(row[1:4] for row in ORBIT_METHODS)
 SWEEPS = {1: tuple(range(10, 51, 5)), 2: tuple(range(10, 101, 10))}
 FORCES = {1: (50, 100, 150), 2: (100, 200, 300)}
-"""Numbers of steps by revolutions: of Figures 3.3 and 3.4, and of Figures 3.7 to 3.9."""
+"""Numbers of steps by number of revolutions: SWEEPS for Figures 3.3 and 3.4, FORCES for Figures 3.7 to 3.9."""
 TOLERANCE = 1e-11
 
 
 def orbit_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Both methods for one and two revolutions; the motions of the largest N are kept."""
+    """Yield cases: both methods, one and two revolutions; motions with the numbers of steps in FORCES are stored."""
     for variant, (label, *_) in zip(variants, ORBIT_METHODS, strict=True):
         for revolutions, sweep in SWEEPS.items():
             wanted = sorted({*(sweep[::3] if extent.quick else sweep), *FORCES[revolutions]})
@@ -213,7 +213,7 @@ def _name(label: str, revolutions: int, steps: int) -> str:
 
 
 def _transfer(workshop: Workshop, variant: Variant, revolutions: int, steps: int, repeat: int) -> Values:
-    """A solution, its time, and the end of the motion under its splined force."""
+    """Return a solution and its least time; for the midpoint rule also the motion by R-K."""
     module = workshop.control(variant)
     best = math.inf
     for _ in range(3 * repeat + 1):
@@ -232,7 +232,7 @@ def _transfer(workshop: Workshop, variant: Variant, revolutions: int, steps: int
 
 
 def _reintegrated(module: ControlModule, solution: ControlSolution, revolutions: int) -> Values:
-    """R-K: m (r'' - r phi'^2) = -GM m/r^2 and (m r^2 phi')' = r u, written for r, phi and their velocities."""
+    """Integrate m (r'' - r phi'^2) = -GM m/r^2 and (m r^2 phi')' = r u, u splined; return the motion and its misses."""
     values = module.metadata.parameters
     m, gravity, r0, r1 = (values[name] for name in ("m", "GM", "r0", "r1"))
     t = solution.t
@@ -258,7 +258,7 @@ def _sweep(store: Store, label: str, revolutions: int) -> list[Values]:
 
 
 def orbit_sections(store: Store, problem: Path) -> list[Section]:
-    """Costs, times, orbits, forces and the miss of R-K."""
+    """Return the section with costs, times, orbits, forces and the miss distance of R-K."""
     if not _sweep(store, "Mid.", 1):
         return []
     text = (
@@ -291,7 +291,7 @@ def orbit_sections(store: Store, problem: Path) -> list[Section]:
 
 
 def _costs(store: Store) -> Figure:
-    """A row for each number of revolutions."""
+    """Draw a row for each number of revolutions: cost, time and miss distance of R-K against N."""
     figure = Figure(figsize=(9.6, 5.4), layout="constrained")
     axes = figure.subplots(2, 3)
     for row, revolutions in zip(axes, SWEEPS, strict=True):
@@ -320,7 +320,7 @@ def _costs(store: Store) -> Figure:
 
 
 def _orbits(store: Store) -> Figure:
-    """Polar plots of the smallest N of the force figures."""
+    """Draw the orbits in polar coordinates, with the smallest N of the figures of forces."""
     figure = Figure(figsize=(8.6, 4.2), layout="constrained")
     for column, (revolutions, steps) in enumerate((p, FORCES[p][0]) for p in SWEEPS):
         axes = figure.add_subplot(1, 2, column + 1, projection="polar")
@@ -346,7 +346,7 @@ def _orbits(store: Store) -> Figure:
 
 
 def _forces(store: Store) -> Figure:
-    """Forces of Mid. and Euler against time."""
+    """Draw the forces by midpoint and Euler against time."""
     figure = Figure(figsize=(9.6, 5.4), layout="constrained")
     axes = figure.subplots(2, 3, sharex="row", sharey="row")
     for row, (revolutions, counts) in zip(axes, FORCES.items(), strict=True):
@@ -372,21 +372,21 @@ PORTRAITS = (
     ("symplectic-euler", 0.3, ((0.0, 0.7), (0.0, 1.4), (0.0, 2.1)), 200),
     ("midpoint", 0.3, ((0.0, 0.7), (0.0, 1.4), (0.0, 2.1)), 200),
 )
-"""Scheme, step, initial states and number of steps, which the thesis does not give."""
+"""Scheme, time step, initial states (q, p) and number of steps. The thesis does not give the number of steps."""
 PENDULUM_ROWS = tuple(("hamiltonian", scheme, 2 if scheme == "midpoint" else 1) for scheme, *_ in PORTRAITS)
 LONG = 100_000
-"""Steps after which the drift of energy is measured again."""
+"""The number of steps after which the drift of energy is measured again."""
 
 
 def pendulum_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """A case for every method and initial state."""
+    """Yield a case for every method and initial state."""
     for variant, (scheme, h, starts, steps) in zip(variants, PORTRAITS, strict=True):
         for start in starts:
             yield Case(PENDULUM_SECTION, f"{scheme}; {start}", partial(_portrait, workshop, variant, h, start, steps))
 
 
 def _portrait(workshop: Workshop, variant: Variant, h: float, start: tuple[float, float], steps: int) -> Values:
-    """The path in phase space, and the drift of energy on it and in the long run."""
+    """Return the path in phase space, and the drift of energy on this path and on a long path."""
     module = workshop.simulation(variant)
     short = module.solve(steps, duration=h * steps, start=start)
     long = module.solve(LONG, duration=h * LONG, start=start, every=LONG // 1000)
@@ -402,7 +402,7 @@ def _portrait(workshop: Workshop, variant: Variant, h: float, start: tuple[float
 
 
 def pendulum_sections(store: Store, problem: Path) -> list[Section]:
-    """The portraits, and the drift numbers."""
+    """Return the section with the phase portraits and the drifts of energy."""
     rows = []
     for scheme, h, starts, steps in PORTRAITS:
         for start in starts:
@@ -427,7 +427,7 @@ def pendulum_sections(store: Store, problem: Path) -> list[Section]:
 
 
 def _portraits(store: Store) -> Figure:
-    """Four panels as in the thesis."""
+    """Draw the phase portraits in four panels, as in the thesis."""
     figure = Figure(figsize=(8.6, 6.4), layout="constrained")
     panels = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
     q, p = np.meshgrid(np.linspace(-3.4, 3.4, 200), np.linspace(-2.4, 2.4, 160))

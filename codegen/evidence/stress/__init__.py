@@ -1,8 +1,7 @@
-"""Stiff and extreme cases of every kind of problem, each with an expected outcome, and a verdict on each.
+"""Stiff and extreme cases of every kind of problem, each with an expected outcome and a verdict.
 
-`families` and `motions` hold the cases as data. `pool` measures them in worker processes that can be killed, by
-`measure`. `cases.classify` gives the verdicts, and `page` shows them. `codegen stress` runs all of these. There is no
-sympy, since generated modules are tested.
+`families` and `motions` contain the cases as data. `pool` measures them by `measure` in worker processes that can be
+killed. `cases.classify` gives the verdicts, and `page` shows them. `codegen stress` runs all of these.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ if TYPE_CHECKING:
 
 
 def run(cases: Sequence[Case], folder: Path, report_progress: Callable[[int, str], None]) -> list[Row]:
-    """Measure and judge all cases, and write stress.csv and stress.html into a folder.
+    """Measure and judge all cases, write stress.csv and stress.html into a folder, and return the rows.
 
-    `report_progress` is called with the number of finished cases and the name of the last one.
+    `report_progress` is called with the number of finished cases and the name of the last finished case.
     """
     from codegen.evidence.stress import page, pool
     from codegen.evidence.stress.cases import classify

@@ -1,7 +1,4 @@
-"""Stress cases as data: a case, its measurement, and the outcome of the case with a verdict.
-
-A case passes only if its outcome is documented and expected.
-"""
+"""Stress cases as data: a case, its measurement, and its outcome, which passes if it is honest and expected."""
 
 from __future__ import annotations
 
@@ -29,7 +26,7 @@ OUTCOMES = {
     "unsuitable": "the steps' equations hold, but the energy has run away, which the summary of `solve` reports",
     "refused": "a named failure, or a typed error, that says what is wrong and what to try",
 }
-"""Honest outcomes of a case."""
+"""The honest outcomes of a case, which pass if they are expected."""
 
 DEFECTS = {
     "false solved": "reported as solved, though the equations do not hold or the error is beyond what is promised",
@@ -38,7 +35,7 @@ DEFECTS = {
     "untyped error": "an exception that names no remedy, a crash, or a status that is not documented",
     "unexpected": "honest, but not what is expected of this case",
 }
-"""Outcomes that fail."""
+"""The outcomes that always fail."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,7 @@ class Setup:
 
     @property
     def label(self) -> str:
-        """The scheme in the table, with its method if that is variational."""
+        """Return the scheme as in tables, with its method if it is variational."""
         name = self.scheme or "midpoint"
         return f"{name}, variational" if self.method == "variational" else name
 
@@ -61,12 +58,13 @@ class Setup:
 class Case:
     """One solve of a module with run-time values, and the expected outcome.
 
-    `reason` explains the expected outcome `expect` and other outcomes that pass, `allowed`. `reference` names the
-    function that computes the error (see `measure.REFERENCES`). `bound` is the largest error that the order of the
-    scheme promises, NaN if nothing is promised. `drift` is the largest relative change of energy that counts as
-    bounded. `h_omega` is the step times the largest frequency. `textbook` asks for an evaluation of the step's
-    equations in extended precision from the scheme's textbook form, `limit` for the largest stable step. `points` are
-    rows of start and target, `noise` perturbs an optimisation's guess, `seconds` is the time limit.
+    `reason` explains the expected outcome `expect`; the outcomes `allowed` pass as well. `values` are arguments of the
+    solve, `every` and `doublings` options of `api.solve`. `reference` names the function that computes the error (see
+    `measure.REFERENCES`). `bound` is the largest error that the order of the scheme promises, or NaN without a promise.
+    `drift` is the largest relative change of energy that counts as bounded. `h_omega` is the time step times the
+    largest frequency. `textbook` asks for the residuals of the scheme's textbook equations in extended precision,
+    `limit` for the largest stable step. `points` are rows of start and target, `noise` perturbs the initial guess of an
+    optimisation, `seconds` is the time limit.
     """
 
     name: str
@@ -92,7 +90,7 @@ class Case:
 
     @property
     def expected(self) -> tuple[str, ...]:
-        """The outcomes that pass; a named failure is at least as honest as an energy that shows the failure."""
+        """Return the outcomes that pass; a refusal passes also if "unsuitable" is expected: both are honest."""
         refused = ("refused",) if self.expect == "unsuitable" and "refused" not in self.allowed else ()
         return (self.expect, *self.allowed, *refused)
 
@@ -102,8 +100,8 @@ class Measurement:
     """The observations of a worker; NaN stands for quantities that were not measured or do not exist.
 
     `error` is the error against the reference, `announced` the relative error that a doubled grid shows. `residual` is
-    that of all equations, evaluated outside the solver, and `tolerance` its limit. `textbook` is the residual in
-    extended precision, relative to rounding of double precision. `drift` is the largest relative change of energy.
+    the residual of all equations, evaluated outside the solver, and `tolerance` its limit. `textbook` is the residual
+    in extended precision, in rounding errors of double precision. `drift` is the largest relative change of energy.
     `stable_below` is the largest stable step times frequency, by bisection.
     """
 
@@ -137,13 +135,13 @@ class Row:
 
 
 TEXTBOOK = 100.0
-"""The largest residual of the textbook's equations in extended precision, in rounding errors of double precision."""
+"""The largest accepted residual of the textbook equations, in rounding errors of double precision."""
 SIGN = 0.01
-"""A relative change of energy from which on the summary of a simulation reports that a step is too long."""
+"""The relative change of energy above which the summary of a simulation reports that the time step is too long."""
 
 
 def classify(case: Case, run: Measurement) -> Row:
-    """The row of a case."""
+    """Return the row of a case with its outcome and verdict."""
     outcome, text = _outcome(case, run)
     passed = outcome in case.expected
     if not passed and outcome in OUTCOMES:
@@ -183,7 +181,7 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
             estimate = run.announced if doubled else run.drift
             return "unsuitable", f"error {run.error:.1e}, promised {case.bound:.1e}; the summary reports {estimate:.1e}"
         return "false solved", f"error {run.error:.1e} beyond {case.bound:.1e}, and nothing in the result says so"
-    # No comparison with NaN holds, so a drift that was not measured (first-order systems) is no bounded energy.
+    # Comparisons with NaN are False, so that a drift that was not measured (first-order systems) is not bounded.
     if run.drift <= case.drift:
         coarse = f"; the fast motion is not resolved (h omega = {case.h_omega:.3g})" if case.h_omega > 0.5 else ""
         limit = f", stable below {run.stable_below:.3f}" if math.isfinite(run.stable_below) else ""
@@ -206,12 +204,12 @@ def _stability(case: Case, run: Measurement) -> str:
 
 @dataclass(frozen=True)
 class Expectation:
-    """The differences between tasks when cases are generated and measured.
+    """The differences between tasks in the generation and the measurement of cases.
 
-    `tolerance` (module, case, result) is the limit of residuals: the drivers' tolerances of 1e-8, or rounding where
-    numbers are large. `failures` (result) counts the failures of Newton's method. `drift` is the relative change of
-    energy that is allowed, NaN if the task has none. `has_guess` is True if guesses may be poor, `keeps_energy` if an
-    energy that is not finite counts as drift.
+    `tolerance` returns the limit of the residual from module, case and result; large numbers raise it, because of
+    rounding. `failures` counts the failures of Newton's method in a result. `drift` is the largest accepted relative
+    change of energy, NaN if the task has no energy. `has_guess` is True if a poor initial guess is possible,
+    `keeps_energy` if an energy that is not finite counts as drift.
     """
 
     tolerance: Callable[[ModuleType, Case, Result], float]
@@ -222,13 +220,13 @@ class Expectation:
 
 
 def _rounding(*arrays: NDArray[np.float64] | None) -> float:
-    """A thousand rounding errors of the largest entry."""
+    """Return a thousand rounding errors of the largest entry of the arrays."""
     largest = max((float(np.abs(a).max()) for a in arrays if a is not None and np.size(a)), default=1.0)
     return 1e3 * float(np.finfo(float).eps) * largest
 
 
 def _of_simulations(module: ModuleType, case: Case, result: Result) -> float:
-    """Equations of a variational step divide differences of positions by h; stiff springs amplify their rounding."""
+    """Return the limit of residuals: variational steps divide rounding errors by h, and stiff springs amplify them."""
     h = result.t[-1] / max(result.steps, 1)
     stiff = 10.0 * rounding_level(module, result.steps, result.q, result.p) if case.every == 1 else 0.0
     return max(1e-10, _rounding(result.q, result.p) * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)
@@ -248,4 +246,4 @@ EXPECTATIONS = {
     "control": Expectation(_of_optima, lambda r: int(not r.solved), drift=math.nan, has_guess=True),
     "connect": Expectation(_of_connections, lambda r: int(r.summary["attempts"]) - int(r.solved), drift=1.0),
 }
-"""A row for each task of `codegen.solving.tasks`."""
+"""The expectations by the name of a task in `codegen.solving.tasks`."""

@@ -1,8 +1,8 @@
 """The registry of families of stress cases, and the families of control, particles and schemes of higher order.
 
-A new family is one function and one row of FAMILIES. The registry comes after the families. The cases of a user's own
-problem follow: its answer is unknown, so that every honest outcome passes. These cases look for wrong answers that are
-reported as solved, NaN, hangs and errors without a remedy.
+A new family is one function and one row of FAMILIES. The last part generates the cases of a user's own problem. Its
+solution is unknown, so every honest outcome passes. These cases look for wrong answers that are reported as solved,
+NaN, hangs, and errors without a remedy.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ REFUSED = ("refused",)
 
 
 def control_cases() -> Iterator[Case]:
-    """Long horizons, boundary layers, units far from one, tiny durations, large turns, poor guesses."""
-    # Hypersensitive: decay and growth by exp(sqrt(2) t) at the two ends, nothing between.
+    """Yield cases: long horizons, boundary layers, extreme units, tiny durations, large turns, poor initial guesses."""
+    # Hypersensitive: the state decays and grows by exp(sqrt(2) t) at the two ends, and is nearly zero in between.
     rate = math.sqrt(2.0)
     for T, steps in ((1e-6, 10), (1.0, 1), (1.0, 20), (100.0, 1000), (1000.0, 10_000), (10_000.0, 100_000)):
         yield _regulator(
@@ -134,7 +134,7 @@ def control_cases() -> Iterator[Case]:
 
 
 def _regulator(name: str, reason: str, steps: int, rate: float, **values: float) -> Case:
-    """A cost in closed form. The midpoint rule promises (h rate)^2/4 of the cost; else the estimate must be larger."""
+    """Return a regulator case with decay `rate`; at small h, midpoint has a relative cost error of (h rate)^2/4."""
     h_rate = rate * values["T"] / steps
     resolved = h_rate < 0.5
     return Case(
@@ -153,7 +153,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 def particle_cases() -> Iterator[Case]:
-    """Landmarks that nearly meet or lie close to the boundary, large turns, short durations, bodies of unequal mass."""
+    """Yield cases: landmarks close together or to the boundary, large turns, short durations, unequal masses."""
     for name in CONNECT_SCHEMES:
         yield from landmarks((None, name))
     for name in PAIR_SCHEMES:
@@ -161,7 +161,7 @@ def particle_cases() -> Iterator[Case]:
 
 
 def turned(count: int, radius: float, angle: float) -> Rows:
-    """Points on a circle that turn by an angle."""
+    """Return rows of start and target for `count` points on a circle that turn by `angle`."""
     angles = [2.0 * math.pi * i / count for i in range(count)]
     return tuple(
         (radius * math.cos(a), radius * math.sin(a), radius * math.cos(a + angle), radius * math.sin(a + angle))
@@ -170,13 +170,13 @@ def turned(count: int, radius: float, angle: float) -> Rows:
 
 
 def pair(distance: float, stretch: float) -> Rows:
-    """Two points that move by (0.3, 0.1) while their distance changes by a factor."""
+    """Return rows of start and target for two points, which move by (0.3, 0.1); `stretch` scales their distance."""
     half = distance / 2.0
     return ((-half, 0.0, 0.3 - stretch * half, 0.1), (half, 0.0, 0.3 + stretch * half, 0.1))
 
 
 def landmarks(scheme: SchemeOf) -> Iterator[Case]:
-    """One, two and six landmarks in the unit disc."""
+    """Yield cases of one, two and six landmarks in the unit disc."""
     module = setup("landmarks", scheme)
     steps, order = 20, registered(scheme).order
 
@@ -237,7 +237,7 @@ def landmarks(scheme: SchemeOf) -> Iterator[Case]:
 
 
 def bodies(scheme: SchemeOf) -> Iterator[Case]:
-    """Two bodies that circle each other at unit distance."""
+    """Yield cases of two bodies that circle each other at unit distance, or fall into each other."""
     module = setup("gravity", scheme)
     h, steps = (0.01, 2000) if registered(scheme).order < 4 else (0.1, 200)
     for ratio in (1.0, 1e-6, 1e-12):
@@ -272,18 +272,18 @@ HIGHER_KEPLER_SCHEMES = tuple(
     ("hamiltonian", name) for name in ("rk4", "gauss-4", "yoshida-4", "blanes-moan-6", "kahan-li-8")
 )
 SPRING_SCHEMES = tuple(("hamiltonian", name) for name in ("gauss-4", "yoshida-4", "blanes-moan-6"))
-"""An implicit scheme without limit, the explicit scheme with the lowest limit, and the one with the highest."""
+"""An implicit scheme without a stability limit, and the explicit schemes with the lowest and the highest limit."""
 LONG_SCHEMES = tuple(("hamiltonian", name) for name in ("gauss-4", "gauss-6", "yoshida-4", "kahan-li-8"))
 LANDMARK_SCHEMES = ("rk4",)
 BODY_SCHEMES = ("rk4", "butcher-6", "yoshida-4", "kahan-li-8")
 
 
 def higher_order_cases() -> Iterator[Case]:
-    """Problems on which a higher order changes the answer.
+    """Yield cases in which a scheme of higher order changes the result.
 
-    The stability limits of the oscillator follow from the tables of the schemes. On ellipses, an order counts only once
-    the closest approach is resolved. Further cases are a stiff spring with a swing, a million steps, and bodies and
-    landmarks that come close.
+    The stability limits of the oscillator follow from the coefficients of the schemes. On ellipses, an order shows only
+    if the time step resolves the closest approach. Further cases are a stiff spring with a swing, a million steps, and
+    bodies and landmarks that come close to each other.
     """
     for scheme in motions.of_order(3):
         yield from motions.oscillator(scheme)
@@ -291,12 +291,12 @@ def higher_order_cases() -> Iterator[Case]:
         yield from motions.spring_pendulum(scheme)
     for scheme in HIGHER_KEPLER_SCHEMES:
         for e in (0.5, 0.9, 0.99):
-            # Too few steps for all but round ellipses, and steps of a tenth of the duration of the closest approach.
+            # Few steps, enough for round ellipses only, and steps that resolve the duration of the closest approach.
             part = 0.1 if registered(scheme).order < 8 else 0.2
             for steps in (300, math.ceil(3.0 * math.pi * motions.pericentre_rate(e) / part)):
                 yield motions.ellipse(scheme, e, steps)
     for scheme in LONG_SCHEMES:
-        substeps = max(1, len(registered(scheme).parts))  # rounding grows with them
+        substeps = max(1, len(registered(scheme).parts))  # rounding errors grow with their number
         for steps in (1, 10, 1000, 1_000_000):
             yield Case(
                 f"oscillator, {steps} steps against the scheme's closed form", "higher order",
@@ -311,7 +311,7 @@ def higher_order_cases() -> Iterator[Case]:
         yield from landmarks((None, name))
     for name in BODY_SCHEMES:
         yield from bodies((None, name))
-        # Two light bodies on a circle a thousandth of a unit wide, whose period is far below one unit of time.
+        # Two bodies on a circle with a diameter of 0.001, whose period is far below one unit of time.
         gap, steps = 1e-3, 2000
         speed = math.sqrt(2.0 / gap)
         h = 0.1 * gap / speed
@@ -336,7 +336,7 @@ FAMILIES = {
     "particles": particle_cases,
     "inputs": motions.inputs_cases,
 }
-"""Every family by name; tests run over this table."""
+"""The functions that yield the cases of each family, by name."""
 
 QUICK = (
     ("oscillator", "midpoint"),
@@ -346,16 +346,16 @@ QUICK = (
     ("linear_regulator", None),
     ("gravity", "stormer-verlet"),
 )
-"""Problem and scheme of the modules of a quick run."""
+"""Problem and scheme of the modules in a quick run; None means the default scheme."""
 
 
 def all_cases() -> list[Case]:
-    """Every case of every family."""
+    """Return every case of every family."""
     return [case for family in FAMILIES.values() for case in family()]
 
 
 def quick_cases() -> list[Case]:
-    """The cases of a few modules that compile fast."""
+    """Return the cases of a few modules that compile fast."""
     return [
         case
         for case in all_cases()
@@ -373,7 +373,7 @@ SECONDS = 60.0
 
 
 def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
-    """The cases of a problem file by every scheme that applies; a kind of CodegenError if it cannot be built."""
+    """Return the cases of a problem file for every scheme that applies; raise CodegenError if it cannot be built."""
     from codegen.problem.points import read_points
     from codegen.problem.sources import settings_of
     from codegen.solving import compiler
@@ -406,7 +406,7 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
 
 
 def varied_cases(setup: Setup, metadata: Record, points: tuple[tuple[float, ...], ...]) -> list[Case]:
-    """The cases of a module: other numbers of steps, other parameters one at a time, noisy guesses."""
+    """Return the cases of a module: other numbers of steps, one parameter changed at a time, noisy initial guesses."""
     expected, default = EXPECTATIONS[metadata.task], int(metadata.steps)
 
     def case(name: str, reason: str, steps: int = default, values: Values = (), noise: float = 0.0) -> Case:

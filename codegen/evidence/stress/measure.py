@@ -1,7 +1,7 @@
 """The measurement of one case on a loaded module: solve, evaluate the equations again, and compute the error.
 
 A reference is a function (module, case, result) -> error, relative to the natural size of the compared quantity. The
-references are closed forms, and scipy's adaptive codes where there is no closed form.
+references are closed forms, or adaptive codes of scipy if no closed form exists.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from codegen.solving.tasks import task_of
 
 
 def measure(module: ModuleType, case: Case) -> Measurement:
-    """The measurement of a case; typed errors are passed on."""
+    """Solve a case and return its measurement; the solver's CodegenError is not caught."""
     varied = _with_values(module, case)
     points = None
     if case.points:
@@ -66,7 +66,7 @@ def measure(module: ModuleType, case: Case) -> Measurement:
 
 
 def _with_values(module: ModuleType, case: Case) -> Any:
-    """The module with the run-time values of the case as defaults of the functions that make a grid or a case."""
+    """Return a copy of the module with the case's values as default arguments, and with a noisy initial guess."""
     values = _as_keywords(case.values)
     varied = ModuleType(module.__name__)
     vars(varied).update(vars(module))
@@ -75,7 +75,7 @@ def _with_values(module: ModuleType, case: Case) -> Any:
         if original is not None:
             setattr(varied, name, lambda *args, _call=original, **more: _call(*args, **{**values, **more}))
     if case.noise:
-        # Functions that guess, with reproducible noise on every free primal unknown, relative to its size or to one.
+        # Reproducible noise on every free primal unknown of the initial guess, relative to its size or to one.
         guessed, solved = varied.initial_guess, varied.solve
 
         def initial_guess(grid: Grid) -> Vector:
@@ -93,7 +93,7 @@ def _with_values(module: ModuleType, case: Case) -> Any:
 
 
 def _as_keywords(values: Values) -> dict[str, object]:
-    """Keyword arguments; a table of names and values becomes a dict, a table of numbers an array."""
+    """Return keyword arguments; tuples of names and values become dictionaries, tuples of numbers become arrays."""
 
     def plain(value: object) -> object:
         if not isinstance(value, tuple):
@@ -105,7 +105,7 @@ def _as_keywords(values: Values) -> dict[str, object]:
 
 
 def _drift(case: Case, result: Result, keeps_energy: bool) -> float:
-    """The largest change of energy, relative to its first value or to the weight of unit masses; NaN without energy."""
+    """Return the largest change of energy relative to its first value or to the masses' weight; NaN without energy."""
     if result.energy is None:
         return math.nan
     energy = np.asarray(result.energy, dtype=float)
@@ -124,7 +124,7 @@ def _drift(case: Case, result: Result, keeps_energy: bool) -> float:
 
 
 def _parameters(case: Case) -> dict[str, Any]:
-    """Parameters of a case: those of the problem file, or the case's own."""
+    """Return the parameters of a case: the values of the problem file, or the case's own values."""
     return DEFAULTS.get(case.setup.file.stem, {}) | dict(case.values)
 
 
@@ -132,7 +132,7 @@ def _parameters(case: Case) -> dict[str, Any]:
 
 
 def oscillator(module: ModuleType, case: Case, result: Result) -> float:
-    """Q = cos(omega t), p = -omega sin(omega t), times the amplitude."""
+    """Return the error against q = cos(omega t), p = -omega sin(omega t), times the amplitude."""
     omega = _parameters(case).get("omega", 1.0)
     amplitude = float(result.q[0, 0])
     q, p = np.cos(omega * result.t), -omega * np.sin(omega * result.t)
@@ -141,7 +141,7 @@ def oscillator(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def stable_step(module: ModuleType, case: Case, result: Result) -> float:
-    """The largest stable step by bisection, against that of the scheme's table."""
+    """Return the relative difference between the largest stable steps by bisection and by the scheme's coefficients."""
     measured, exact = stable_limit(module, case), systems.limit(registered((result.method, result.scheme)))
     if measured == exact:
         return 0.0
@@ -149,7 +149,7 @@ def stable_step(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def discrete_oscillator(module: ModuleType, case: Case, result: Result) -> float:
-    """The scheme's own closed form, from its table."""
+    """Return the error against the closed form of the scheme, which follows from its coefficients."""
     h = result.t[-1] / result.steps
     theta, sine = systems.turn(registered((result.method, result.scheme)), h * _parameters(case).get("omega", 1.0))
     k = np.round(result.t / h)
@@ -158,7 +158,7 @@ def discrete_oscillator(module: ModuleType, case: Case, result: Result) -> float
 
 
 def kepler(module: ModuleType, case: Case, result: Result) -> float:
-    """Kepler's equation E - e sin E = pi + t for the ellipse of unit semi-major axis, from its farthest point."""
+    """Return the error of the last position; with unit semi-major axis, Kepler's equation is E - e sin E = pi + t."""
     e = float(result.q[0, 0]) - 1.0
     mean = np.mod(math.pi + result.t, 2.0 * math.pi)
     anomaly = np.where(e > 0.8, math.pi, mean)
@@ -169,7 +169,7 @@ def kepler(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def by_integration(module: ModuleType, case: Case, result: Result) -> float:
-    """DOP853 at tolerance 1e-12 on forces written by hand; errors of momenta relative to the largest."""
+    """Return the error against DOP853 at tolerance 1e-12 on forces by hand; momenta relative to the largest."""
     problem, values = case.setup.file.stem, _parameters(case)
     count = result.q.shape[1]
 
@@ -183,14 +183,14 @@ def by_integration(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def rigid_pendulum(module: ModuleType, case: Case, result: Result) -> float:
-    """The limit of an infinitely stiff spring: a rod of unit length that starts horizontal at rest."""
+    """Return the error against the limit of an infinitely stiff spring: a unit rod, horizontal and at rest at first."""
     exact = _integrated(lambda _, z: np.array([z[1], -math.sin(z[0])]), np.array([math.pi / 2.0, 0.0]), result.t)
     positions = np.stack([np.sin(exact[:, 0]), -np.cos(exact[:, 0])], axis=1)
     return float(np.abs(result.q - positions).max())
 
 
 def chain(module: ModuleType, case: Case, result: Result) -> float:
-    """DOP853 at tolerance 1e-12 on the equations of the chain, written by hand."""
+    """Return the error against DOP853 at tolerance 1e-12 on the equations of the chain, written by hand."""
     values, count = _parameters(case), result.q.shape[1]
 
     def field(_: float, z: Vector) -> Vector:
@@ -206,7 +206,7 @@ def _integrated(field: Callable[[float, Vector], Vector], start: Vector, t: Vect
 
 
 def two_bodies(module: ModuleType, case: Case, result: Result) -> float:
-    """A circle of radius d, on which the relative position turns with omega = sqrt(G (m1 + m2)/d^3); relative to d."""
+    """Return the error, relative to the distance d, against a circle with omega = sqrt(G (m1 + m2)/d^3)."""
     masses = dict(case.values).get("m", (1.0, 0.001))
     relative = result.q[:, 2:] - result.q[:, :2]
     distance = float(np.linalg.norm(relative[0]))
@@ -215,7 +215,10 @@ def two_bodies(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def regulator(module: ModuleType, case: Case, result: Result) -> float:
-    """J = eps^2/2 (l ((x0^2 + x1^2) coth(l T) - 2 x0 x1/sinh(l T)) + a (x1^2 - x0^2)), l^2 = a^2 + 1/eps^2."""
+    """Return the relative error of the cost against the closed form J.
+
+    J = eps^2/2 (l ((x0^2 + x1^2) coth(l T) - 2 x0 x1/sinh(l T)) + a (x1^2 - x0^2)), l^2 = a^2 + 1/eps^2.
+    """
     values = {"a": 1.0, "eps": 1.0, "T": 10.0, "begin": 1.5, "goal": 1.0} | dict(case.values)
     a, eps, T, x0, x1 = (values[name] for name in ("a", "eps", "T", "begin", "goal"))
     rate = math.hypot(a, 1.0 / eps)
@@ -226,32 +229,32 @@ def regulator(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def cubic_regulator(module: ModuleType, case: Case, result: Result) -> float:
-    """J = F(1) + F(9/4) + (81/16 - 1)/2 for long times, with F(y) = (y sqrt(1 + y^2) + asinh y)/2."""
+    """Return the cost error; for long times J = F(1) + F(9/4) + (81/16 - 1)/2, F(y) = (y sqrt(1 + y^2) + asinh y)/2."""
     first, last = ((y * math.hypot(1.0, y) + math.asinh(y)) / 2.0 for y in (1.0, 2.25))
     return _relative(result.cost, first + last + (81.0 / 16.0 - 1.0) / 2.0)
 
 
 def short_turn(module: ModuleType, case: Case, result: Result) -> float:
-    """12 (angle)^2/T^3, the least integral of the squared torque where gravity has no time to act."""
+    """Return the cost error against 12 (angle)^2/T^3, the least integral of the squared torque without gravity."""
     values = {"T": 1.0, "begin": 0.0, "goal": 1.0} | dict(case.values)
     exact = 12.0 * (values["goal"] - values["begin"]) ** 2 / values["T"] ** 3
     return _relative(result.cost, exact)
 
 
 def walled_cart(module: ModuleType, case: Case, result: Result) -> float:
-    """4/(9 wall)."""
+    """Return the cost error against 4/(9 wall)."""
     return _relative(result.cost, 4.0 / (9.0 * dict(case.values)["wall"]))
 
 
 def other_units(module: ModuleType, case: Case, result: Result) -> float:
-    """The transfer in units of one: with thrust as force, the cost is proportional to m^2 GM^(3/2) r^(-5/2)."""
+    """Return the cost error against the transfer in units of one; costs scale with m^2 GM^(3/2) r^(-5/2)."""
     values = {"m": 1.0, "GM": 1.0, "r0": 1.0} | dict(case.values)
     plain = module.solve(result.steps, m=1.0, GM=1.0, r0=1.0, r1=1.2)
     return _relative(result.cost, plain.cost * values["m"] ** 2 * values["GM"] ** 1.5 * values["r0"] ** -2.5)
 
 
 def single_landmark(module: ModuleType, case: Case, result: Result) -> float:
-    """The squared distance 2 artanh(|y - x|/|1 - conj(x) y|)^2 of the metric 2 |dq|^2/(1 - |q|^2)^2."""
+    """Return the cost error; J = 2 artanh(|y - x|/|1 - conj(x) y|)^2, squared distance for 2 |dq|^2/(1 - |q|^2)^2."""
     x0, y0, x1, y1 = case.points[0]
     start, target = complex(x0, y0), complex(x1, y1)
     exact = 2.0 * math.atanh(abs((target - start) / (1.0 - start.conjugate() * target))) ** 2
@@ -259,7 +262,7 @@ def single_landmark(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def reintegrated(module: ModuleType, case: Case, result: Result) -> float:
-    """The miss of the targets by DOP853 with the computed momenta, on Hamilton's equations written by hand."""
+    """Return the largest miss of the targets by DOP853 with the computed momenta, on equations written by hand."""
     shape = (len(case.points), 2)
     count = 2 * shape[0]
 
@@ -273,12 +276,12 @@ def reintegrated(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def at_rest(module: ModuleType, case: Case, result: Result) -> float:
-    """Cost and motion vanish."""
+    """Return the larger of the cost and the largest displacement, which both vanish at rest."""
     return max(abs(result.cost or 0.0), float(np.abs(result.q - result.q[0]).max()))
 
 
 def _relative(value: float | None, exact: float) -> float:
-    """The relative error, absolute for exact = 0."""
+    """Return the relative error, or the absolute error for exact = 0."""
     if value is None or not math.isfinite(value):
         return math.inf
     return abs(value / exact - 1.0) if exact else abs(value)
@@ -291,4 +294,4 @@ REFERENCES: dict[str, Callable[[ModuleType, Case, Result], float]] = {
         regulator, cubic_regulator, short_turn, walled_cart, other_units, single_landmark, reintegrated, at_rest,
     )
 }  # fmt: skip
-"""Every reference by name; the cases name one of them."""
+"""Every reference by name; `Case.reference` is one of these names."""

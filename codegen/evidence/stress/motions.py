@@ -1,7 +1,7 @@
-"""Cases of motions: stiff, orbital, chaotic, over one step to a million steps, and with extreme inputs.
+"""Cases of motions: stiff, orbital and chaotic motions, one step to a million steps, and extreme inputs.
 
-All families share the setups of the package's own problems, the promised errors of schemes, and the oscillations of
-their energies, which come first.
+All families share the setups of the package's own problems, the error bounds of schemes, and the oscillations of the
+energy. The functions for these come first.
 """
 
 from __future__ import annotations
@@ -19,45 +19,45 @@ from codegen.evidence.stress.systems import TEXTBOOK, limit, swing
 PROBLEMS = Path(__file__).parent / "problems"
 
 SchemeOf: TypeAlias = tuple[str | None, str]
-"""A method, None for particles, and a scheme."""
+"""A method, or None for particles, and the name of a scheme."""
 
 MECHANICAL: tuple[SchemeOf, ...] = tuple(
     (method, name) for method in ("hamiltonian", "variational") for name in schemes.METHODS[method]
 )
-"""All schemes for mechanical systems, for the oscillator, where solves are cheap and answers have closed forms."""
+"""All schemes for mechanical systems; the oscillator uses all, since its cases are cheap and have closed forms."""
 
 EULER, IMPLICIT_EULER, SYMPLECTIC_EULER, MIDPOINT, VERLET = (
     ("hamiltonian", name)
     for name in ("explicit-euler", "implicit-euler", "symplectic-euler", "midpoint", "stormer-verlet")
 )
 STIFF_SCHEMES: tuple[SchemeOf, ...] = (EULER, IMPLICIT_EULER, SYMPLECTIC_EULER, MIDPOINT, VERLET)
-"""The schemes for larger problems: one of each kind, since each costs seconds of compilation."""
+"""The schemes for larger problems: one of each kind, since each takes seconds to compile."""
 
 
 def setup(problem: str, scheme: SchemeOf | None = None, **arguments: object) -> Setup:
-    """A problem of this package by method and scheme (default: the problem's own)."""
+    """Return the inputs of a module for a problem of this package; the default scheme is the problem's own."""
     method, name = scheme or (None, None)
     return Setup(PROBLEMS / f"{problem}.py", name, method, tuple(arguments.items()))
 
 
 def registered(scheme: SchemeOf) -> Scheme:
-    """The scheme of the registry."""
+    """Return the scheme from the registry."""
     method, name = scheme
     return schemes.find(name, method) if method else particles.particle_scheme(name, "connect")
 
 
 def of_order(low: int, high: float = math.inf) -> tuple[SchemeOf, ...]:
-    """The schemes for mechanical systems whose order is in a range, ends included."""
+    """Return the schemes for mechanical systems with an order from `low` to `high`, ends included."""
     return tuple(scheme for scheme in MECHANICAL if low <= registered(scheme).order <= high)
 
 
 def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
-    """The error that a scheme of order p promises after a phase omega t, for h omega < 1/2; NaN where it is too large.
+    """Return the error bound of a scheme after the phase omega t, or NaN if h omega or the bound is 1/2 or more.
 
-    Over the phase omega t the Eulers change amplitudes by exp(+-h omega omega t/2) or shift them by h omega/2. The
-    schemes of order 2 shift phases by (h omega)^2/12 omega t at most (Hairer, Lubich and Wanner 2006, IX.1). Twice and
-    three times these errors are allowed, for the nonlinear terms. For schemes of higher order the constants are below
-    0.03 on the oscillator (`codegen.evidence.stress.systems`), and less than one is allowed.
+    Over the phase omega t, Euler's methods change amplitudes by exp(+-h omega omega t/2) or shift them by h omega/2.
+    Schemes of order 2 shift phases by at most (h omega)^2/12 omega t (Hairer, Lubich and Wanner 2006, IX.1). The bound
+    is two to three times these errors, which allows for nonlinear terms. The constants of schemes of higher order are
+    below 0.03 on the oscillator (`codegen.evidence.stress.systems`), and the bound has the constant 1.
     """
     order = registered(scheme).order
     error = h_omega**order * (1.0 + phase) / (4.0 if order == 2 else 1.0)
@@ -65,7 +65,7 @@ def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
 
 
 def oscillation(scheme: SchemeOf, h_omega: float) -> float:
-    """The relative oscillation of the energy of an oscillator by a symplectic scheme below its stable limit."""
+    """Return a bound on the oscillator's relative energy oscillation; 0.1 if not symplectic or not stable."""
     entry = registered(scheme)
     return 1e-6 + 1.1 * swing(entry, h_omega) if entry.symplectic and h_omega < limit(entry) else 0.1
 
@@ -76,7 +76,7 @@ EPS = 2.0**-52
 
 
 def stiff_cases() -> Iterator[Case]:
-    """Oscillations with steps below and beyond the stable limit."""
+    """Yield cases of oscillations with time steps below and beyond the stability limit."""
     for scheme in of_order(0, 2):
         yield from oscillator(scheme)
     for scheme in STIFF_SCHEMES:
@@ -113,7 +113,7 @@ def stiff_cases() -> Iterator[Case]:
 
 
 def expectation(scheme: SchemeOf, h_omega: float, bound: float) -> tuple[str, str]:
-    """The outcome that theory predicts for an oscillation with a step, and the reason."""
+    """Return the outcome that theory predicts for an oscillation, and the reason; `bound` is the error bound or NaN."""
     entry = registered(scheme)
     if math.isfinite(bound):
         return "accurate", "the step resolves the oscillation"
@@ -130,16 +130,17 @@ def expectation(scheme: SchemeOf, h_omega: float, bound: float) -> tuple[str, st
 
 
 def spurious_outcomes(scheme: SchemeOf, h_omega: float) -> tuple[str, ...]:
-    """Other honest outcomes of an implicit scheme on a nonlinear problem with steps far beyond the fast motion.
+    """Return further honest outcomes of an implicit scheme with steps far beyond the fast motion.
 
-    The equations then have solutions far away, and the prediction from which Newton's method starts is (h omega)^2
-    stretches away. So Newton's method may find a distant solution, whose energy shows the failure, or no solution.
+    The equations of nonlinear problems then have distant solutions, and the prediction from which Newton's method
+    starts is off by (h omega)^2 stretches. It may find a distant solution, whose energy shows the failure, or no
+    solution.
     """
     return ("unsuitable", "refused") if math.isinf(limit(registered(scheme))) and h_omega >= 10.0 else ()
 
 
 def oscillator(scheme: SchemeOf) -> Iterator[Case]:
-    """The largest stable step, and steps below and beyond it."""
+    """Yield cases of the oscillator: the largest stable step, and steps below and beyond it."""
     module = setup("oscillator", scheme)
     yield Case(
         "oscillator, largest stable step", "stiff", module, "accurate", "follows from the table of every scheme",
@@ -147,7 +148,7 @@ def oscillator(scheme: SchemeOf) -> Iterator[Case]:
     )  # fmt: skip
     for h_omega in (0.01, 0.4, 1.9, 2.1, 10.0, 1e4):
         steps = math.ceil(10.0 / h_omega) if h_omega < 0.5 else 300
-        # A step has up to 17 substeps, each with a few roundings.
+        # A step has up to 17 substeps, each with a few rounding errors.
         bound = promised(scheme, h_omega, h_omega * steps) + 20.0 * EPS * steps
         expect, reason = expectation(scheme, h_omega, bound)
         if h_omega >= 1e4 and expect == "bounded":
@@ -161,12 +162,12 @@ def oscillator(scheme: SchemeOf) -> Iterator[Case]:
 
 
 def spring_pendulum(scheme: SchemeOf) -> Iterator[Case]:
-    """A vibration with unit energy (k s^2/2 = 1) together with a swing."""
+    """Yield cases of a vibration with unit energy (k s^2/2 = 1 for the stretch s) together with a swing."""
     module = setup("spring_pendulum", scheme)
     for k in (1e2, 1e6, 1e12):
         omega = math.sqrt(k)
         for h_omega, steps in ((0.01, 2000), (1.5, 2000), (3.0, 2000), (1e2, 500), (1e4, 500)):
-            # Positions of size one have stretches of size 1/omega, so that rounding is amplified by omega.
+            # Positions of size one have stretches of size 1/omega, so that rounding errors are amplified by omega.
             bound = promised(scheme, h_omega, h_omega * steps) + EPS * omega * steps
             expect, reason = expectation(scheme, h_omega, bound)
             start = ("x", 1.0 + math.sqrt(2.0 / k)), ("y", 0.0), ("px", 0.0), ("py", 0.0)
@@ -184,17 +185,17 @@ KEPLER_SCHEMES = tuple(scheme for scheme in STIFF_SCHEMES if scheme[1] != "impli
 
 
 def kepler_start(e: float) -> tuple[tuple[str, float], ...]:
-    """The state at the farthest point of an ellipse of unit semi-major axis."""
+    """Return the state at the farthest point of an ellipse with unit semi-major axis and eccentricity e."""
     return ("x", 1.0 + e), ("y", 0.0), ("px", 0.0), ("py", math.sqrt((1.0 - e) / (1.0 + e)))
 
 
 def pericentre_rate(e: float) -> float:
-    """The angular velocity at the closest point, the largest frequency of the motion."""
+    """Return the angular velocity at the closest point, which is the largest frequency of the motion."""
     return math.sqrt((1.0 + e) / (1.0 - e) ** 3)
 
 
 def orbits_cases() -> Iterator[Case]:
-    """Ellipses of growing eccentricity."""
+    """Yield cases of ellipses with increasing eccentricity."""
     for scheme in KEPLER_SCHEMES:
         for e in (0.5, 0.9, 0.99, 0.999999):
             resolved = math.ceil(2.0 * math.pi * pericentre_rate(e) / (0.02 if registered(scheme).order > 1 else 0.005))
@@ -203,13 +204,13 @@ def orbits_cases() -> Iterator[Case]:
 
 
 def ellipse(scheme: SchemeOf, e: float, steps: int) -> Case:
-    """One and a half revolutions, past the closest point twice, so that the end is far from it."""
+    """Return a case of one and a half revolutions, which passes the closest point twice and ends far from it."""
     duration = 3.0 * math.pi
     h_omega = duration / steps * pericentre_rate(e)
     # The relevant phase is the fast one: about half a turn at each of two passages.
     bound = promised(scheme, h_omega, 2.0 * math.pi)
     if registered(scheme).order > 2:
-        # The kinetic energy there is 1/(1 - e) times that of a circle, and its error is an error of the period.
+        # The kinetic energy there is 1/(1 - e) times the energy on a circle, and its error changes the period.
         bound = bound / (1.0 - e) if bound / (1.0 - e) < 0.5 else math.nan
     expect, reason = "unsuitable", "a step as long as the closest approach lasts, or longer, throws the body off"
     if not registered(scheme).symplectic and registered(scheme).order == 1:
@@ -232,13 +233,13 @@ def ellipse(scheme: SchemeOf, e: float, steps: int) -> Case:
 
 CHAIN_SCHEMES = (("variational", "midpoint"), ("variational", "trapezoidal"))
 ROD_SCHEMES = (("hamiltonian", "symplectic-euler"), ("hamiltonian", "stormer-verlet"))
-"""Explicit schemes: the Newton matrix of an implicit step of six pendulums takes minutes to compile."""
+"""Explicit schemes, because the Newton matrix of an implicit step of six pendulums takes minutes to compile."""
 RATE = 3.0
-"""About the largest angular velocity of a chain that falls from the horizontal."""
+"""The approximate largest angular velocity of a chain that falls from the horizontal."""
 
 
 def chaos_cases() -> Iterator[Case]:
-    """Chains of pendulums, with extreme masses and stiff rods."""
+    """Yield cases of chains of pendulums, with extreme masses and with stiff rods."""
     for scheme in CHAIN_SCHEMES:
         module = setup("pendulum_chain", scheme)
         yield _short(module, "double pendulum", 2.0, 200)
@@ -263,7 +264,7 @@ def chaos_cases() -> Iterator[Case]:
             10, (("duration", 100.0),), h_omega=30.0, allowed=("refused", "bounded"),
         )  # fmt: skip
     for rods in ROD_SCHEMES:
-        # Six pendulums on stiff rods, whose vibration, of twice the root of the stiffness, is the fastest motion.
+        # Six pendulums on stiff rods. The fastest motion is their vibration, at twice the root of the stiffness.
         module = setup("rod_chain", rods)
         for k, duration, steps in ((1e2, 1.0, 2000), (1e6, 0.1, 5000)):
             h_omega = 2.0 * math.sqrt(k) * duration / steps
@@ -287,7 +288,7 @@ def chaos_cases() -> Iterator[Case]:
 
 
 def _short(module: Setup, name: str, duration: float, steps: int, heavy: float = 1.0, light: float = 1.0) -> Case:
-    """A comparison with DOP853 before chaos prevails: an error grows by exp(RATE t) at most."""
+    """Return a case that DOP853 checks before chaos prevails; errors are assumed to grow by at most exp(t)."""
     h = duration / steps
     bound = (RATE * h) ** 2 / 4.0 * (1.0 + RATE * duration) * math.exp(duration)
     return Case(
@@ -299,11 +300,11 @@ def _short(module: Setup, name: str, duration: float, steps: int, heavy: float =
 # ---- Short and long horizons ----
 
 HORIZON_SCHEMES = (SYMPLECTIC_EULER, MIDPOINT, VERLET)
-"""Symplectic Euler, midpoint and Störmer-Verlet, whose discrete motion on the oscillator is known in closed form."""
+"""Symplectic Euler, midpoint and Störmer-Verlet, whose discrete motion on the oscillator has a closed form."""
 
 
 def horizons_cases() -> Iterator[Case]:
-    """One step to a million, against closed forms."""
+    """Yield cases of one step to a million steps, compared with closed forms."""
     for scheme in HORIZON_SCHEMES:
         for steps in (1, 2, 10, 1000, 30_000, 1_000_000):
             yield Case(
@@ -323,7 +324,7 @@ def horizons_cases() -> Iterator[Case]:
 
 
 def long_ellipse(scheme: SchemeOf, family: str, drift: float) -> Case:
-    """A million steps on an ellipse."""
+    """Return a case of a million steps on an ellipse; `drift` is the largest relative change of energy that passes."""
     return Case(
         "Kepler, e = 0.5, a million steps", family, setup("kepler", scheme), "bounded",
         "symplectic: no drift of the energy over 8000 revolutions", 1_000_000,
@@ -338,12 +339,12 @@ INPUT_SCHEMES = (MIDPOINT, VERLET)
 
 
 def inputs_cases() -> Iterator[Case]:
-    """Numbers at the ends of the range, singular points, and values that cannot be used."""
+    """Yield cases with numbers at the ends of the floating-point range, singular points, and invalid values."""
     for scheme in INPUT_SCHEMES:
         module = setup("oscillator", scheme)
         # A linear problem: the motion is the same in every unit of length and time.
         for amplitude in (1e-300, 1e-310, 1e-150, 1e150, 1e300):
-            # Subnormal numbers have fewer digits: 1e-310 has 4e-15 of itself.
+            # Subnormal numbers have fewer digits: the spacing of numbers near 1e-310 is 5e-14 of their size.
             yield Case(
                 f"oscillator, amplitude {amplitude:g}", "inputs", module, "accurate", "a linear problem has no scale",
                 100, (("omega", 1.0), ("duration", 2.0), ("start", (("q", amplitude), ("p", 0.0)))),

@@ -1,4 +1,4 @@
-"""The output of a stress run: a table on the terminal, a CSV file of every number, a self-contained HTML page."""
+"""The output of a stress run: a table on the terminal, a CSV file of all numbers, and a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 COLUMNS = ("case", "scheme", "h ω", "error", "promised", "energy drift", "stable h ω <", "failed", "outcome")
 WORDS = ("case", "scheme")
-"""Columns of several words, which may be broken into lines."""
+"""The columns of text, whose cells may be wrapped."""
 STYLES = {"accurate": "green", "bounded": "cyan", "unsuitable": "yellow", "refused": "blue"}
 
 
 @dataclass(frozen=True)
 class Line:
-    """A row as text: the cells under COLUMNS, the finding, the reason of the expectation, True if it passed.
+    """A row as text: the cells under COLUMNS, the finding, the reason for the expectation, True if the case passed.
 
-    `figure` is the number in an overview: the error, or the change of energy if there is no reference, or the limit of
-    stability if that is measured.
+    `figure` is the number in the overview: the stability limit if it is measured, else the error, else the energy
+    drift.
     """
 
     cells: tuple[str, ...]
@@ -42,7 +42,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Section:
-    """The lines of one family, and an overview: cases against schemes, a line or None in each position."""
+    """The lines of one family, and an overview: for each case, one line for each scheme, or None without a line."""
 
     family: str
     lines: tuple[Line, ...]
@@ -51,7 +51,7 @@ class Section:
 
 
 def _number(value: float) -> str:
-    """A number in few characters; empty for NaN."""
+    """Return a number as short text, which is empty for NaN."""
     if math.isnan(value):
         return ""
     if math.isinf(value):
@@ -62,7 +62,7 @@ def _number(value: float) -> str:
 
 
 def _sections(rows: Iterable[Row]) -> list[Section]:
-    """Rows by family, in the order of the families."""
+    """Return one section for each family, in the order of the families."""
     families: dict[str, list[Line]] = {}
     for row in rows:
         case, run = row.case, row.measurement
@@ -89,14 +89,14 @@ def _sections(rows: Iterable[Row]) -> list[Section]:
 
 
 def _counts(rows: Sequence[Row]) -> str:
-    """The number of rows with each outcome, in one sentence."""
+    """Return a sentence with the number of rows for each outcome."""
     counts = Counter(row.outcome for row in rows)
     words = [f"{counts[word]} {word}" for word in (*OUTCOMES, *DEFECTS) if counts[word]]
     return f"{len(rows)} rows: {', '.join(words)}"
 
 
 def table(rows: Sequence[Row]) -> Table:
-    """All rows for a terminal."""
+    """Return all rows as a table for a terminal."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -118,7 +118,7 @@ def table(rows: Sequence[Row]) -> Table:
 
 
 def write_csv(rows: Sequence[Row], path: Path) -> None:
-    """Write every number of every row."""
+    """Write all numbers of all rows into a CSV file."""
     records = []
     for row in rows:
         case, run, setup = row.case, row.measurement, row.case.setup
@@ -138,7 +138,7 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
 
 
 def write_page(rows: Sequence[Row], seconds: float, path: Path) -> None:
-    """Write one HTML file without scripts and without references to other files."""
+    """Write one HTML file without scripts and links to other files; `seconds` is the duration of the run."""
     text = rendered(
         Path(__file__).parent / "page.html.j2", sections=_sections(rows), columns=COLUMNS, counts=_counts(rows),
         failed=[row for row in rows if not row.passed], outcomes=OUTCOMES, defects=DEFECTS, seconds=f"{seconds:.0f}",

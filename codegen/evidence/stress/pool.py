@@ -1,4 +1,4 @@
-"""Worker processes that can be killed: a time limit for every build and every case, rows in the order of the cases."""
+"""Worker processes for stress cases, which are killed if a build or a case exceeds its time limit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from codegen.errors import CodegenError
 from codegen.evidence.stress.cases import Case, Measurement, Setup
 
 BUILD_SECONDS = 600.0
-"""The time limit of deriving and compiling a module; several builds run at once, on machines of any speed."""
+"""The time limit of a build, also on slow machines and while several builds run at once."""
 START_SECONDS = 120.0
 
 Report = Callable[[Case, Measurement], None]
@@ -33,7 +33,7 @@ def serve(connection: Connection) -> None:
     from codegen.solving.loading import load
     from codegen.solving.machine_code.compilation import compile_all
 
-    module: ModuleType | Measurement = Measurement()  # or the failure to make the module
+    module: ModuleType | Measurement = Measurement()  # or the failure of the build
     with suppress(EOFError, KeyboardInterrupt):
         while True:
             message, answer = connection.recv(), None
@@ -57,7 +57,7 @@ def serve(connection: Connection) -> None:
 
 
 def end_with_parent() -> None:
-    """End this process, whatever it is doing, when its parent process has ended by whatever means."""
+    """Wait until the parent process has ended for any reason, then end this process at once."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -65,10 +65,10 @@ def end_with_parent() -> None:
 
 
 class Worker:
-    """A process that answers one message with one; `ask` raises TimeoutError or EOFError when it does not."""
+    """A process that answers each message by one message."""
 
     def __init__(self, serve: Serve) -> None:
-        """Start the process."""
+        """Start the process, which runs `serve`."""
         context = multiprocessing.get_context("spawn")
         self.connection, other = context.Pipe()
         self.process = context.Process(target=serve, args=(other,), daemon=True)
@@ -76,24 +76,25 @@ class Worker:
         other.close()
 
     def ask(self, message: Setup | Case | None, seconds: float) -> Any:
-        """The answer to a message within a time limit."""
+        """Return the answer to a message; raise TimeoutError after `seconds`, or EOFError if the process has died."""
         self.connection.send(message)
         if not self.connection.poll(seconds):
             raise TimeoutError
         return self.connection.recv()
 
     def end(self) -> None:
-        """End the process, whatever it is doing."""
+        """Kill the process."""
         self.process.kill()
         self.process.join()
         self.connection.close()
 
 
 def run(cases: Sequence[Case], workers: int, report: Report, serve: Serve = serve) -> list[Measurement]:
-    """Measure every case; `report` is called from one thread at a time as soon as a case is measured.
+    """Measure every case by worker processes; return the measurements in the order of the cases.
 
-    Cases of one module run one after the other in one process. If a process hangs or dies, only the current case is
-    lost: the next case starts in a new process, from the cached module.
+    `report` is called from one thread at a time as soon as a case is measured. Cases of one module run one after the
+    other in one process. If a process hangs or dies, only the current case is lost: the next case starts in a new
+    process, from the cached module.
     """
     groups: dict[Setup, list[int]] = {}
     for number, case in enumerate(cases):
@@ -128,7 +129,7 @@ def run(cases: Sequence[Case], workers: int, report: Report, serve: Serve = serv
 def _measured(
     worker: Worker | None, numbered: Iterator[tuple[int, Case]], keep: Callable[[int, Measurement], None], serve: Serve
 ) -> Worker | None:
-    """Measure the cases of one module; return the process, None if the last one had to be ended."""
+    """Measure the cases of one module, pass each to `keep`, and return the process, or None if it had to be killed."""
     built = False
     for number, case in numbered:
         lost = True
@@ -152,6 +153,6 @@ def _measured(
             worker = None
         keep(number, measurement)
         if measurement.hung and not built:
-            for other, _ in numbered:  # the remaining cases, which would wait for the same module
+            for other, _ in numbered:  # the remaining cases, which need the same module
                 keep(other, measurement)
     return worker

@@ -1,16 +1,15 @@
-"""The mechanics of the stress problems by hand in numpy, to be compared with generated code.
+"""The mechanics of the stress problems, written by hand in numpy for a comparison with generated code.
 
-Forces are written for arrays of any floating type, so that they serve scipy in double precision and the textbook's
-equations in extended precision.
+Forces accept arrays of any floating type: scipy needs double precision, the textbook equations extended precision.
 
-The textbook's equations of a step are evaluated in extended precision on the states that a module returns, for H =
+The textbook equations of a step are evaluated in extended precision on the states that a module returns, for H =
 |p|^2/2 + V(q) with f = -V_q. No generated code takes part. Source of all forms: Hairer, Lubich and Wanner (2006),
 Geometric numerical integration, I.1 and VI.3; variational schemes in their Hamiltonian form, Marsden and West (2001),
 section 2.6.
 
-The action of schemes on the oscillator q' = p, p' = -q follows from their tables alone. A step of length x multiplies
-(q, p) by a matrix. A symplectic step is stable while the trace of the matrix lies between -2 and 2 (Hairer, Lubich and
-Wanner 2006, I.5.2 and VIII.6), and then rotates points along an ellipse.
+The effect of a scheme on the oscillator q' = p, p' = -q follows from the coefficients of the scheme. A step of length x
+multiplies (q, p) by a matrix. A symplectic step is stable while the trace of the matrix lies between -2 and 2. The step
+then rotates points along an ellipse (Hairer, Lubich and Wanner 2006, I.5.2 and VIII.6).
 """
 
 from __future__ import annotations
@@ -39,14 +38,14 @@ Force = Callable[[Parameters, Array], Array]
 
 
 def spring_force(values: Parameters, q: Array) -> Array:
-    """A spring of natural length one, and gravity downwards."""
+    """Return the force of a spring of natural length one and of gravity."""
     length = np.sqrt(q[0] * q[0] + q[1] * q[1])
     pull = -values["k"] * (length - 1) / length
     return np.stack([pull * q[0], pull * q[1] - 1])
 
 
 def fput_force(values: Parameters, q: Array) -> Array:
-    """Stiff springs inside three pairs, quartic ones between them and to the walls."""
+    """Return the forces of stiff springs inside three pairs, and of quartic springs between pairs and to the walls."""
     force = np.zeros_like(q)
     for i in (0, 2, 4):
         pull = values["omega"] ** 2 / 2 * (q[i + 1] - q[i])
@@ -63,7 +62,7 @@ def fput_force(values: Parameters, q: Array) -> Array:
 
 
 def rod_force(values: Parameters, q: Array) -> Array:
-    """Elastic rods from the origin to each mass in turn, and gravity downwards; q holds x1, y1, x2, ..."""
+    """Return the forces of gravity and of a chain of elastic rods that starts at the origin; q holds x1, y1, x2, ..."""
     joints = np.concatenate([np.zeros_like(q[:2])[None], q.reshape(-1, 2)])
     along = joints[1:] - joints[:-1]
     length = np.sqrt((along**2).sum(axis=1))[:, None]
@@ -81,7 +80,7 @@ FORCES: dict[str, Force] = {
     "rod_chain": rod_force,
     "kepler": lambda values, q: -values["mu"] * q / np.sqrt(q[0] * q[0] + q[1] * q[1]) ** 3,
 }
-"""Forces of problems with unit masses, H = |p|^2/2 + V(q)."""
+"""Forces of the problems with unit masses, H = |p|^2/2 + V(q), by the name of the problem file."""
 
 DEFAULTS: dict[str, dict[str, float]] = {
     "oscillator": {"omega": 1.0},
@@ -91,7 +90,7 @@ DEFAULTS: dict[str, dict[str, float]] = {
     "kepler": {"mu": 1.0},
     "pendulum_chain": {"heavy": 1.0, "light": 1.0, "g": 1.0},
 }
-"""The parameters of the problem files."""
+"""The parameters of the problem files, by the name of the file."""
 
 _STIFF = 1e4
 REST: dict[str, tuple[dict[str, float], tuple[float, ...]]] = {
@@ -99,16 +98,16 @@ REST: dict[str, tuple[dict[str, float], tuple[float, ...]]] = {
     "spring_pendulum": ({"k": _STIFF}, (0.0, -1.0 - 1.0 / _STIFF, 0.0, 0.0)),
     "fput": ({"omega": 50.0}, (0.0,) * 12),
 }
-"""Parameters and equilibrium states (q, p), about which the stability of a scheme is measured."""
+"""Parameters and equilibrium states (q, p), about which the stability of a scheme is measured, by problem."""
 
 
 def frequency(problem: str, values: Parameters) -> float:
-    """The largest frequency of small motions about the equilibrium."""
+    """Return the largest frequency of small motions about the equilibrium."""
     return math.sqrt(values["k"]) if problem == "spring_pendulum" else float(values["omega"])
 
 
 def chain_acceleration(values: Parameters, angles: Array, rates: Array) -> Array:
-    """Angular accelerations of a chain of pendulums of unit length: M(angles) q'' = -C(angles) q'^2 - gravity."""
+    """Return the angular accelerations q'' of a chain of unit pendulums: M(q) q'' = -C(q) q'^2 - gravity."""
     count = len(angles)
     masses = np.ones(count)
     masses[0], masses[-1] = values["heavy"], values["light"]
@@ -120,7 +119,7 @@ def chain_acceleration(values: Parameters, angles: Array, rates: Array) -> Array
 
 
 def plate_gradient(q: Array, p: Array) -> tuple[Array, Array]:
-    """H_q and H_p of H = 1/2 sum_ij p_i . p_j G(q_i, q_j) with the Green's function of the clamped plate, by hand.
+    """Return H_q and H_p of H = 1/2 sum_ij p_i . p_j G(q_i, q_j), G being the Green's function of the clamped plate.
 
     With a = 1 - |x|^2, b = 1 - |y|^2, s = |x - y|^2, w = a b/s: dG = b/2 w/(1 + w) da + (w/(1 + w) - log(1 + w))/2 ds.
     """
@@ -158,16 +157,16 @@ TEXTBOOK: dict[str, tuple[float, float]] = {
     "stormer-verlet": (math.nan, math.nan),
     "trapezoidal": (math.nan, math.nan),
 }
-"""Schemes of either method by name, with a and b of a field at ((1-a) q0 + a q1, (1-b) p0 + b p1).
+"""The numbers a and b of each scheme, whose field is evaluated at ((1-a) q0 + a q1, (1-b) p0 + b p1).
 
-NaN stands for half a kick, a drift, half a kick.
+NaN stands for half a step of the momentum, a step of the position, and half a step of the momentum.
 """
 
 
 def textbook_residuals(
     scheme: str, f: Field, h: np.longdouble, q: Array, p: Array, q1: Array, p1: Array
 ) -> tuple[Array, Array]:
-    """The residuals of the textbook's equations of a step from (q, p) to (q1, p1)."""
+    """Return the residuals (position, momentum) of the textbook equations of a step from (q, p) to (q1, p1)."""
     a, b = TEXTBOOK[scheme]
     if math.isnan(a):
         half = p + h / 2 * f(q)
@@ -176,14 +175,14 @@ def textbook_residuals(
 
 
 COUNT = 200
-"""The number of first steps that are evaluated again."""
+"""The number of first steps whose textbook equations are evaluated."""
 
 
 def textbook_errors(module: ModuleType, case: Case, result: Result) -> float:
-    """The largest residual of the textbook's equations over the first steps, in rounding errors of double precision.
+    """Return the largest residual of the textbook equations over the first steps, in units of rounding errors.
 
-    The rounding error of a step is estimated from the magnitudes of its terms. These are the states, h p, h f, and h
-    times the change of f when positions are rounded.
+    The rounding error of a step is estimated in double precision from the magnitudes of its terms. These are the
+    states, h p, h f, and h times the change of f by the rounding of positions.
     """
     if result.steps != len(result.t) - 1:
         raise ValueError("the textbook's equations need every step")
@@ -197,7 +196,7 @@ def textbook_errors(module: ModuleType, case: Case, result: Result) -> float:
         return FORCES[problem](values, positions)
 
     worst, eps, tiny = 0.0, np.finfo(float).eps, np.finfo(float).tiny  # below tiny, numbers have fewer digits
-    signs = (-1.0) ** np.arange(q.shape[1])  # neighbouring positions are rounded in opposite directions
+    signs = (-1.0) ** np.arange(q.shape[1])  # neighbours are perturbed in opposite directions
     for k in range(len(q) - 1):
         ends = q[k], q[k + 1]
         position, momentum = (max(np.abs(a[k : k + 2]).max(), tiny) for a in (q, p))
@@ -216,18 +215,18 @@ def textbook_errors(module: ModuleType, case: Case, result: Result) -> float:
 # ---- Measured stability ----
 
 LEAST, MOST = 0.02, 1e4
-"""The range of steps times frequency in which the limit is searched."""
+"""The range of h omega in which the stability limit is searched."""
 POINTS = 1500
-"""The number of steps tried in this range; the first window of instability of some compositions is 2 % wide."""
+"""The number of values of h omega in this range; the first unstable window of some compositions is 2 % wide."""
 GROWTH = 1e-4
-"""A spectral radius above one by more than this is growth; explicit Euler's is (h omega)^2/2 above one."""
+"""A motion grows if the spectral radius exceeds one by more than this; explicit Euler exceeds one by (h omega)^2/2."""
 
 _limits: dict[tuple[str, str], float] = {}
-"""Measured limits, by the inputs of a module and the label of its scheme."""
+"""Measured stability limits, by the inputs of a module and the label of its scheme."""
 
 
 def stable_limit(module: ModuleType, case: Case) -> float:
-    """The largest h omega at which no small motion about the equilibrium grows: 0 for none, infinite without a limit.
+    """Return the largest h omega at which no small motion about the equilibrium grows, 0 if all grow, infinity if none.
 
     Source of the criterion: Hairer, Lubich and Wanner (2006), Geometric numerical integration, VIII.6 and I.5.2.
     """
@@ -238,7 +237,7 @@ def stable_limit(module: ModuleType, case: Case) -> float:
 
 
 def first_growth(is_stable: Callable[[float], bool]) -> float:
-    """The h omega where motions begin to grow, by trial and bisection; further stable steps may follow."""
+    """Return the h omega at which motions begin to grow, by trial and bisection; longer steps may be stable again."""
     if not is_stable(LEAST):
         return 0.0
     grid = np.geomspace(LEAST, MOST, POINTS)
@@ -254,7 +253,7 @@ def first_growth(is_stable: Callable[[float], bool]) -> float:
 
 
 def spectral_radius(module: ModuleType, problem: str, h_omega: float) -> float:
-    """The largest modulus of an eigenvalue of the step's Jacobian at the equilibrium, by central differences."""
+    """Return the spectral radius of the Jacobian of a step at the equilibrium, by central differences."""
     values, state = REST[problem]
     grid = module.make_grid(1, duration=h_omega / frequency(problem, values), **values)
     change = 1e-6
@@ -272,7 +271,7 @@ Entries: TypeAlias = tuple[Number, Number, Number, Number]
 
 
 def step_matrix(scheme: Scheme, x: Number) -> Entries:
-    """Entries a, b, c, d of q1 = a q + b p, p1 = c q + d p, in the arithmetic of x: a float, or a number of mpmath."""
+    """Return a, b, c, d of q1 = a q + b p, p1 = c q + d p, in the arithmetic of the step x: float or mpmath."""
     if scheme.variational:
         # With Ld = (a q0^2 + 2 b q0 q1 + d q1^2)/2, stationary in inner values, p0 = -a q0 - b q1 and p1 = b q0 + d q1.
         points = _quadrature(scheme, x.__class__)
@@ -317,14 +316,14 @@ def _substeps(scheme: Scheme, number: type[Number]) -> list[list[Number]]:
 
 @cache
 def _tableau(scheme: Scheme, number: type[Number]) -> tuple[Rows, Rows, Rows]:
-    """The coefficients of a scheme as a Runge-Kutta method, for coordinates, for momenta, and the row of weights."""
+    """Return the coefficients of a scheme as a Runge-Kutta method, for coordinates and momenta, and its weights."""
     table = scheme.step().tableau
     return _numbers(table.positions, number), _numbers(table.momenta, number), _numbers([table.weights], number)
 
 
 @cache
 def _quadrature(scheme: Scheme, number: type[Number]) -> list[tuple[Number, list[Number], list[Number]]]:
-    """For every point its weight, and the values and slopes of the Lagrange polynomials of the inner nodes."""
+    """Return the weight of each point, and there the values and slopes of the Lagrange polynomials of the nodes."""
     rule = scheme.discrete_lagrangian()
     (nodes,) = _numbers([rule.nodes], number)
     points = []
@@ -346,7 +345,7 @@ def _product(row: Sequence[Number], column: Sequence[Number]) -> Number:
 
 
 def _solved(matrix: Rows, right: Sequence[Number]) -> list[Number]:
-    """The solution of a few linear equations by elimination with row pivots, in the arithmetic of the numbers."""
+    """Return the solution of a small linear system by elimination with row pivots, in the arithmetic of the numbers."""
     rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
     for k in range(len(rows)):
         pivot = max(range(k, len(rows)), key=lambda i: abs(rows[i][k]))
@@ -359,7 +358,7 @@ def _solved(matrix: Rows, right: Sequence[Number]) -> list[Number]:
 
 
 def growth(scheme: Scheme, x: float) -> float:
-    """The largest modulus of the matrix's eigenvalues."""
+    """Return the spectral radius of the step matrix."""
     a, b, c, d = step_matrix(scheme, float(x))
     root = cmath.sqrt(((a - d) / 2) ** 2 + b * c)
     return float(max(abs((a + d) / 2 + root), abs((a + d) / 2 - root)))
@@ -367,14 +366,14 @@ def growth(scheme: Scheme, x: float) -> float:
 
 @cache
 def limit(scheme: Scheme) -> float:
-    """The largest step below which no motion grows: 0 for none, infinite without a limit."""
+    """Return the largest step up to which no motion grows: 0 if motions grow at every step, infinity if at none."""
     return first_growth(lambda x: growth(scheme, x) <= 1.0 + GROWTH)
 
 
 def turn(scheme: Scheme, x: float) -> tuple[float, float]:
-    """Theta and s of a symplectic scheme below its limit, where q_k = cos(k theta) + s sin(k theta) from rest at q = 1.
+    """Return theta and s of q_k = cos(k theta) + s sin(k theta), the motion by a symplectic scheme from rest at q = 1.
 
-    Theta is arccos(trace/2); s is 0 where the scheme is symmetric. NaN beyond the limit.
+    Theta is arccos(trace/2); s is 0 if the scheme is symmetric. Both are NaN beyond the stability limit.
     """
     with mpmath.workdps(DIGITS):
         a, _, _, d = step_matrix(scheme, mpmath.mpf(x))
@@ -385,10 +384,10 @@ def turn(scheme: Scheme, x: float) -> tuple[float, float]:
 
 
 def swing(scheme: Scheme, x: float) -> float:
-    """The relative oscillation of the energy from rest at q = 1, where a symplectic scheme is stable.
+    """Return the relative oscillation of the energy from rest at q = 1 if a symplectic scheme is stable, else infinity.
 
     The step conserves c q^2 + (d - a) q p - b p^2, which equals c on the whole motion. On this ellipse q^2 + p^2 lies
-    between the quotients of c and the two eigenvalues.
+    between c divided by the one and by the other eigenvalue of the quadratic form.
     """
     with mpmath.workdps(DIGITS):
         a, b, c, d = step_matrix(scheme, mpmath.mpf(x))

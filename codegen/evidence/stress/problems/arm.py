@@ -1,7 +1,7 @@
-"""Swing a pendulum by a torque between two angles of rest in a given time.
+"""Swing a pendulum by a torque from rest at one angle to rest at another in a given time.
 
 Unit mass and length, gravity g; the cost is the integral of the squared torque. Large turns pass through the upright
-rest, and with start = end there is nothing to do. All quantities are nondimensional.
+position. If both angles are the same equilibrium, no torque is needed. All quantities are nondimensional.
 """
 
 from sympy import cos

@@ -1,4 +1,4 @@
-"""Hold a cubic system near rest for a very long time between two given states.
+"""Steer a cubic system between two given states in a long time, most of which it spends near rest.
 
 x' = -x^3 + u from 1 to 3/2, cost x^2 + u^2. Source: Betts, Practical Methods for Optimal Control (2010), example 10.7.
 All quantities are nondimensional.

@@ -1,6 +1,6 @@
-"""Let two bodies attract each other, written as particles that interact in pairs.
+"""Follow two bodies that attract each other, written as particles with pairwise interaction.
 
-H = sum |p|^2/(2 m) - sum m_i m_j/r. Source: Hairer, Lubich and Wanner (2006), Geometric numerical integration, I.2.
+H = sum |p|^2/(2 m) - sum G m_i m_j/r. Source: Hairer, Lubich and Wanner (2006), Geometric numerical integration, I.2.
 All quantities are nondimensional.
 """
 

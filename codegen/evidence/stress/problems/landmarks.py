@@ -1,4 +1,4 @@
-"""Carry landmarks in the unit disc to their targets by the geodesic of the clamped plate's Green's function.
+"""Move landmarks in the unit disc to their targets along a geodesic, with the clamped plate's Green's function.
 
 H = 1/2 sum_ij p_i . p_j G(q_i, q_j). Source: Mills and Marsland, Interpolating diffeomorphisms and landmark
 registration (2005); Boggio (1905) for G. All quantities are nondimensional.

@@ -1,4 +1,4 @@
-"""Follow a harmonic oscillator, on which what a scheme does is known in closed form.
+"""Follow a harmonic oscillator, whose discrete motion by any scheme has a closed form.
 
 H = (p^2 + omega^2 q^2)/2. Source: Hairer, Lubich and Wanner (2006), Geometric numerical integration, I.5.2 and XIII.1.
 All quantities are nondimensional.

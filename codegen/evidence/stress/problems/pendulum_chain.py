@@ -1,8 +1,8 @@
-"""Let a chain of pendulums fall from a horizontal start.
+"""Follow a chain of pendulums that falls from a horizontal start.
 
-Point masses on massless rods of unit length, absolute angles, 0 when hanging; `heavy` is the mass of the first bob,
-`light` that of the last, all others have unit mass. Source: Goldstein, Poole and Safko, Classical Mechanics (2002),
-chapter 1, exercises. All quantities are nondimensional.
+Point masses on massless rods of unit length, absolute angles, 0 when hanging. `heavy` is the mass of the first bob,
+`light` the mass of the last bob; all others have unit mass. Source: Goldstein, Poole and Safko, Classical Mechanics
+(2002), chapter 1, exercises. All quantities are nondimensional.
 """
 
 from sympy import cos, pi, sin

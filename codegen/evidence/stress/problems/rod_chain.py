@@ -1,8 +1,8 @@
-"""Let a chain of six pendulums on stiff elastic rods fall from a horizontal start.
+"""Follow a chain of six pendulums on stiff elastic rods that falls from a horizontal start.
 
-H = sum |p_i|^2/2 + y_i + k (|q_i - q_i-1| - 1)^2/2 with q_0 = 0: unit masses, lengths and gravity, stiffness k.
-Source: Ascher and Reich, The midpoint scheme and variants for Hamiltonian systems: advantages and pitfalls, SIAM
-Journal on Scientific Computing 21 (1999), for a chain of one. All quantities are nondimensional.
+H = sum |p_i|^2/2 + y_i + k (|q_i - q_i-1| - 1)^2/2 with q_0 = 0: unit masses, lengths and gravity, stiffness k. Source:
+Ascher and Reich, The midpoint scheme and variants for Hamiltonian systems: advantages and pitfalls, SIAM Journal on
+Scientific Computing 21 (1999), for a single pendulum. All quantities are nondimensional.
 """
 
 from sympy import sqrt

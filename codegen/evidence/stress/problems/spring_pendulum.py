@@ -1,4 +1,4 @@
-"""Let a mass swing on a stiff spring.
+"""Follow a mass that swings on a stiff spring.
 
 H = |p|^2/2 + k (|q| - 1)^2/2 + y: unit mass, natural length and gravity, stiffness k. Source: Ascher and Reich, The
 midpoint scheme and variants for Hamiltonian systems: advantages and pitfalls, SIAM Journal on Scientific Computing 21

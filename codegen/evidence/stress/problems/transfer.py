@@ -1,8 +1,8 @@
-"""Raise a satellite from one circular orbit to another in half a mean revolution by tangential thrust.
+"""Raise a satellite from one circular orbit to another in `turns` mean revolutions by tangential thrust.
 
-Mass m, gravitational parameter GM, radii r0 and r1; the cost is the integral of the squared thrust. The parameters are
-free in any system of units, so that the answer in other units is known. Source: Junge, Marsden and Ober-Bloebaum,
-Discrete mechanics and optimal control (2005).
+Mass m, gravitational parameter GM, radii r0 and r1; the cost is the integral of the squared thrust. The parameters may
+be in any system of units: the solution in other units is known. Source: Junge, Marsden and Ober-Bloebaum, Discrete
+mechanics and optimal control (2005).
 """
 
 from sympy import pi, sqrt

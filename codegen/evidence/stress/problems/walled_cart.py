@@ -1,8 +1,8 @@
-"""Throw a cart back with the least effort, without letting it pass a wall.
+"""Return a cart to its start with the least effort, without passing a wall.
 
-A unit mass passes 0 with speed 1 and is to pass it again with speed -1 after one unit of time. Source: Bryson, Denham
-and Dreyfus, Optimal programming problems with inequality constraints I, AIAA Journal 1 (1963). All quantities are
-nondimensional. The least half integral of the squared force is 4/(9 wall) for walls nearer than 1/6.
+A unit mass starts at 0 with velocity 1 and must return to 0 with velocity -1 after one unit of time. Source: Bryson,
+Denham and Dreyfus, Optimal programming problems with inequality constraints I, AIAA Journal 1 (1963). All quantities
+are nondimensional. The least cost, half the integral of the squared force, is 4/(9 wall) for walls nearer than 1/6.
 """
 
 from codegen import Control, control, coordinate, parameters
