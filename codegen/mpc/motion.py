@@ -16,16 +16,16 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
-from codegen.mpc.interface import WHOLE, Grids, Interface, Moving, Values, module_of, vector
+from codegen.mpc.interface import WHOLE, Arguments, Grids, Interface, Moving, Values, module_of, vector
 from codegen.runtime.record import Form
 from codegen.runtime.search.linear_system import allocate_system, filled_entries
 from codegen.runtime.search.point import evaluate
-from codegen.solving.loading import Grid, Indices, Vector, is_control, is_of_particles
+from codegen.solving.loading import ControlModule, GeneratedModule, Indices, Vector, is_control, is_of_particles
 from codegen.solving.request import parameter_arguments
 
 VELOCITY_NEWTON_STEPS, VELOCITY_CLOSE = 20, 1e-12
@@ -58,7 +58,7 @@ class Motion:
     does not follow from its start and its inputs.
     """
 
-    def __init__(self, module: Any, interface: Interface, seconds: float, intervals: float) -> None:
+    def __init__(self, module: ControlModule, interface: Interface, seconds: float, intervals: float) -> None:
         self._module, self._seconds = module, {"duration": seconds}
         steps = max(1, math.ceil(intervals - WHOLE))
         self._grids = Grids(module, interface, steps, is_searched=False)
@@ -88,19 +88,33 @@ class Motion:
         self._entries: tuple[Indices, ...] = tuple(np.array(entries, dtype=np.intp).T)
         self._system = allocate_system(module.make_grid(steps))
 
-    def __call__(self, state: Vector, inputs: Vector, given: dict[str, Any], later: dict[str, Any]) -> Vector | None:
+    def __call__(self, state: Vector, inputs: Vector, given: Arguments, later: Arguments) -> Vector | None:
         """Return the state (states,) after a state under inputs (controls,), or None if the solve fails.
 
         The run-time values `given` hold during the motion, `later` at its end.
         """
         grid = self._grids.at(given | self._seconds, state)
         unknowns = self._module.initial_guess(grid)
+        matrix = np.zeros((self._equations.size, self._equations.size))
+        entry, rows, columns = self._entries
         try:
             for k in range(grid.steps):
                 offset = k * self._stride
                 unknowns[offset + self._controls] = inputs
                 unknowns[offset + self._stride + self._node] = unknowns[offset + self._node]
-                if not self._is_solved(grid, unknowns, k):
+                equations, solved = offset + self._equations, offset + self._unknowns
+                for _ in range(NEWTON_STEPS):
+                    residual = evaluate(grid, unknowns).gradient[equations]
+                    values = filled_entries(grid, unknowns, self._system)  # entries of intervals come first
+                    matrix[rows, columns] = values[k * grid.problem.structure.rows.size + entry]
+                    step = np.linalg.solve(matrix, residual)
+                    unknowns[solved] -= step
+                    largest = np.abs(step).max()
+                    if not largest < np.inf:
+                        return None
+                    if largest <= CLOSE * max(1.0, np.abs(unknowns[solved]).max()):
+                        break
+                else:
                     return None
             _, q, p, _, _ = self._module.unpack(grid, unknowns)
             after = state.copy()
@@ -111,26 +125,7 @@ class Motion:
             return None
         return after if np.isfinite(after).all() else None
 
-    def _is_solved(self, grid: Grid, unknowns: Vector, k: int) -> bool:
-        """Solve interval k by Newton's method in `unknowns` (n,); return True if it converges."""
-        offset = k * self._stride
-        equations, solved = offset + self._equations, offset + self._unknowns
-        matrix = np.zeros((equations.size, equations.size))
-        entry, rows, columns = self._entries
-        for _ in range(NEWTON_STEPS):
-            residual = evaluate(grid, unknowns).gradient[equations]
-            values = filled_entries(grid, unknowns, self._system)  # entries of intervals come first
-            matrix[rows, columns] = values[k * grid.problem.structure.rows.size + entry]
-            step = np.linalg.solve(matrix, residual)
-            unknowns[solved] -= step
-            largest = np.abs(step).max()
-            if not largest < np.inf:
-                return False
-            if largest <= CLOSE * max(1.0, np.abs(unknowns[solved]).max()):
-                return True
-        return False
-
-    def _velocities(self, state: Vector, wanted: Vector, later: dict[str, Any]) -> Vector:
+    def _velocities(self, state: Vector, wanted: Vector, later: Arguments) -> Vector:
         """Return the rates of a state with the momenta (coordinates,) at the end of the motion."""
         module, start = self._module, state.copy()
         of_node = self._equations[self._equations < self._node.size]
@@ -140,7 +135,7 @@ class Motion:
         def momenta(rates: Vector) -> Vector:
             start[self._rates] = rates
             grid = self._starts.at(later | self._seconds, start)
-            module.pin_values(grid, unknowns, module.views(grid, unknowns)[0])
+            module.problem.pin_values(grid, unknowns, module.views(grid, unknowns)[0])
             p: Vector = module.unpack(grid, unknowns)[2][0]
             # The discrete equation at the start is the prescribed momentum less that of the first interval.
             if of_node.size:
@@ -158,7 +153,7 @@ class Delay:
         self._samples, self._sample = samples, seconds
         self.reset()
 
-    def reset(self, inputs: Any = None) -> None:
+    def reset(self, inputs: object = None) -> None:
         """Set the inputs (controls,) that act before those of the controller, zero by default."""
         names = self._interface.inputs
         before = np.zeros(len(names)) if inputs is None else vector(inputs, names, "the array of inputs")
@@ -192,8 +187,8 @@ class PlantFailed(Exception):
 
 
 def plant_of(
-    plant: Any,
-    arguments: Mapping[str, Any],
+    plant: object,
+    arguments: Mapping[str, object],
     names: tuple[tuple[str, ...], tuple[str, ...]],
     disturbances: Mapping[str, Moving],
 ) -> Plant:
@@ -207,7 +202,7 @@ def plant_of(
             finding = "disturbances beside a plant that is a function"
             raise ArgumentError(finding, "have the function disturb itself, or give a module")
         return FunctionPlant(plant, names[0])
-    module: Any = module_of(plant, arguments, None, None)
+    module: GeneratedModule = module_of(plant, arguments, None, None)
     states, inputs = names
     starts = _start_names(module)
     if set(starts) != set(states):
@@ -226,7 +221,7 @@ def plant_of(
 class FunctionPlant:
     """A plant that is a function of the state, the inputs, the time and the duration; its results are checked."""
 
-    function: Callable[[Vector, Vector, float, float], Any]
+    function: Callable[[Vector, Vector, float, float], object]
     states: tuple[str, ...]
 
     def __call__(self, state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
@@ -245,7 +240,7 @@ class FunctionPlant:
         return after
 
 
-def _start_names(module: Any) -> tuple[str, ...]:
+def _start_names(module: GeneratedModule) -> tuple[str, ...]:
     metadata = module.metadata
     is_free = is_control(module) and (metadata.control_names or metadata.form == Form.LAGRANGIAN)
     if is_of_particles(module) or is_free:
@@ -258,7 +253,11 @@ class ModulePlant:
     """A generated module as a plant; its own time restarts at every sampling time."""
 
     def __init__(
-        self, module: Any, states: tuple[str, ...], inputs: tuple[str, ...], disturbances: Mapping[str, Moving]
+        self,
+        module: GeneratedModule,
+        states: tuple[str, ...],
+        inputs: tuple[str, ...],
+        disturbances: Mapping[str, Moving],
     ) -> None:
         self.module, self.states, self.inputs = module, states, inputs
         self._values = Values(Interface(states, inputs, parameter_arguments(module), ()), disturbances, {}, "the plant")
