@@ -13,7 +13,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +77,7 @@ class Shapes:
         return self.parts * (steps // self.every)
 
 
-def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: int = 0) -> Shapes:
+def shapes_of(module: GeneratedModule, every: int, sensitivities: bool = False, particles: int = 0) -> Shapes:
     """Return the arrays of a module without a solve, with derivatives if `sensitivities` is set.
 
     `particles` is the number of particles of a module that connects points.
@@ -300,7 +299,7 @@ class Piece:
     number: int
     region: tuple[slice, ...]
     is_grid: bool
-    columns: Mapping[str, NDArray[Any]]
+    columns: Mapping[str, NDArray[np.float64] | NDArray[np.str_]]
     points: NDArray[np.float64]
 
     @property
@@ -330,7 +329,7 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
 
     The number follows from counts and not from measured times. So a sweep has the same chunks and results on every run.
     """
-    metadata: Any = module.metadata
+    metadata = module.metadata
     if metadata.task == Task.CONTROL:
         width = len(metadata.node) + len(metadata.interval)
         intervals = run.steps * metadata.bodies * metadata.phases

@@ -25,7 +25,7 @@ from codegen.solving.results.result import ControlAttempt, Run
 from codegen.solving.results.sensitivities import rates_at
 
 if TYPE_CHECKING:
-    from codegen.solving.loading import GeneratedModule
+    from codegen.solving.loading import ControlModule, GeneratedModule
 
 STORES, FILES = (".zarr",), (".nc",)
 OPTIONS = (
@@ -52,7 +52,7 @@ class SweepRequest:
     workers: int
     warm_starts: bool
     chunk: int | None
-    cluster: Any
+    cluster: object
 
     @property
     def is_store(self) -> bool:
@@ -62,11 +62,11 @@ class SweepRequest:
 
 def sweep_request(
     problem: Path | str | GeneratedModule,
-    vary: Mapping[str, Any] | None = None,
+    vary: Mapping[str, object] | None = None,
     *,
     zipped: Sequence[Sequence[str]] = (),
-    samples: Mapping[str, Any] | None = None,
-    cases: Any = None,
+    samples: Mapping[str, object] | None = None,
+    cases: object = None,
     method: str = "random",
     seed: int = 0,
     out: Path | str | None = None,
@@ -75,7 +75,7 @@ def sweep_request(
     workers: int | None = None,
     warm_starts: bool = False,
     chunk: int | None = None,
-    cluster: Any = None,
+    cluster: object = None,
     **options: Any,
 ) -> SweepRequest:
     """Return the request of these arguments, which are those of `codegen.sweep`.
@@ -92,10 +92,17 @@ def sweep_request(
     if not isinstance(out, str | PathLike | None):
         raise ArgumentError(f"--out {clause(repr(out))} is no path", 'give one, such as "sweep.zarr"')
     path = None if out is None else Path(out)
-    if path is not None:
-        _require_out(path, resume)
-    elif resume:
+    if path is None and resume:
         raise ArgumentError("--resume without --out", "name the store to go on with")
+    if path is not None:
+        if path.suffix not in STORES + FILES:
+            raise ArgumentError(f"--out {path}: unknown kind of file", "let it end in .zarr or .nc")
+        require_folder(path.absolute().parent, "--out")
+        if resume and path.suffix in FILES:
+            raise ArgumentError(f"--resume: {path} is written at the end, as a whole", "let --out end in .zarr")
+        if path.exists() and not resume:
+            another = "choose another name" + ("" if path.suffix in FILES else ", or --resume to go on with it")
+            raise ArgumentError(f"--out {path} is there already", another)
     solve = Request(problem, **options)
     all_cases, origin = _cases(vary, zipped, samples, cases, method, seed)
     if keep is not None and (isinstance(keep, str) or not all(isinstance(name, str) for name in keep)):
@@ -107,23 +114,11 @@ def sweep_request(
     return SweepRequest(solve, all_cases, origin, path, resume, kept, processes, warm_starts, chunk, cluster)
 
 
-def _require_out(out: Path, resume: bool) -> None:
-    """Raise ArgumentError for an output that cannot be written or exists already."""
-    if out.suffix not in STORES + FILES:
-        raise ArgumentError(f"--out {out}: unknown kind of file", "let it end in .zarr or .nc")
-    require_folder(out.absolute().parent, "--out")
-    if resume and out.suffix in FILES:
-        raise ArgumentError(f"--resume: {out} is written at the end, as a whole", "let --out end in .zarr")
-    if out.exists() and not resume:
-        remedy = "choose another name" if out.suffix in FILES else "choose another name, or --resume to go on with it"
-        raise ArgumentError(f"--out {out} is there already", remedy)
-
-
 def _cases(
-    vary: Mapping[str, Any] | None,
+    vary: Mapping[str, object] | None,
     zipped: Sequence[Sequence[str]],
-    distributions: Mapping[str, Any] | None,
-    cases: Any,
+    distributions: Mapping[str, object] | None,
+    cases: object,
     method: str,
     seed: int,
 ) -> tuple[Cases, str]:
@@ -169,7 +164,7 @@ class Quantity:
     key: str
 
 
-def quantities(names: Collection[str], module: Any, arguments: Sequence[str]) -> tuple[Quantity, ...]:
+def quantities(names: Collection[str], module: GeneratedModule, arguments: Sequence[str]) -> tuple[Quantity, ...]:
     """Return the quantities that names mean for a module and the `arguments` of its problem().
 
     Raises ArgumentError with close names for an unknown one.
@@ -226,16 +221,17 @@ def as_argument(value: float | str) -> str:
     return str(int(value)) if value == int(value) and abs(value) < 1e15 else repr(value)
 
 
-def given_to(module_values: Mapping[Quantity, float]) -> dict[str, Any]:
+def given_to(module_values: Mapping[Quantity, float]) -> dict[str, float | dict[str, float]]:
     """Return the arguments of a module's functions for the values of a case."""
-    arguments: dict[str, Any] = {}
+    arguments: dict[str, float] = {}
+    ends: dict[str, dict[str, float]] = {}
     for quantity, value in module_values.items():
         if quantity.kind == "parameter":
             arguments[quantity.key] = value
         elif quantity.kind == "boundary":
             end, name = quantity.key.split(" ", 1)
-            arguments.setdefault(end, {})[name] = value
-    return arguments
+            ends.setdefault(end, {})[name] = value
+    return {**arguments, **ends}
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +273,7 @@ class Wanted:
     tangents: bool
 
     def of_solution(
-        self, module: Any, driver: str, run: Run, attempt: ControlAttempt, values: Mapping[Quantity, float]
+        self, module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, values: Mapping[Quantity, float]
     ) -> CaseRates:
         """Return the derivatives of a solved case; `module` has its values."""
         names = module.metadata.sensitivities

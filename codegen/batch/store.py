@@ -14,33 +14,32 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.cases import Cases
+from codegen.batch.cases import Cases, Values
 from codegen.batch.executors.chunks import (
     Journal,
     Tally,
     damaged_journal,
     journal_of,
     new_journal,
-    only_one,
     read_journal,
 )
 from codegen.batch.layout import RESERVED, Chunks, Layout
 from codegen.batch.work import Rows
-from codegen.errors import ArgumentError, ClusterError, ExtraError, FileError, Interrupted
+from codegen.errors import ArgumentError, ClusterError, FileError, Interrupted
 from codegen.files import refused, replacing
 
 if TYPE_CHECKING:
     from xarray import Dataset
+    from zarr import Array, Group
 
 
 ANOTHER = "choose another name, or give the problem, cases and options that it was begun with"
@@ -75,12 +74,6 @@ def read_sweep_journal(path: Path, digest: str) -> SweepJournal:
     return SweepJournal(file, chunks, finished)
 
 
-def only_sweep(out: Path) -> AbstractContextManager[None]:
-    """Return a context that raises ArgumentError if another process of this machine writes to the store."""
-    remedy = "wait until it ends, or choose another name"
-    return only_one(str(out.resolve()), ArgumentError(f"--out {out}: another process is at work on it", remedy))
-
-
 @contextmanager
 def resumable(out: Path, journal: SweepJournal) -> Iterator[None]:
     """Add the number of stored cases to an interrupt, and to the errors of a full disk and of a lost cluster."""
@@ -97,21 +90,13 @@ def resumable(out: Path, journal: SweepJournal) -> Iterator[None]:
         raise type(error)(f"{error.finding}, {stored}", remedy) from error
 
 
-def require_xarray() -> None:
-    """Raise ExtraError, with the command that installs them, if xarray or zarr is missing."""
-    for name in ("xarray", "zarr"):
-        if find_spec(name) is None:  # a quick test: both are slow to import
-            remedy = "pip install 'variational-codegen[sweep]'"
-            raise ExtraError(f"a sweep needs {name}, which is not installed", remedy)
-
-
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A data set without numbers: cases and arrays with their dimensions, and attributes."""
 
     cases: Cases
     layout: Layout
-    attributes: Mapping[str, Any]
+    attributes: Mapping[str, str | int]
 
     @property
     def labels(self) -> dict[str, str]:
@@ -125,7 +110,7 @@ class Frame:
         return tuple(self.labels.get(dim, dim) for dim in self.cases.dims)
 
     @property
-    def coordinates(self) -> dict[str, tuple[tuple[str, ...], NDArray[Any]]]:
+    def coordinates(self) -> dict[str, tuple[tuple[str, ...], Values]]:
         """Dimensions and values of varied quantities and of column names."""
         dims = self.case_dims
         varied = {
@@ -148,7 +133,7 @@ class Frame:
         """Return the data set with constant arrays, which take no memory."""
         import xarray
 
-        fills: dict[str, Any] = {"str": "", "i4": 0, "f8": np.nan}
+        fills: dict[str, str | float] = {"str": "", "i4": 0, "f8": np.nan}
         empty = {
             name: (dims, np.broadcast_to(np.array(fills[kind]), shape))
             for name, (dims, shape, kind) in self.variables.items()
@@ -192,7 +177,7 @@ def write_netcdf(data: Dataset, path: Path) -> None:
 
 DIGEST = "sweep"
 """The attribute of a store that identifies its sweep."""
-_CONFIG: Any = {"write_empty_chunks": True}
+_CONFIG = {"write_empty_chunks": True}
 """Failed cases are written as well, so a missing file of a chunk was deleted."""
 
 
@@ -219,7 +204,7 @@ class Store:
             return ()
         return status.st_ino, status.st_mtime_ns, status.st_size
 
-    def read(self, name: str) -> NDArray[Any]:
+    def read(self, name: str) -> NDArray[np.float64]:
         """Return all numbers of a variable."""
         import zarr
 
@@ -234,20 +219,35 @@ class Store:
 
 
 @lru_cache(maxsize=1)
-def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[str, Any]:
+def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[str, Array]:
     """Return the open arrays of a store with this `mark`: opening takes a third of the time of writing."""
     import zarr
 
-    group: Any = zarr.open_group(path, mode="r+", use_consolidated=False)
-    return {name: group[name].with_config(_CONFIG) for name in names}
+    group = zarr.open_group(path, mode="r+", use_consolidated=False)
+    arrays = {name: group[name] for name in names}
+    return {name: array.with_config(_CONFIG) for name, array in arrays.items() if isinstance(array, zarr.Array)}
 
 
 def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> SweepJournal:
     """Lay out a store and its journal, and rename the complete store; raises FileError when the file system refuses."""
+    import zarr
+
     try:
         folder = Path(tempfile.mkdtemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix))
         try:
-            _laid_out(folder, frame, chunks, digest)
+            # The arrays without the numbers of cases.
+            beside = [name for name, (dims, _) in frame.coordinates.items() if dims != (name,)]
+            named = {"coordinates": " ".join(beside)} if beside else {}
+            group = zarr.create_group(folder, overwrite=True, attributes={**frame.attributes, **named, DIGEST: digest})
+            for name, (dims, values) in frame.coordinates.items():
+                words = values.dtype.kind == "U"
+                array = _array(group, name, dims, values.shape, values.shape, "str" if words else "f8")
+                array[:] = values.astype(object) if words else values
+            for name, (dims, shape, kind) in frame.variables.items():
+                _array(group, name, dims, shape, (*chunks.block, *shape[len(chunks.block) :]), kind)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # zarr warns that some readers do not support consolidated metadata
+                zarr.consolidate_metadata(folder)
             header = {"sweep": digest, "cases": chunks.shape, "chunk": chunks.block}
             journal = SweepJournal(new_journal(journal_of(path), header), chunks, {})
             folder.chmod(0o755)
@@ -293,30 +293,12 @@ def _require_files(path: Path, name: str, indices: list[tuple[int, ...]]) -> Non
             raise ArgumentError(f"--resume: {path} lacks {lacking}, which was written", remedy)
 
 
-def _laid_out(folder: Path, frame: Frame, chunks: Chunks, digest: str) -> None:
-    """Write the arrays of a store without the numbers of cases."""
-    import zarr
-
-    beside = [name for name, (dims, _) in frame.coordinates.items() if dims != (name,)]
-    named = {"coordinates": " ".join(beside)} if beside else {}
-    group = zarr.create_group(folder, overwrite=True, attributes={**frame.attributes, **named, DIGEST: digest})
-    for name, (dims, values) in frame.coordinates.items():
-        words = values.dtype.kind == "U"
-        array = _array(group, name, dims, values.shape, values.shape, "str" if words else "f8")
-        array[:] = values.astype(object) if words else values
-    for name, (dims, shape, kind) in frame.variables.items():
-        _array(group, name, dims, shape, (*chunks.block, *shape[len(chunks.block) :]), kind)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # zarr warns that some readers do not support consolidated metadata
-        zarr.consolidate_metadata(folder)
-
-
 def _array(
-    group: Any, name: str, dims: tuple[str, ...], shape: tuple[int, ...], chunks: tuple[int, ...], kind: str
-) -> Any:
+    group: Group, name: str, dims: tuple[str, ...], shape: tuple[int, ...], chunks: tuple[int, ...], kind: str
+) -> Array:
     from zarr.codecs import BloscCodec
 
-    fill: Any = {"str": "", "i4": -1}.get(kind, np.nan)
+    fill = {"str": "", "i4": -1}.get(kind, np.nan)
     # This codec needs half of the time of the default one, for files of the same size.
     codec = BloscCodec(cname="lz4", clevel=1)
     return group.create_array(

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,13 +24,13 @@ from codegen.batch import store
 from codegen.batch.case import Attempt
 from codegen.batch.cases import Cases
 from codegen.batch.executors import Progress, Team, Working, connected, silent
-from codegen.batch.executors.chunks import Done, Tally, counted
+from codegen.batch.executors.chunks import Done, Tally, counted, only_one
 from codegen.batch.jumps import Costs, along, jumps_of
 from codegen.batch.layout import Chunks, Layout, about_a_second, blocks_of, layout_of
 from codegen.batch.request import GUESS, OPTIONS, STEPS, SweepRequest, sweep_request
-from codegen.batch.store import Frame, Memory, Store, only_sweep, require_xarray, resumable, write_netcdf
+from codegen.batch.store import Frame, Memory, Store, resumable, write_netcdf
 from codegen.batch.work import Modules, Rows, Work, modules_of
-from codegen.errors import ArgumentError
+from codegen.errors import ArgumentError, ExtraError
 from codegen.machine import versions
 from codegen.problem.sources import ProblemFile, ProblemObject
 from codegen.solving.outcome import require_memory
@@ -142,7 +143,7 @@ class SweepOutcome:
     layout: Layout
 
     @property
-    def record(self) -> dict[str, Any]:
+    def record(self) -> dict[str, object]:
         """The JSON object of `--json`."""
         tally, before = self.tally, {"before": self.before} if self.before else {}
         return {
@@ -162,10 +163,31 @@ def outcome_of(
     `require` receives the data set without numbers before the first solve, and may raise an error.
     """
     begin = time.perf_counter()
-    require_xarray()
+    for name in ("xarray", "zarr"):
+        if find_spec(name) is None:  # a quick test: both are slow to import
+            remedy = "pip install 'variational-codegen[sweep]'"
+            raise ExtraError(f"a sweep needs {name}, which is not installed", remedy)
     with connected(request.cluster) as cluster:
         modules = modules_of(request.solve, request.cases, working)
-        work, frame = _planned(request, modules)
+        solve, cases, module, task = request.solve, request.cases, modules.first, task_of(modules.first)
+        shapes = [variant.shapes for variant in modules.variants.values() if variant.shapes is not None]
+        kinds = {quantity.kind for quantity in modules.quantities}
+        steps = int(np.max(cases.columns[STEPS])) if STEPS in kinds else solve.steps
+        most = steps or max(own.steps for own in shapes)
+        run = Run(
+            most, solve.every, tolerance=solve.tolerance, max_iterations=solve.max_iterations, scaling=solve.scaling,
+            time_limit=np.inf if solve.time_limit is None else solve.time_limit, points=modules.points,
+        )  # fmt: skip
+        require_memory(task.numbers(module.metadata, run), most)
+        has_jumps = task.name == "control" and GUESS not in kinds
+        layout = replace(layout_of(shapes, steps, request.keep, cases.number), has_jumps=has_jumps)
+        warm = request.warm_starts and task.name == "control"
+        loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
+        single = Chunks(cases.shape, (1,) * len(cases.shape))
+        work = Work(
+            solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded
+        )
+        frame = Frame(cases, layout, _attributes(request, modules, work))
         require(frame.outlined())
         finish = _into_store if request.is_store else _into_memory
         team = Team(request.workers, cluster, working, progress)
@@ -200,7 +222,10 @@ def _into_store(
     """Solve the chunks that a new or resumed store lacks; also return the number of cases that it had."""
     assert request.out is not None, "a store has a path"
     digest, target = _digest(request, modules, work), Store(request.out.absolute())
-    with only_sweep(request.out):
+    taken = ArgumentError(
+        f"--out {request.out}: another process is at work on it", "wait until it ends, or choose another name"
+    )
+    with only_one(str(request.out.resolve()), taken):
         is_resumed = request.resume and request.out.exists()
         if is_resumed:
             journal = store.resumed(request.out, frame, digest)
@@ -246,30 +271,6 @@ def _marked(
     return replace(tally, jumps=jumps)
 
 
-def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
-    """Return the work without its chunks, and the data set without its numbers."""
-    solve, cases, module = request.solve, request.cases, modules.first
-    task = task_of(module)
-    shapes = [variant.shapes for variant in modules.variants.values() if variant.shapes is not None]
-    kinds = {quantity.kind for quantity in modules.quantities}
-    steps = int(np.max(cases.columns[STEPS])) if STEPS in kinds else solve.steps
-    most = steps or max(own.steps for own in shapes)
-    run = Run(
-        most, solve.every, tolerance=solve.tolerance, max_iterations=solve.max_iterations, scaling=solve.scaling,
-        time_limit=np.inf if solve.time_limit is None else solve.time_limit, points=modules.points,
-    )  # fmt: skip
-    require_memory(task.numbers(module.metadata, run), most)
-    has_jumps = task.name == "control" and GUESS not in kinds
-    layout = replace(layout_of(shapes, steps, request.keep, cases.number), has_jumps=has_jumps)
-    warm = request.warm_starts and task.name == "control"
-    loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
-    single = Chunks(cases.shape, (1,) * len(cases.shape))
-    work = Work(
-        solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded
-    )
-    return work, Frame(cases, layout, _attributes(request, modules, work))
-
-
 def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt) -> Chunks:
     """Return chunks of about a second, from the iterations of a tried case.
 
@@ -300,7 +301,7 @@ def _tried(work: Work, team: Team) -> Attempt:
     return next((attempt for attempt in attempts if attempt.is_solved), attempts[-1])
 
 
-def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str, Any]:
+def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str, str | int]:
     """Return the attributes of the data set, texts and numbers about its origin."""
     own = modules.first.metadata
     packages = {**versions(), **{name: metadata.version(name) for name in ("xarray", "zarr")}}

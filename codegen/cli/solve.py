@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -39,6 +39,7 @@ from codegen.terminal import console, following, working
 if TYPE_CHECKING:
     from codegen.discretise.model.definitions import Model
     from codegen.discretise.model.pairwise import PairwiseModel
+    from codegen.show.figures.shapes import Frame
     from codegen.solving.loading import GeneratedModule
     from codegen.solving.outcome import Outcome
     from codegen.solving.request import Request
@@ -145,8 +146,25 @@ def solve(
     if save is not None:
         output.save(outcome.result, outcome.record, save)
     wanted.save(outcome.module, outcome.result)
-    _print(outcome, json, log)
-    result = outcome.result
+    result, record = outcome.result, outcome.record
+    for line in outcome.notices:
+        typer.echo(line, err=True)
+    if log:
+        console(stderr=json).print(output.log_table(result))
+    for attempt in result.attempts:
+        typer.echo(attempt, err=True)
+    notes = [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]
+    for note in (*output.notes(outcome.module.metadata), *notes, *result.notes):
+        typer.echo(f"codegen: note: {note}", err=True)
+    if json:
+        typer.echo(output.as_json(record))
+    else:
+        console().print(result.title, style="bold", markup=False)
+        console().print(output.as_table(record, result))
+        if result.estimates:
+            console().print(*output.estimates_tables(record["estimates"]))
+        if result.sensitivity is not None and not result.sensitivity.reason:
+            console().print(output.sensitivities_table(record["sensitivities"]))
     if not result.solved:
         may_help = guesses == 1 and "guesses" in TASKS[result.task].options
         is_stuck = result.status in ("infeasible", "saddle point", "stalled")
@@ -167,31 +185,6 @@ def _pairs(items: Sequence[str], option: str, what: str, example: str) -> dict[s
             raise ArgumentError(f"{option} gives {name} twice", "give it once")
         pairs[name] = text.strip()
     return pairs
-
-
-def _print(outcome: Outcome, json: bool, log: bool) -> None:
-    """Print the outcome, and messages and notes on stderr."""
-    from codegen.solving.results import output
-
-    result, record = outcome.result, outcome.record
-    for line in outcome.notices:
-        typer.echo(line, err=True)
-    if log:
-        console(stderr=json).print(output.log_table(result))
-    for attempt in result.attempts:
-        typer.echo(attempt, err=True)
-    notes = [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]
-    for note in (*output.notes(outcome.module.metadata), *notes, *result.notes):
-        typer.echo(f"codegen: note: {note}", err=True)
-    if json:
-        typer.echo(output.as_json(record))
-        return
-    console().print(result.title, style="bold", markup=False)
-    console().print(output.as_table(record, result))
-    if result.estimates:
-        console().print(*output.estimates_tables(record["estimates"]))
-    if result.sensitivity is not None and not result.sensitivity.reason:
-        console().print(output.sensitivities_table(record["sensitivities"]))
 
 
 def with_options(outcome: Outcome) -> Outcome:
@@ -217,17 +210,25 @@ class Pictures:
     style: str = "page"
 
     def save(self, module: GeneratedModule, result: Result) -> None:
-        """Write the files."""
+        """Write the files; the film with a progress bar on a terminal."""
         if self.plot is not None:
             from codegen.show.figures.picture import Picture
             from codegen.show.films import figure_of
 
             Picture(figure_of(module, self.model, result, self.unit, self.style), self.style).save(self.plot)
         if self.animation is not None:
+            from rich.console import Console
+            from rich.progress import track
+
             from codegen.show.films import save_film
 
+            def shown(frames: Iterable[Frame], count: int) -> Iterable[Frame]:
+                if not sys.stderr.isatty():
+                    return frames
+                return track(frames, "Drawing", total=count, console=Console(stderr=True), transient=True)
+
             with replacing(self.animation) as temporary:
-                save_film(self.model, result, temporary, _with_progress)
+                save_film(self.model, result, temporary, shown)
 
 
 def requested(request: Request, plot: Path | None, animation: Path | None, style: str = "page") -> Pictures:
@@ -259,13 +260,3 @@ def requested(request: Request, plot: Path | None, animation: Path | None, style
         finding = f"--animate {animation}: {request.problem} says nothing about how to draw it"
         raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")
     return Pictures(plot, animation, model, unit, style)
-
-
-def _with_progress(frames: Iterable[Any], count: int) -> Iterable[Any]:
-    """Show a progress bar on a terminal."""
-    if not sys.stderr.isatty():
-        return frames
-    from rich.console import Console
-    from rich.progress import track
-
-    return track(frames, "Drawing", total=count, console=Console(stderr=True), transient=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, TypeVar
 
 import typer
 
@@ -26,9 +26,7 @@ from codegen.cli.options import (
 from codegen.errors import ArgumentError
 from codegen.terminal import console, progress, working
 
-if TYPE_CHECKING:
-    from codegen.batch.sweep import SweepOutcome
-
+Value = TypeVar("Value")
 Vary = Annotated[
     list[str], typer.Option(metavar="NAME=VALUES", help="first:last:count or a,b,c; all combinations are cases.")
 ]
@@ -130,12 +128,14 @@ def sweep(
 ) -> None:
     """Solve a problem for many values of its parameters, in parallel."""
     from codegen.batch.cases import assigned, axis_of
+    from codegen.batch.executors.chunks import counted, table_of
+    from codegen.batch.layout import FITS
     from codegen.batch.request import sweep_request
     from codegen.batch.sweep import outcome_of
     from codegen.cli.solve import PLOTS
     from codegen.problem.sources import parse_arguments
     from codegen.show.figures.pareto import objectives_of, require_objectives
-    from codegen.solving.results.output import require_writable
+    from codegen.solving.results.output import as_json, require_writable
 
     if out is None:
         raise ArgumentError("a sweep needs a place for its results", "give --out sweep.zarr or --out sweep.nc")
@@ -166,27 +166,6 @@ def sweep(
 
         with working("Drawing"), replacing(plot) as temporary:
             figures.save_sweep(outcome.dataset(), temporary, pareto, style.value)
-    _print(outcome, json)
-    if outcome.tally.failed:
-        raise typer.Exit(1)
-
-
-def _once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the pairs as a dict; raises ArgumentError for a repeated name."""
-    values: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in values:
-            raise ArgumentError(f"{option} gives {name} twice", "give it once")
-        values[name] = value
-    return values
-
-
-def _print(outcome: SweepOutcome, json: bool) -> None:
-    """Print the outcome of a sweep."""
-    from codegen.batch.executors.chunks import counted, table_of
-    from codegen.batch.layout import FITS
-    from codegen.solving.results.output import as_json
-
     for line in outcome.messages:
         typer.echo(line, err=True)
     tally = outcome.tally
@@ -204,13 +183,24 @@ def _print(outcome: SweepOutcome, json: bool) -> None:
             console().print(f"{arrays}{without} (--keep)", markup=False)
     if tally.improved:
         were = "was" if tally.improved == 1 else "were"
-        cases = counted(tally.improved, "case")
-        typer.echo(f"{cases} {were} improved from neighbours beyond a jump of the cost", err=True)
+        improved = counted(tally.improved, "case")
+        typer.echo(f"{improved} {were} improved from neighbours beyond a jump of the cost", err=True)
     if tally.jumps:
         remain = "remains" if tally.jumps == 1 else "remain"
         text = f"{counted(tally.jumps, 'jump')} of the cost {remain}: where jump is 1, a neighbour is better"
         typer.echo(text, err=True)
     if tally.failed:
-        cases = f"{tally.cases - tally.solved} of {counted(tally.cases, 'case')}"
-        message = f"codegen: {cases} failed; see status and message in {outcome.out}"
+        failed = f"{tally.cases - tally.solved} of {counted(tally.cases, 'case')}"
+        message = f"codegen: {failed} failed; see status and message in {outcome.out}"
         typer.echo(message + on_statuses(*tally.failed), err=True)
+        raise typer.Exit(1)
+
+
+def _once(option: str, pairs: Sequence[tuple[str, Value]]) -> dict[str, Value]:
+    """Return the pairs as a dict; raises ArgumentError for a repeated name."""
+    values: dict[str, Value] = {}
+    for name, value in pairs:
+        if name in values:
+            raise ArgumentError(f"{option} gives {name} twice", "give it once")
+        values[name] = value
+    return values

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -133,41 +133,32 @@ def warp(
         raise ArgumentError(
             f"--landmarks was given {len(landmarks)} times", "give one file, or a moving and a fixed one"
         )
-    from codegen.registration.job import Options
+    from codegen.registration import batch, job
+    from codegen.registration.job import Job, Options
+    from codegen.solving.results import output
 
     if loss is not Loss.LINEAR and sigma == "0":
         raise ArgumentError(f"--loss {loss.value} is for landmarks that may miss", "give a --sigma as well, or auto")
     try:
-        deviation: Any = sigma if sigma == "auto" else float(sigma)
+        deviation = "auto" if sigma == "auto" else float(sigma)
     except ValueError:
         deviation = -1.0
-    if deviation != "auto" and not 0.0 <= deviation < 1e6:
+    if not isinstance(deviation, str) and not 0.0 <= deviation < 1e6:
         raise ArgumentError(f"--sigma {sigma[:30]}", "give a distance in pixels, or auto")
     options = Options(
         inverse, deviation, align.value, scheme, steps, interpolation.value, coarse, loss.value, flip,
     )  # fmt: skip
     if moving.is_dir() or moving.suffix.lower() == ".csv":
         _many(moving, tuple(landmarks), out, fixed, field, report, options, json, workers, cluster, resume)
-    elif workers is not None or cluster is not None or resume:
+        return
+    if workers is not None or cluster is not None or resume:
         option = "--workers" if workers is not None else "--cluster" if cluster is not None else "--resume"
         raise ArgumentError(f"{option} is for many pairs, and {moving} is none", "give a folder, or a table (.csv)")
-    else:
-        _one(moving, tuple(landmarks), out, fixed, field, report, options, json)
-
-
-def _one(
-    moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
-    report: Path | None, options: Options, json: bool,
-) -> None:  # fmt: skip
-    from codegen.registration import batch, job
-    from codegen.registration.job import Job
-    from codegen.solving.results import output
-
     if out is None or not landmarks:
         missing = "--out" if out is None else "--landmarks"
         raise ArgumentError(f"{missing} is missing", "say where the landmarks are and where the image goes")
-    wanted = Job(moving, landmarks, out, fixed, field, report)
     with working("Registering") as status:
+        wanted = Job(moving, tuple(landmarks), out, fixed, field, report)
         result = job.run(wanted, options, None if status is None else status.update)
     if json:
         typer.echo(output.as_json(result.record))

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import sympy
 from sympy.logic.boolalg import Boolean
@@ -35,6 +35,9 @@ from codegen.solving.results.output import with_unit
 from codegen.solving.results.result import Result
 
 if TYPE_CHECKING:
+    from codegen.discretise.model.definitions import Model
+    from codegen.discretise.model.pairwise import PairwiseModel
+    from codegen.mpc.closed_loop import ClosedLoop
     from codegen.show.figures.picture import Film, Picture
     from codegen.show.figures.simulation import References
 
@@ -50,29 +53,29 @@ class Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
         super().__init__({"mul_symbol": r" \, "} if has_words else None)
         self.first, self.last = first, last
 
-    def __call__(self, value: Any) -> str:
+    def __call__(self, value: object) -> str:
         """Return the LaTeX of an expression, or the name of its type for other objects."""
         try:
             return str(self.doprint(sympy.sympify(value)))
         except (sympy.SympifyError, TypeError, ValueError, AttributeError):
             return rf"\text{{{type(value).__name__}}}"
 
-    def relation(self, value: Any) -> str:
+    def relation(self, value: object) -> str:
         """Return a relation, or an expression that vanishes, which may be a single symbol."""
         return self(value) if isinstance(value, Boolean) and not isinstance(value, Quantity) else f"{self(value)} = 0"
 
-    def at(self, value: Any, time: str) -> str:
+    def at(self, value: object, time: str) -> str:
         """Return a quantity or expression at a time."""
         return f"{self(value)}({time})" if isinstance(value, Quantity) else f"[{self(value)}]({time})"
 
-    def between(self, written: str, limits: Sequence[Any]) -> str:
+    def between(self, written: str, limits: Sequence[object]) -> str:
         """Return a text between a lower and an upper limit, each of which may be None."""
         low, high = limits
         lower = rf"{self(low)} \le " if low is not None else ""
         upper = rf" \le {self(high)}" if high is not None else ""
         return f"{lower}{written}{upper}"
 
-    def rate(self, state: Any) -> str:
+    def rate(self, state: object) -> str:
         """Return the derivative of a state by time."""
         return rf"\dot{{{self(state)}}}"
 
@@ -156,12 +159,40 @@ def _free(quantities: Sequence[Quantity]) -> tuple[FreeParameter, ...]:
 def _rows(part: _Part) -> Iterator[str]:
     problem, print_ = part.problem, part.print_
     if isinstance(problem, Control):
-        yield from _objective(problem, part)
+
+        def is_zero(value: object) -> bool:
+            return isinstance(value, (int, float)) and value == 0
+
+        is_maximised = not (is_zero(problem.maximise) and is_zero(problem.terminal_maximise))
+        rate = problem.maximise if is_maximised else problem.cost
+        last = problem.terminal_maximise if is_maximised else problem.terminal_cost
+        terms = [] if is_zero(rate) else [rf"\int_{{{print_.first}}}^{{{print_.last}}} \left({print_(rate)}\right) dt"]
+        if not is_zero(last):
+            moves = not isinstance(last, sympy.Expr) or any(isinstance(symbol, Moving) for symbol in last.free_symbols)
+            at_end = rf"\left.\left({print_(last)}\right)\right|_{{t = {print_.last}}}"
+            terms.append(at_end if moves else print_(last))
+        terms += [term for kind in CONDITIONS for term in kind.costs(problem, print_)]
+        if terms:
+            yield (r"\text{maximise}\quad &" if is_maximised else r"\text{minimise}\quad &") + " + ".join(terms)
+        elif not part.number:
+            yield r"&\text{find a motion}"
     elif isinstance(problem, Connect):
         yield r"&\text{connect particles that start at given points with their targets}"
     else:
         yield r"&\text{follow the motion}"
-    yield from _motion(problem, print_)
+    if problem.lagrangian is not None:
+        yield f"L &= {print_(problem.lagrangian)}"
+    if isinstance(problem.hamiltonian, Pairwise):
+        yield rf"H &= \sum_i h(z_i) + \sum_{{i<j}} {print_(problem.hamiltonian.term_of_pair)}"
+    elif problem.hamiltonian is not None:
+        yield f"H &= {print_(problem.hamiltonian)}"
+    if isinstance(problem.dynamics, Mapping):
+        yield from (f"{print_.rate(state)} &= {print_(rate)}" for state, rate in problem.dynamics.items())
+    if isinstance(problem.force, Mapping):
+        named = [print_(key) if isinstance(key, Coordinate) else "q" for key in problem.force]
+        values = [print_(value) for value in problem.force.values()]
+        letter = "Q" if any(f"f_{{{name}}}" in value for name in named for value in values) else "f"
+        yield from (f"{letter}_{{{name}}} &= {value}" for name, value in zip(named, values, strict=True))
     duration = print_(problem.duration)
     if duration != print_.last:
         yield f"{print_.last} &= " + (f"{print_.first} + {duration}" if part.number > 1 else duration)
@@ -192,43 +223,7 @@ def _rows(part: _Part) -> Iterator[str]:
             yield (r"\text{units}\quad &" if first == 0 else "&") + r",\quad ".join(units[first : first + _IN_A_ROW])
 
 
-def _objective(problem: Control, part: _Part) -> Iterator[str]:
-    print_ = part.print_
-
-    def is_zero(value: Any) -> bool:
-        return isinstance(value, (int, float)) and value == 0
-
-    is_maximised = not (is_zero(problem.maximise) and is_zero(problem.terminal_maximise))
-    rate = problem.maximise if is_maximised else problem.cost
-    last = problem.terminal_maximise if is_maximised else problem.terminal_cost
-    terms = [] if is_zero(rate) else [rf"\int_{{{print_.first}}}^{{{print_.last}}} \left({print_(rate)}\right) dt"]
-    if not is_zero(last):
-        moves = not isinstance(last, sympy.Expr) or any(isinstance(symbol, Moving) for symbol in last.free_symbols)
-        terms += [rf"\left.\left({print_(last)}\right)\right|_{{t = {print_.last}}}" if moves else print_(last)]
-    terms += [term for kind in CONDITIONS for term in kind.costs(problem, print_)]
-    if terms:
-        yield (r"\text{maximise}\quad &" if is_maximised else r"\text{minimise}\quad &") + " + ".join(terms)
-    elif not part.number:
-        yield r"&\text{find a motion}"
-
-
-def _motion(problem: Problem, print_: Printer) -> Iterator[str]:
-    if problem.lagrangian is not None:
-        yield f"L &= {print_(problem.lagrangian)}"
-    if isinstance(problem.hamiltonian, Pairwise):
-        yield rf"H &= \sum_i h(z_i) + \sum_{{i<j}} {print_(problem.hamiltonian.term_of_pair)}"
-    elif problem.hamiltonian is not None:
-        yield f"H &= {print_(problem.hamiltonian)}"
-    if isinstance(problem.dynamics, Mapping):
-        yield from (f"{print_.rate(state)} &= {print_(rate)}" for state, rate in problem.dynamics.items())
-    if isinstance(problem.force, Mapping):
-        named = [print_(key) if isinstance(key, Coordinate) else "q" for key in problem.force]
-        values = [print_(value) for value in problem.force.values()]
-        letter = "Q" if any(f"f_{{{name}}}" in value for name in named for value in values) else "f"
-        yield from (f"{letter}_{{{name}}} &= {value}" for name, value in zip(named, values, strict=True))
-
-
-def _items(mapping: Any) -> Sequence[tuple[Any, Any]]:
+def _items(mapping: object) -> Sequence[tuple[object, object]]:
     return list(mapping.items()) if isinstance(mapping, Mapping) else []
 
 
@@ -281,7 +276,7 @@ def picture(result: Result, style: str = "page") -> Picture:
     from codegen.show.figures.picture import Picture
 
     background = _background(result)
-    module: Any = background.module
+    module = background.module
     if module is None:  # a result from a pickle
         module = with_values(loading.load(background.path or ""), result.parameters)
     is_file = background.source is not None and not isinstance(background.source, ProblemObject)
@@ -307,11 +302,11 @@ def _background(result: Result) -> Background:
     return result.background
 
 
-def _model(background: Background) -> Any:
+def _model(background: Background) -> Model | PairwiseModel | None:
     return None if background.source is None else load_problem(background.source, background.arguments)
 
 
-def loop_html(loop: Any) -> str:
+def loop_html(loop: ClosedLoop) -> str:
     """Return the outcome of a closed loop as a table, with its figure."""
     ended = ", ".join(f"{count} {status}" for status, count in loop.counts.items())
     times = f"median {number(1e3 * loop.latency(50), 3)} ms, 99.9 % below {number(1e3 * loop.latency(99.9), 3)} ms"
@@ -327,7 +322,7 @@ def loop_html(loop: Any) -> str:
     return summary + loop_picture(loop, {})._repr_html_() if loop.latencies.size else summary
 
 
-def loop_picture(loop: Any, references: References) -> Picture:
+def loop_picture(loop: ClosedLoop, references: References) -> Picture:
     """Return the figure of states, inputs and latencies, with their references."""
     from codegen.show.figures.picture import Picture, finished, using
     from codegen.show.figures.simulation import closed_loop_figure

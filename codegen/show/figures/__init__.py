@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from codegen.drawing import Scene
 from codegen.show.figures.control import Drawings, control_figure
@@ -85,7 +87,7 @@ def figure_of_sweep(data: Dataset, pareto: str | None = None, style: str = "page
         return finished(pareto_figure(data, objectives))
 
 
-def save_specimens(points: Any, names: Sequence[str], share: float, path: Path) -> None:
+def save_specimens(points: NDArray[np.float64], names: Sequence[str], share: float, path: Path) -> None:
     """Draw specimens in two dimensions into a file of a format of matplotlib."""
     with using("page"):
         drawn = specimen_figure(points, names, share)

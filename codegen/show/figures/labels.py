@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen import identifiers
-from codegen.show.figures.picture import has_title, letter_size, letters_across
+from codegen.show.figures.picture import STYLES, letter_size, present_style
 from codegen.solving.results.result import Result
 
 if TYPE_CHECKING:
@@ -56,8 +56,9 @@ def set_title(figure: Figure, name: str, details: Sequence[str], is_needed: bool
     """Set the label, which descriptions contain, and the wrapped title, if the style has one or it `is_needed`."""
     texts = name.rstrip("."), ", ".join(details)
     figure.set_label(". ".join(texts))
-    if has_title() or is_needed:
-        letters = letters_across(figure)
+    if present_style().has_title or is_needed:
+        # The number of letters that fit side by side.
+        letters = int(10.0 * figure.get_figwidth() * STYLES["page"].letters / present_style().letters)
         lines = (line for text in texts for line in textwrap.wrap(text, letters))
         figure.suptitle("\n".join(lines), fontsize=letter_size(11))
 
