@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from codegen.batch.layout import Shapes
 from codegen.batch.request import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
 from codegen.errors import CodegenError, one_line
 from codegen.solving.drivers import find
-from codegen.solving.loading import ControlModule, GeneratedModule, Matrix, Vector, is_connect
+from codegen.solving.loading import ControlModule, Matrix, Vector, is_connect
 from codegen.solving.request import with_arguments
 from codegen.solving.results.result import STATUSES, Outline, Run
 from codegen.solving.results.segments import segments_of
@@ -194,13 +195,13 @@ class Varied:
     `wanted` are the requested derivatives, or None.
     """
 
-    def __init__(self, module: GeneratedModule, driver: str, run: Run, wanted: Wanted | None = None) -> None:
+    def __init__(self, module: Any, driver: str, run: Run, wanted: Wanted | None = None) -> None:
         self.module, self.driver, self.run, self.wanted = module, driver, run, wanted
         self.task = task_of(module)
         self.function = find(driver).function(self.task.name)
         self._module = with_arguments(module)
 
-    def given(self, values: Mapping[Quantity, float]) -> GeneratedModule:
+    def given(self, values: Mapping[Quantity, float]) -> Any:
         """Return the module with the values of a case; the next call replaces them."""
         arguments = given_to(values)
         if is_connect(self.module):

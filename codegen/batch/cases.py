@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,7 +203,7 @@ def _column(words: Sequence[str]) -> Values:
         return np.array(words, dtype=np.str_)
 
 
-def table(source: object) -> Cases:
+def table(source: Any) -> Cases:
     """Return a case for each row of a file of comma-separated values, or of a mapping of names to columns.
 
     Raises ArgumentError, with file and line, for an invalid table.

@@ -95,7 +95,7 @@ def _of_ends(costs: Costs, places: NDArray[np.float64]) -> tuple[NDArray[np.bool
     later = [_shifted(costs, k)[:, :number] for k in range(AHEAD + 1)]
     positions = [_shifted(places[None], k)[:, :number] for k in range(AHEAD + 1)]
     line, parabola, cubic = (_polynomial(later[1:k], positions[1:k], positions[0]) for k in (3, 4, 5))
-    # Four values have no cubic: the error of the line bounds that of the parabola.
+    # Four values have no cubic: the error of the line bounds the error of the parabola.
     low = np.where(np.isnan(cubic), np.minimum(line, 2.0 * parabola - line), np.minimum(parabola, cubic))
     high = np.where(np.isnan(cubic), np.maximum(line, 2.0 * parabola - line), np.maximum(parabola, cubic))
     step = np.maximum.reduce([np.abs(value - later[1]) for value in (line, low, high)])
@@ -176,8 +176,8 @@ def improved(
 ) -> dict[int, list[Attempt]]:
     """Solve the worse side of every jump from its neighbour, and new jumps likewise, until nothing improves.
 
-    `outcomes` are those of all cases; `attempt` solves a case from a solution. Returns the further attempts by case.
-    The best solution is the cheapest of these and of the outcome.
+    `outcomes` are the outcomes of all cases; `attempt` solves a case from a solution. Returns the further attempts by
+    case. The best solution is the cheapest of these and of the outcome.
     """
     costs = np.array([outcome.cost if outcome.is_start else np.nan for outcome in outcomes])
     best, attempts, tried = list(outcomes), dict[int, list[Attempt]](), set[tuple[int, int, float]]()

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +78,7 @@ class Shapes:
         return self.parts * (steps // self.every)
 
 
-def shapes_of(module: GeneratedModule, every: int, sensitivities: bool = False, particles: int = 0) -> Shapes:
+def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: int = 0) -> Shapes:
     """Return the arrays of a module without a solve, with derivatives if `sensitivities` is set.
 
     `particles` is the number of particles of a module that connects points.
@@ -109,7 +110,7 @@ def shapes_of(module: GeneratedModule, every: int, sensitivities: bool = False, 
 
 @dataclass(frozen=True)
 class Layout:
-    """The arrays of all cases: their dimensions after those of cases, sizes of dimensions, and names of columns.
+    """The arrays of all cases: their dimensions except the dimensions of cases, sizes, and names of columns.
 
     `free` are free parameters, one number for each case. `left_out` are arrays that would take too much space.
     """
@@ -253,7 +254,7 @@ coordinates.
 RATES = 5
 """Number of iterations that take as long as the sensitivities of a case."""
 SLOWER = 50.0
-"""Ratio of the time of external drivers to that of generated solvers."""
+"""Time of external drivers relative to generated solvers."""
 
 
 @dataclass(frozen=True)
@@ -329,7 +330,7 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
 
     The number follows from counts and not from measured times. So a sweep has the same chunks and results on every run.
     """
-    metadata = module.metadata
+    metadata: Any = module.metadata
     if metadata.task == Task.CONTROL:
         width = len(metadata.node) + len(metadata.interval)
         intervals = run.steps * metadata.bodies * metadata.phases

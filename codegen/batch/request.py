@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.cases import NUMBER, Cases, grid, require_method, samples, table
+from codegen.batch.cases import NUMBER, Cases, grid, require_method, table
+from codegen.batch.cases import samples as sampled
 from codegen.batch.executors import team_size
 from codegen.batch.executors.chunks import counted
 from codegen.batch.layout import RATE, free_label
@@ -78,7 +79,7 @@ def sweep_request(
     cluster: object = None,
     **options: Any,
 ) -> SweepRequest:
-    """Return the request of these arguments, which are those of `codegen.sweep`.
+    """Return the request of these arguments, the arguments of `codegen.sweep`.
 
     Raises ArgumentError for arguments that do not exist or do not fit together, NumericsError for unusable numbers.
     """
@@ -104,7 +105,28 @@ def sweep_request(
             another = "choose another name" + ("" if path.suffix in FILES else ", or --resume to go on with it")
             raise ArgumentError(f"--out {path} is there already", another)
     solve = Request(problem, **options)
-    all_cases, origin = _cases(vary, zipped, samples, cases, method, seed)
+    require_method(method)
+    is_number = isinstance(cases, int) and not isinstance(cases, bool)
+    if zipped and not vary:
+        raise ArgumentError("--zip without --vary", "name what varies together by --vary")
+    if sum(map(bool, (vary, samples, cases is not None and not is_number))) > 1:
+        raise ArgumentError("cases are given in several ways", "give --vary, or --sample, or --cases FILE")
+    if is_number and not samples:
+        raise ArgumentError(f"{cases} cases of what?", "give distributions, as --sample 'm=normal(100, 5)'")
+    for name, values in (("vary", vary), ("samples", samples)):
+        if values and not (isinstance(values, Mapping) and all(isinstance(key, str) for key in values)):
+            finding = f"{name} is {clause(repr(values))}"
+            raise ArgumentError(finding, 'give names and values, such as {"r1": [5.5, 6, 6.5]}')
+    if vary:
+        all_cases, origin = grid(vary, zipped), "grid"
+    elif samples:
+        number = cases if isinstance(cases, int) else NUMBER
+        all_cases = sampled(samples, number, method, seed)
+        origin = f"{counted(number, f'{method} sample')}, seed {seed}"
+    elif cases is None:
+        raise ArgumentError("nothing varies", "give --vary, --sample or --cases, as --vary r1=5.5:6.5:101")
+    else:
+        all_cases, origin = table(cases), "table"
     if keep is not None and (isinstance(keep, str) or not all(isinstance(name, str) for name in keep)):
         raise ArgumentError(f"--keep {clause(repr(keep))}", 'give names of arrays, such as ("q", "u")')
     if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
@@ -112,37 +134,6 @@ def sweep_request(
     processes = team_size(workers, cluster)
     kept = None if keep is None else tuple(dict.fromkeys(keep))
     return SweepRequest(solve, all_cases, origin, path, resume, kept, processes, warm_starts, chunk, cluster)
-
-
-def _cases(
-    vary: Mapping[str, object] | None,
-    zipped: Sequence[Sequence[str]],
-    distributions: Mapping[str, object] | None,
-    cases: object,
-    method: str,
-    seed: int,
-) -> tuple[Cases, str]:
-    """Return the cases, and a few words about their origin."""
-    require_method(method)
-    is_number = isinstance(cases, int) and not isinstance(cases, bool)
-    if zipped and not vary:
-        raise ArgumentError("--zip without --vary", "name what varies together by --vary")
-    if sum(map(bool, (vary, distributions, cases is not None and not is_number))) > 1:
-        raise ArgumentError("cases are given in several ways", "give --vary, or --sample, or --cases FILE")
-    if is_number and not distributions:
-        raise ArgumentError(f"{cases} cases of what?", "give distributions, as --sample 'm=normal(100, 5)'")
-    for name, values in (("vary", vary), ("samples", distributions)):
-        if values and not (isinstance(values, Mapping) and all(isinstance(key, str) for key in values)):
-            finding = f"{name} is {clause(repr(values))}"
-            raise ArgumentError(finding, 'give names and values, such as {"r1": [5.5, 6, 6.5]}')
-    if vary:
-        return grid(vary, zipped), "grid"
-    if distributions:
-        number = NUMBER if cases is None else cases
-        return samples(distributions, number, method, seed), f"{counted(number, f'{method} sample')}, seed {seed}"
-    if cases is None:
-        raise ArgumentError("nothing varies", "give --vary, --sample or --cases, as --vary r1=5.5:6.5:101")
-    return table(cases), "table"
 
 
 STEPS, GUESS = "steps", "guess"
@@ -276,7 +267,7 @@ class Wanted:
         self, module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, values: Mapping[Quantity, float]
     ) -> CaseRates:
         """Return the derivatives of a solved case; `module` has its values."""
-        names = module.metadata.sensitivities
+        names = module.metadata.sensitivities or ()
         fixed = [own.name for own in self.varied if own.name in names]
         try:
             rates = rates_at(module, run.steps, attempt.unknowns, fixed)

@@ -18,20 +18,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.cases import Cases, Values
-from codegen.batch.executors.chunks import (
-    Journal,
-    Tally,
-    damaged_journal,
-    journal_of,
-    new_journal,
-    read_journal,
-)
+from codegen.batch.cases import Cases
+from codegen.batch.executors.chunks import Journal, Tally, damaged_journal, journal_of, new_journal, read_journal
 from codegen.batch.layout import RESERVED, Chunks, Layout
 from codegen.batch.work import Rows
 from codegen.errors import ArgumentError, ClusterError, FileError, Interrupted
@@ -110,7 +103,7 @@ class Frame:
         return tuple(self.labels.get(dim, dim) for dim in self.cases.dims)
 
     @property
-    def coordinates(self) -> dict[str, tuple[tuple[str, ...], Values]]:
+    def coordinates(self) -> dict[str, tuple[tuple[str, ...], NDArray[Any]]]:
         """Dimensions and values of varied quantities and of column names."""
         dims = self.case_dims
         varied = {
@@ -177,7 +170,7 @@ def write_netcdf(data: Dataset, path: Path) -> None:
 
 DIGEST = "sweep"
 """The attribute of a store that identifies its sweep."""
-_CONFIG = {"write_empty_chunks": True}
+_CONFIG: Any = {"write_empty_chunks": True}
 """Failed cases are written as well, so a missing file of a chunk was deleted."""
 
 
@@ -219,7 +212,7 @@ class Store:
 
 
 @lru_cache(maxsize=1)
-def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[str, Array]:
+def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[str, Array[Any]]:
     """Return the open arrays of a store with this `mark`: opening takes a third of the time of writing."""
     import zarr
 
@@ -295,7 +288,7 @@ def _require_files(path: Path, name: str, indices: list[tuple[int, ...]]) -> Non
 
 def _array(
     group: Group, name: str, dims: tuple[str, ...], shape: tuple[int, ...], chunks: tuple[int, ...], kind: str
-) -> Array:
+) -> Array[Any]:
     from zarr.codecs import BloscCodec
 
     fill = {"str": "", "i4": -1}.get(kind, np.nan)

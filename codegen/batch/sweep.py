@@ -98,7 +98,7 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
         intervals, padded with NaN where `steps` vary. For each case cost, residual (evaluated outside the driver),
         iterations and seconds of all attempts, status, message, and free parameters. With sensitivities d_cost
         (..., by), d_T for a free parameter T, d_q (..., by, node, names), and d_message with the reason of NaN. For
-        optimisations `improvement`, the gain of a start from beyond a jump of the cost, and `jump`, 1 beside a better
+        optimisations `improvement`, the gain of a start from beyond a jump of the cost, and `jump`, 1 next to a better
         neighbour. A failed case has NaN in cost and arrays.
 
     Raises

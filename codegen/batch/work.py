@@ -36,17 +36,7 @@ from codegen.batch.executors.chunks import (
     workers_folder,
 )
 from codegen.batch.jumps import Grid, Neighbours, along_dimensions, improved, is_better, scattered
-from codegen.batch.layout import (
-    JUMPS,
-    RATE,
-    Chunks,
-    Layout,
-    Piece,
-    free_label,
-    nearest_chain,
-    serpentine,
-    shapes_of,
-)
+from codegen.batch.layout import JUMPS, RATE, Chunks, Layout, Piece, free_label, nearest_chain, serpentine, shapes_of
 from codegen.batch.request import GUESS, STEPS, Quantity, Wanted, as_argument, quantities, require_fitting
 from codegen.errors import ArgumentError, CodegenError
 from codegen.files import write_text
@@ -104,7 +94,7 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
     combinations: list[tuple[str, ...]] = [()]
     varied: tuple[Quantity, ...] = ()
     if request.is_built:
-        module = loading.load(request.problem) if isinstance(request.problem, str | Path) else request.problem
+        module: Any = loading.load(request.problem) if isinstance(request.problem, str | Path) else request.problem
         varied = _checked_quantities(request, cases, module, ())
         derived[()] = module, None
     else:
@@ -137,13 +127,13 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
         if points is not None and other is not None and not np.array_equal(points.table, other.table):
             raise ArgumentError("the points differ among values of an argument", "sweep over each value by itself")
     messages = list[str]()
-    for module, build in derived.values():
-        if build is not None and DRIVERS[request.driver].generated:
-            messages += processes.require(build.path, module, build.written, working)[1]
+    for module, built in derived.values():
+        if built is not None and DRIVERS[request.driver].generated:
+            messages += processes.require(built.path, module, built.written, working)[1]
     particles = 0 if points is None else len(points.start)
     variants = {key: Variant(None, None, str(error)) for key, error in errors.items()}
-    for key, (module, build) in derived.items():
-        file = getattr(module, "__file__", None) if build is None else build.path
+    for key, (module, built) in derived.items():
+        file = getattr(module, "__file__", None) if built is None else built.path
         shapes = shapes_of(module, request.every, request.sensitivities, particles)
         variants[key] = Variant(Path(file) if file else None, shapes)
     ordered = {key: variants[key] for key in combinations}
@@ -347,7 +337,7 @@ class Work:
         return [index for index in further if attempts[index][-1] is not outcomes[index]]
 
     def _module_values(self, values: Mapping[str, float | str]) -> dict[Quantity, float]:
-        return {own: values[own.name] for own in self.quantities if own.kind != "argument"}
+        return {own: float(values[own.name]) for own in self.quantities if own.kind != "argument"}
 
     def _module(self, variant: Variant) -> GeneratedModule | None:
         if variant.shapes is None:

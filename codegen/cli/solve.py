@@ -58,8 +58,7 @@ Scaling = Annotated[str, typer.Option(help="auto, or none to work in the problem
 Warm = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")]
 Doublings = Annotated[int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")]
 Accuracy = Annotated[
-    float | None,
-    typer.Option(metavar="E", help="Refine the time grid until the estimated relative error is below it."),
+    float | None, typer.Option(metavar="E", help="Refine the time grid until the estimated relative error is below it.")
 ]
 Parameters = Annotated[
     list[str],

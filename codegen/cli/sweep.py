@@ -34,8 +34,7 @@ Together = Annotated[
     list[str], typer.Option("--zip", metavar="NAME,NAME", help="Vary these together instead of combined.")
 ]
 Samples = Annotated[
-    list[str],
-    typer.Option(metavar="NAME=DISTRIBUTION", help='As "m=normal(100, 5)", or any of scipy.stats by name.'),
+    list[str], typer.Option(metavar="NAME=DISTRIBUTION", help='As "m=normal(100, 5)", or any of scipy.stats by name.')
 ]
 CasesOf = Annotated[
     str | None,

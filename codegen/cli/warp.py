@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -66,8 +66,7 @@ Inverse = Annotated[
     bool, typer.Option("--inverse", help="Bring the fixed image into the frame of the moving one instead.")
 ]
 Sigma = Annotated[
-    str,
-    typer.Option(metavar="S", help="Standard deviation of landmarks' errors in pixels (volumes: mm), or auto."),
+    str, typer.Option(metavar="S", help="Standard deviation of landmarks' errors in pixels (volumes: mm), or auto.")
 ]
 Scheme = Annotated[str, typer.Option(help="The scheme that integrates the flow.")]
 Steps = Annotated[
@@ -140,7 +139,7 @@ def warp(
     if loss is not Loss.LINEAR and sigma == "0":
         raise ArgumentError(f"--loss {loss.value} is for landmarks that may miss", "give a --sigma as well, or auto")
     try:
-        deviation = "auto" if sigma == "auto" else float(sigma)
+        deviation: float | Literal["auto"] = "auto" if sigma == "auto" else float(sigma)
     except ValueError:
         deviation = -1.0
     if not isinstance(deviation, str) and not 0.0 <= deviation < 1e6:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,11 +68,6 @@ class ClosedLoop:
     latencies: Vector = field(repr=False)
     in_time: NDArray[np.bool_] = field(repr=False)
     fell_back: NDArray[np.bool_] = field(repr=False)
-
-    @property
-    def names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Names of states and of inputs, in the order of columns."""
-        return self.state_names, self.input_names
 
     @property
     def counts(self) -> dict[str, int]:
@@ -145,7 +140,7 @@ def close_loop(
     start: object = None,
     arguments: Mapping[str, object] | None = None,
     disturbances: Mapping[str, Moving] | None = None,
-    noise: object = 0.0,
+    noise: Any = 0.0,
     delay: int | None = None,
     inputs: object = None,
     seed: int = 0,

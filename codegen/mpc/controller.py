@@ -9,10 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from threading import Lock
 from time import perf_counter
-from types import ModuleType
 
 import numpy as np
 
@@ -68,7 +66,7 @@ class Feedback:
     in_time : bool
         True if the deadline was kept.
     fell_back : bool
-        True if the inputs are those of the start of the search, usually the shifted last plan.
+        True if the inputs belong to the start of the search, usually the shifted last plan.
     """
 
     t: float
@@ -171,7 +169,7 @@ class Controller:
 
     def __init__(
         self,
-        problem: Path | str | ModuleType,
+        problem: object,
         *,
         steps: int | None = None,
         horizon: float | None = None,
@@ -226,7 +224,7 @@ class Controller:
     def step(self, state: object, t: float = 0.0, parameters: Mapping[str, float] | None = None) -> Vector:
         """Return the inputs to apply from the time t on, for a measured state.
 
-        A numerical failure raises no exception: the inputs are those of the shifted plan, and `last.status` has the
+        A numerical failure raises no exception: the shifted plan gives the inputs, and `last.status` has the
         failure. The same holds for a measured state with a number that is not finite; its status is "non-finite".
 
         Parameters
@@ -237,7 +235,7 @@ class Controller:
             Time of the measurement in seconds. With a delay the inputs act later by the delay, and every sampling time
             needs its step.
         parameters : dict of str to float, optional
-            Run-time values that replace those of the controller in this step.
+            Run-time values that replace values of the controller in this step.
 
         Returns
         -------
@@ -457,7 +455,8 @@ class Controller:
             return status, message, point, iterations
         search = self._grids.search
         if self._is_linear:
-            status, point, iterations = solve_linear_quadratic(grid, guess, self.options.tolerance, log, search.system)
+            system = None if search is None else search.system
+            status, point, iterations = solve_linear_quadratic(grid, guess, self.options.tolerance, log, system)
         else:
             is_factored = self._ahead is not None and self._ahead.is_factored
             status, point, iterations = minimise(grid, guess, *options, log, search=search, is_factored=is_factored)

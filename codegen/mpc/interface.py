@@ -206,11 +206,7 @@ class Values:
     """
 
     def __init__(
-        self,
-        interface: Interface,
-        values: Mapping[str, Moving],
-        of_solves: Arguments,
-        what: str = "the problem",
+        self, interface: Interface, values: Mapping[str, Moving], of_solves: Arguments, what: str = "the problem"
     ) -> None:
         if not isinstance(values, Mapping):
             finding = clause(f"run-time values of {what} are {values!r}")

@@ -16,7 +16,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -54,8 +54,8 @@ NEWTON_STEPS, CLOSE = 20, 1e-10
 class Motion:
     """The motion of a state over `seconds`, which are a number of `intervals` of a plan.
 
-    The time is divided into intervals no longer than those of the plan. Raises ArgumentError for a module whose motion
-    does not follow from its start and its inputs.
+    The time is divided into intervals no longer than the intervals of the plan. Raises ArgumentError for a module whose
+    motion does not follow from its start and its inputs.
     """
 
     def __init__(self, module: ControlModule, interface: Interface, seconds: float, intervals: float) -> None:
@@ -137,7 +137,7 @@ class Motion:
             grid = self._starts.at(later | self._seconds, start)
             module.problem.pin_values(grid, unknowns, module.views(grid, unknowns)[0])
             p: Vector = module.unpack(grid, unknowns)[2][0]
-            # The discrete equation at the start is the prescribed momentum less that of the first interval.
+            # The discrete equation at the start is the prescribed momentum less the momentum of the first interval.
             if of_node.size:
                 p = p + evaluate(grid, unknowns).gradient[of_node]
             return p
@@ -154,7 +154,7 @@ class Delay:
         self.reset()
 
     def reset(self, inputs: object = None) -> None:
-        """Set the inputs (controls,) that act before those of the controller, zero by default."""
+        """Set the inputs (controls,) that act before the inputs of the controller, zero by default."""
         names = self._interface.inputs
         before = np.zeros(len(names)) if inputs is None else vector(inputs, names, "the array of inputs")
         self._waiting = deque([before] * self._samples, self._samples)
@@ -166,7 +166,7 @@ class Delay:
     def state_after(self, state: Vector, t: float, own: Mapping[str, float] | None) -> Vector | None:
         """Return the state (states,) at the end of the delay that starts at time t, or None if the prediction fails.
 
-        Run-time values are those of the times in between; the values of `own` hold at all of them.
+        Run-time values are evaluated at the times in between; the values of `own` hold at all these times.
         """
         given = self._values.given(t, own)
         for k, inputs in enumerate(self._waiting, 1):
@@ -254,7 +254,7 @@ class ModulePlant:
 
     def __init__(
         self,
-        module: GeneratedModule,
+        module: Any,
         states: tuple[str, ...],
         inputs: tuple[str, ...],
         disturbances: Mapping[str, Moving],

@@ -14,13 +14,7 @@ from sympy import Add, Expr, Symbol, expand_mul
 
 from codegen.discretise import schemes, transcribe
 from codegen.discretise.conditions import CONDITIONS
-from codegen.discretise.interval import (
-    STEP,
-    at_nodes,
-    one_step_interval,
-    repeated,
-    variational_interval,
-)
+from codegen.discretise.interval import STEP, at_nodes, one_step_interval, repeated, variational_interval
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Bounds, Model, prescribed
 from codegen.discretise.model.from_problem import load_problem
@@ -163,26 +157,40 @@ def equations(
         if model.phases
         else (*_continuous(model.authored, program.method), *delay_blocks(model), *_discrete(shown, program))
     )
-    rest = [*_ends(program), *_cost_and_bounds(model, notation)]
-    if tables := tables_of(model):
-        lines = [f"{table.summary}; {OUTSIDE[table.shape.outside]}" for table in tables]
-        rest.append(Block("Tables", (), tuple((line, line) for line in lines)))
-    return written(title, [*own, *rest, _layout(program, notation)], notation)
-
-
-def _cost_and_bounds(model: Model, notation: Notation) -> Iterator[Block]:
-    """Yield the terminal cost, free parameters with their initial guess, and the bounds of each phase."""
-    whole = model.authored
+    rest, whole = [*_ends(program)], model.authored
     if whole.terminal_cost != 0:
         at_end = {symbol: _named(f"{symbol}@T") for symbol in (*whole.coordinates, *whole.rates)}
-        yield Block("Terminal cost", ((_named("C_T"), whole.terminal_cost.xreplace(at_end)),))
+        rest.append(Block("Terminal cost", ((_named("C_T"), whole.terminal_cost.xreplace(at_end)),)))
     if whole.free_parameters:
         rows = tuple((free.symbol, free.guess) for free in whole.free_parameters)
         limits = [Bounds(free.symbol, free.lower, free.upper) for free in whole.free_parameters]
-        yield Block("Free parameters, at their first guess", rows, _within(limits, notation))
+        rest.append(Block("Free parameters, at their first guess", rows, _within(limits, notation)))
     for number, part in enumerate(whole.phases or (whole,), start=1):
-        if remarks := _within(part.bounds, notation):
-            yield Block(f"Bounds in phase {number}" if whole.phases else "Bounds", (), remarks)
+        if limited := _within(part.bounds, notation):
+            rest.append(Block(f"Bounds in phase {number}" if whole.phases else "Bounds", (), limited))
+    if tables := tables_of(model):
+        lines = [f"{table.summary}; {OUTSIDE[table.shape.outside]}" for table in tables]
+        rest.append(Block("Tables", (), tuple((line, line) for line in lines)))
+
+    def remark(words: str, symbols: Sequence[Symbol], none: str = "") -> tuple[str, str]:
+        names = (notation.name(symbol) for symbol in symbols)
+        text = words + (", ".join(f"${name}$" if notation.latex else name for name in names) or none)
+        return text, text + r"\\" if notation.latex else ""
+
+    # The unknowns of nodes, intervals and steps.
+    if isinstance(program, StepProgram):
+        remarks = [
+            remark("state at a node: ", program.left_symbols),
+            remark("solved for numerically in each step: ", program.unknowns, "nothing, the step is explicit"),
+        ]
+    else:
+        remarks = [
+            remark("at a node: ", program.left_symbols),
+            remark("on an interval: ", (*program.interval_symbols, *program.control_symbols), "nothing"),
+            ("order: node 0, interval 0, node 1, ..., node N",) * 2,
+        ]
+    rest.append(Block("Layout of the unknowns", remarks=tuple(remarks)))
+    return written(title, [*own, *rest], notation)
 
 
 def _within(bounds: Iterable[Bounds], notation: Notation) -> tuple[tuple[str, str], ...]:
@@ -259,8 +267,8 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
         remarks = (_MAXIMISED,) if model.maximised else ()
         pair = (_named("C"), model.cost), (_named("T"), model.duration)
         yield Block("Rate of the cost, and duration", pair, remarks)
-    for heading, rows in (block for kind in CONDITIONS for block in kind.shown(model)):
-        yield Block(heading, tuple((_named(name), value) for name, value in rows))
+    for heading, shown in (block for kind in CONDITIONS for block in kind.shown(model)):
+        yield Block(heading, tuple((_named(name), value) for name, value in shown))
 
 
 def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
@@ -277,20 +285,20 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
         _, scheme = repeated(scheme)
     if scheme.variational:
         interval = variational_interval(side, scheme, controls)
-        names = [q.name for q in side.coordinates]
-        own = [i for i, name in enumerate(names) if not is_past(name)]
+        coordinates = [q.name for q in side.coordinates]
+        own = [i for i, name in enumerate(coordinates) if not is_past(name)]
         rows = [(_named("L_d"), interval.lagrangian)]
         for mark, forces in (("f-", interval.force_minus), ("f+", interval.force_plus)):
-            rows += [(_named(f"{mark} {name}"), f) for name, f in zip(names, forces, strict=True) if f != 0]
+            rows += [(_named(f"{mark} {name}"), f) for name, f in zip(coordinates, forces, strict=True) if f != 0]
         rows += [(_named(f"f {q}"), f) for q, f in zip(interval.inner, interval.force_inner, strict=True) if f != 0]
         yield Block("Discrete Lagrangian" + (" and discrete forces" if len(rows) > 1 else ""), tuple(rows))
         pairs = zip(interval.inner, interval.inner_balance, strict=True)
         if inner := tuple((_named("0"), _shortest(balance)) for q, balance in pairs if not is_past(q.name)):
             yield Block("Balances at inner points", inner)
-        momenta = [(_named(f"p_{names[i]}_k"), _shortest(interval.left_momentum[i])) for i in own]
-        momenta += [(_named(f"p_{names[i]}_k1"), _shortest(interval.right_momentum[i])) for i in own]
+        momenta = [(_named(f"p_{coordinates[i]}_k"), _shortest(interval.left_momentum[i])) for i in own]
+        momenta += [(_named(f"p_{coordinates[i]}_k1"), _shortest(interval.right_momentum[i])) for i in own]
         yield Block("Discrete Legendre transforms", tuple(momenta), (_LEGENDRE,))
-        # The substitution from expressions of the interval after node k to those of the interval before.
+        # The substitution that moves expressions from the interval after node k to the interval before.
         sites = interval.q
         shift: dict[Symbol, Expr] = dict(zip(sites.left, at_nodes(side.coordinates, "_k-1"), strict=True))
         shift |= dict(zip(sites.right, sites.left, strict=True))
@@ -352,28 +360,6 @@ def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
                 outer.append((_named(f"{stem}{whole}{mark}{end}"), value))
         shown = tuple(outer)
     yield Block("Boundary conditions", shown, tuple(remarks))
-
-
-def _layout(program: ControlProgram | StepProgram, notation: Notation) -> Block:
-    """Return the unknowns of nodes, intervals and steps."""
-
-    def remark(words: str, symbols: Sequence[Symbol], none: str = "") -> tuple[str, str]:
-        names = (notation.name(symbol) for symbol in symbols)
-        text = words + (", ".join(f"${name}$" if notation.latex else name for name in names) or none)
-        return text, text + r"\\" if notation.latex else ""
-
-    if isinstance(program, StepProgram):
-        remarks = [
-            remark("state at a node: ", program.left_symbols),
-            remark("solved for numerically in each step: ", program.unknowns, "nothing, the step is explicit"),
-        ]
-    else:
-        remarks = [
-            remark("at a node: ", program.left_symbols),
-            remark("on an interval: ", (*program.interval_symbols, *program.control_symbols), "nothing"),
-            ("order: node 0, interval 0, node 1, ..., node N",) * 2,
-        ]
-    return Block("Layout of the unknowns", remarks=tuple(remarks))
 
 
 def _shortest(expression: Expr) -> Expr:

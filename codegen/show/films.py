@@ -78,7 +78,7 @@ def _by_body(rows: Array, bodies: int) -> Array:
 def figure_of(
     module: GeneratedModule, model: Model | PairwiseModel | None, result: Result, unit: str = "", style: str = "page"
 ) -> Figure:
-    """Return the figure of a result, with the drawing of its model, if there is one; `unit` is that of the time."""
+    """Return the figure of a result, with the drawing of its model, if there is one; `unit` is the unit of the time."""
     drawings: Scene | figures.Drawings | None = None
     if isinstance(model, Model) and model.drawing:
         drawings = solution = scene(model.authored, result, fine_times(result.t))

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import sympy
 from sympy.logic.boolalg import Boolean
@@ -123,7 +123,7 @@ def _aligned(rows: Iterator[str] | Sequence[str]) -> str:
 class _Part:
     """A problem or one of several phases, with its printer; a single problem has the number 0.
 
-    `own` are the free parameters that no earlier phase has; `quantities` are those of all phases.
+    `own` are the free parameters that no earlier phase has; `quantities` are the quantities of all phases.
     """
 
     problem: Problem
@@ -223,7 +223,7 @@ def _rows(part: _Part) -> Iterator[str]:
             yield (r"\text{units}\quad &" if first == 0 else "&") + r",\quad ".join(units[first : first + _IN_A_ROW])
 
 
-def _items(mapping: object) -> Sequence[tuple[object, object]]:
+def _items(mapping: object) -> Sequence[tuple[Any, Any]]:
     return list(mapping.items()) if isinstance(mapping, Mapping) else []
 
 

@@ -114,7 +114,7 @@ def multiplied_out(expression: sympy.Expr) -> int:
 
 def longer_than(limit: int, terms: Sequence[sympy.Expr]) -> bool:
     """Return True if some expressions together have more operations than the limit; counting ends there."""
-    most = 5 * (limit + len(terms))  # parts; an operation has at most two symbols, a sign and a number beside it
+    most = 5 * (limit + len(terms))  # parts; an operation has at most two symbols, a sign and a number
     parts = (part for term in terms for part in sympy.preorder_traversal(term))
     if sum(1 for _ in islice(parts, most + 1)) > most:
         return True

@@ -63,10 +63,10 @@ def accumulate(graph: Graph, value: int, unknowns: Sequence[int]) -> Adjoints:
     wanted, affine = set(unknowns), set(unknowns)
     varying = [node for node in graph.reachable([value]) if graph.varies[node]]
     for number in varying:  # nodes that are linear in the unknowns, with coefficients free of unknowns
-        node = graph.nodes[number]
-        inside = [a for a in arguments(node) if graph.varies[a]]
-        is_linear = isinstance(node, Sum) or (
-            isinstance(node, Product) and [dict(node.factors)[a] for a in inside] == [ONE]
+        part = graph.nodes[number]
+        inside = [a for a in arguments(part) if graph.varies[a]]
+        is_linear = isinstance(part, Sum) or (
+            isinstance(part, Product) and [dict(part.factors)[a] for a in inside] == [ONE]
         )
         if is_linear and affine.issuperset(inside):
             affine.add(number)
@@ -171,8 +171,8 @@ def _lowered(graph: Graph, product: Product, *factors: int) -> int:
 class SecondDerivatives:
     """Straight-line programs for a scalar's derivatives.
 
-    The values of `gradient` are the derivatives by all unknowns, then those of further expressions; those of `hessian`
-    are its lower triangle's entries at the `indices` (row, column).
+    The values of `gradient` are the derivatives by all unknowns, then the further expressions. The values of
+    `hessian` are the entries of its lower triangle at the `indices` (row, column).
     """
 
     gradient: StraightLine
@@ -211,7 +211,7 @@ class MixedDerivatives:
 
 
 def mixed_derivatives(scalar: Expr, unknowns: Sequence[Symbol], data: Sequence[Symbol]) -> MixedDerivatives:
-    """Differentiate a scalar by data, and by unknowns and data, leaving out what is identically zero."""
+    """Differentiate a scalar by data, and by unknowns and data, leaving out derivatives that are identically zero."""
     graph, count = Graph([*unknowns, *data]), len(unknowns)
     leaves = range(count + len(data))
     adjoints = accumulate(graph, graph.of(scalar), leaves)

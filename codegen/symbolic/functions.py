@@ -98,7 +98,8 @@ class lgamma(sympy.Function):  # type: ignore[misc]
 @cache
 def member(stem: str, order: int) -> type[Expr]:
     """Return the member of a family with a number: `polygamma_0`, `sinc_derivative_2`, ..."""
-    return type(sympy.Function)(f"{stem}_{order}", (OrderedBase,), {"stem": stem, "order": order})
+    function: type[Expr] = type(sympy.Function)(f"{stem}_{order}", (OrderedBase,), {"stem": stem, "order": order})
+    return function
 
 
 def by_name(name: str) -> Callable[..., mpmath.mpf]:
@@ -106,7 +107,8 @@ def by_name(name: str) -> Callable[..., mpmath.mpf]:
     stem, _, order = name.rpartition("_")
     if stem in STEMS:
         return lambda x: value(stem, int(order), x)
-    return getattr(mpmath, {"lgamma": "loggamma"}.get(name, name))
+    function: Callable[..., mpmath.mpf] = getattr(mpmath, {"lgamma": "loggamma"}.get(name, name))
+    return function
 
 
 _SINC = np.vectorize(lambda order, x: float(sinc_derivative(int(order), x)), otypes=[float])
@@ -279,7 +281,8 @@ def table_function(table: TableData, order: tuple[int, ...]) -> type[Expr]:
     # Functions of lambdify are found by the class, whose name no other function may have.
     name = f"table_{table_name(table, (0,) * len(order))}_{'_'.join(map(str, order))}"
     attributes = {"table": table, "order": order, "nargs": len(order), "_imp_": staticmethod(evaluated)}
-    return type(sympy.Function)(name, (TableBase,), attributes)
+    function: type[Expr] = type(sympy.Function)(name, (TableBase,), attributes)
+    return function
 
 
 def tables_of(*holders: object) -> tuple[TableData, ...]:

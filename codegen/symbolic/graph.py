@@ -308,7 +308,7 @@ def written_out(graph: Graph, roots: Sequence[int]) -> tuple[Expr, ...]:
 
 
 def _expression(graph: Graph, number: int, written: Mapping[int, Expr]) -> Expr:
-    """Return the expression of a node from those of its arguments."""
+    """Return the expression of a node from the expressions of its arguments."""
     node = graph.nodes[number]
     if isinstance(node, Leaf):
         return node.expression

@@ -108,9 +108,9 @@ class TableData:
 def fitted(shape: Shape, source: str, axes: Sequence[NDArray[np.float64]], values: NDArray[np.float64]) -> TableData:
     """Return the table through values, shape `sizes`, at the breakpoints of its axes.
 
-    Cubic splines have the end conditions "not a knot"; of two inputs they are products of those of one. Sources: de
-    Boor (2001), A practical guide to splines, chapters 4 and 17; Fritsch and Butland (1984), A method for constructing
-    local monotone piecewise cubic interpolants, SIAM J. Sci. Stat. Comput. 5.
+    Cubic splines have the end conditions "not a knot"; splines of two inputs are products of splines of one input.
+    Sources: de Boor (2001), A practical guide to splines, chapters 4 and 17; Fritsch and Butland (1984), A method for
+    constructing local monotone piecewise cubic interpolants, SIAM J. Sci. Stat. Comput. 5.
     """
     heights = [values]
     if shape.width > 1:
@@ -152,7 +152,7 @@ def read_columns(path: Path, names: Sequence[str] = (), optional: Collection[str
     """Read some columns of a file, or all of them; NaN stands for empty cells of `optional` ones.
 
     Raises TableError, naming the file and the line, when the file is missing or no text, lacks a column, has ragged
-    rows, or holds what is no finite number in a column that is read.
+    rows, or has a cell without a finite number in a column that is read.
     """
     if not path.is_file():
         raise TableError(f"{path}: {'is a directory' if path.is_dir() else 'no such file'}", "give a table as text")
@@ -232,7 +232,7 @@ def _grid(
     if (rows < 0).any():
         i, j = np.argwhere(rows < 0)[0]
         what = " and ".join(f"{name} {axis[k]:g}" for name, axis, k in zip(inputs, axes, (i, j), strict=True))
-        # The line is that of the first row with the same value of the first input.
+        # The first row with the same value of the first input gives the line.
         line = columns.lines[int(rows[i][rows[i] >= 0].min())]
         raise TableError(
             f"{columns.path}:{line}: there is no row with {what}",

@@ -241,8 +241,8 @@ class Invariants:
         """Return the limit of the term where both particles meet, or None, and True if the gradient has that limit.
 
         The limit is taken in the squared distance s from above. The gradient of s has the size of sqrt(s): the
-        gradient of the term tends to that of the limit if f_s sqrt(s) tends to zero. A difference has two signs: its
-        value and slope at zero are taken.
+        gradient of the term tends to the gradient of the limit if f_s sqrt(s) tends to zero. A difference has two
+        signs: its value and slope at zero are taken.
         """
         indices = self._vanishing()
         if len(indices) > 1:

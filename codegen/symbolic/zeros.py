@@ -136,7 +136,7 @@ class Residues:
             if exponent < 0:
                 raise ZeroDivisionError
             return 0
-        # Roots of several radicands may depend on each other, as those of x, y and x y do.
+        # Roots of several radicands may depend on each other, for example the roots of x, y and x y.
         self._radicands[level].add(value)
         if len(self._radicands[level]) > 1:
             self.uncertain[level].add(number)

@@ -1,4 +1,4 @@
-"""The registry of executors, and the call that has chunks of work done by one of them.
+"""The registry of executors, and the call that lets an executor do chunks of work.
 
 An executor is one file in this folder and one row of EXECUTORS.
 """

@@ -1,6 +1,6 @@
 """The executor for a cluster of dask; its workers compile modules and store the results of their chunks.
 
-The client keeps a bounded number of chunks in flight. So its memory and that of the scheduler do not grow with the
+The client keeps a bounded number of chunks in flight. So the memory of client and scheduler does not grow with the
 number of cases. The scheduler repeats chunks of lost workers. After the loss of the scheduler the work can be resumed
 from its journal: a chunk that is written twice has the same numbers.
 """

@@ -48,7 +48,7 @@ def figure(
     unit: str = "",
     style: str = "page",
 ) -> Figure:
-    """Draw a module's result in a style; `unit` is that of the time if the result has none.
+    """Draw a module's result in a style; `unit` is the unit of the time if the result has none.
 
     Raises ArgumentError for an unknown style.
     """
@@ -65,7 +65,7 @@ def figure(
 def save(
     module: GeneratedModule, result: Result, path: Path, drawings: Drawings | Scene | None = None, unit: str = ""
 ) -> None:
-    """Draw a module's result into a file of a format of matplotlib; `unit` is that of the time."""
+    """Draw a module's result into a file of a format of matplotlib; `unit` is the unit of the time."""
     write(figure(module, result, drawings, unit), path)
 
 

@@ -47,7 +47,7 @@ MOST = 8
 def changes(sensitivities: Sensitivities, values: Mapping[str, Vector]) -> dict[str, float]:
     """Return the first-order changes of the cost as each quantity grows by one percent, the largest first.
 
-    `values` (bodies,) are those of quantities. Quantities that are zero or differ among bodies are left out.
+    `values` (bodies,) are the values of quantities. Quantities that are zero or differ among bodies are left out.
     """
     if sensitivities.reason:
         return {}
@@ -195,10 +195,10 @@ class Drawings:
 
 
 def control_figure(module: ControlModule, result: Result, drawings: Drawings | None = None, unit: str = "") -> Figure:
-    """Draw an optimum on one page; `unit` is that of the time.
+    """Draw an optimum on one page; `unit` is the unit of the time.
 
     There is a row for every state, with its momentum and multiplier. Controls, path inequalities and the iterations
-    follow. They stand beside the drawing of a single body if there is room. The drawing of several bodies shows the
+    follow, to the right of the drawing of a single body if there is room. The drawing of several bodies shows the
     initial guess and the optimum.
     """
     groups, conditions = quantities_of_segments(module, result), inequalities_of_segments(module, result)
@@ -374,7 +374,7 @@ def _drawing_size(drawings: Drawings | None, width: float) -> tuple[float, float
 
 
 def _draw(figure: FigureBase, drawings: Drawings, outcome: str) -> None:
-    """Draw the scene; of several bodies the initial guess beside the solution."""
+    """Draw the scene; of several bodies the initial guess and the solution."""
     if shapes.bodies_of(drawings.solution) == 1:
         axes = figure.add_subplot()
         shapes.course(axes, drawings.solution, shapes.extent([drawings.solution]))

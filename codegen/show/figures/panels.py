@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from codegen.show.figures.labels import label, relation
 from codegen.show.figures.picture import (
@@ -105,7 +107,7 @@ def iterations(axes: Axes, log: Matrix) -> None:
         axes.semilogy(numbers, values, marker=".", markersize=4, label=name, **look)
     axes.set_xlabel("iteration")
     axes.set_ylabel("max-norm")
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
     axes.legend(  # above the panel, where no curve can be
         loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, fontsize=letter_size(8), columnspacing=1.0,
         handlelength=1.5,
@@ -140,7 +142,7 @@ def handles(
     return out + ([Line2D([], [], label=active, **_ACTIVE)] if any(one.active().any() for one in limited) else [])
 
 
-def _line(axes: Axes, shown: Quantity, values: Vector, **style: object) -> None:
+def _line(axes: Axes, shown: Quantity, values: Vector, **style: Any) -> None:
     """Draw a polygon through the nodes with gaps at jumps, or a step for every interval."""
     if shown.on_intervals:
         axes.stairs(values, shown.t, baseline=None, **style)
@@ -204,7 +206,7 @@ def _bounds(axes: Axes, shown: Quantity) -> None:
 
 
 def _on_intervals(bounds: Matrix, t: Vector) -> Matrix:
-    """Return bounds on intervals; the bounds of a node are those of the interval before."""
+    """Return bounds on intervals; a node has the bounds of the interval before."""
     return bounds[1:] if len(bounds) == t.size else bounds
 
 

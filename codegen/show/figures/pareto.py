@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from codegen.errors import ArgumentError, clause
 from codegen.show.figures.labels import heading, label, quantity, statuses
 from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, Look, body_map, new_figure
+from codegen.show.figures.sweep import is_wide
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
@@ -136,8 +137,6 @@ def _last(array: DataArray) -> Numbers:
     return np.asarray(np.take_along_axis(values, number[..., None], axis=-1)[..., 0])
 
 
-_WIDE = 100.0
-"""Ratio of positive values above which their axis is logarithmic."""
 _EDGE = 0.02
 """Relative distance of failed cases from the edge of the panel."""
 _FAILED: Look = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5.5, "zorder": 3.0}
@@ -167,13 +166,13 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
     front = front[np.argsort(one[front], kind="stable")]
     axes.plot(one[front], other[front], "-", color=DARK, linewidth=1.0, zorder=2.2)
     # The first numeric quantity that varies among cases and is no objective.
-    names = {objective.name for objective in objectives}
+    chosen = {objective.name for objective in objectives}
     numeric = (
         (str(name), coordinate)
         for name, coordinate in data.coords.items()
         if coordinate.dims and coordinate.dims[0] in data["status"].dims and coordinate.dtype.kind in "fiub"
     )
-    varying = (name for name, own in numeric if name not in names and own.size > 1 and np.ptp(own.values) > 0.0)
+    varying = (name for name, own in numeric if name not in chosen and own.size > 1 and np.ptp(own.values) > 0.0)
     name = next(varying, None)
     if name is None:
         axes.plot(one[front], other[front], "-o", color=BLUE, markersize=size, linewidth=1.0, zorder=2.5, label="front")
@@ -209,8 +208,7 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
             text = word if word in ("cost", "duration") else label(word)
         text += " (larger is better)" if objective.is_large else ""
         (axes.set_xlabel if is_first else axes.set_ylabel)(text)
-        shown = values[np.isfinite(values)]
-        if shown.size > 1 and shown.min() > 0.0 and shown.max() > _WIDE * shown.min():
+        if is_wide(values):
             (axes.set_xscale if is_first else axes.set_yscale)("log")
     handles, names = axes.get_legend_handles_labels()
     entries = [(handle, name) for handle, name in zip(handles, names) if name != "dominated" or behind.size]

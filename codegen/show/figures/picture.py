@@ -29,7 +29,7 @@ Look: TypeAlias = dict[str, Any]
 """Keyword arguments of matplotlib by name, such as a colour and a line width."""
 Colour: TypeAlias = str | tuple[float, float, float, float]
 
-STYLE: Look = {
+STYLE: dict[Any, Any] = {
     "font.size": 9.5,
     "axes.titlesize": 9.5,
     "axes.labelsize": 10.5,
@@ -67,7 +67,7 @@ class Style:
     has_details: bool = True
     is_slide: bool = False
 
-    def settings(self) -> Look:
+    def settings(self) -> dict[Any, Any]:
         """Return settings of matplotlib."""
         scale = self.letters / STYLE["font.size"]
         scaled = {name: scale * value for name, value in STYLE.items() if name.endswith("size")}
@@ -102,7 +102,7 @@ def present_style() -> Style:
     return _used.get()
 
 
-def new_figure(width: float, height: float, layout: str | LayoutEngine = "constrained") -> Figure:
+def new_figure(width: float, height: float, layout: LayoutEngine | None = None) -> Figure:
     """Return an empty figure, of a size in inches on a page, scaled to the present style.
 
     A slide is as wide as the style has it, or wider for a high figure, with an aspect ratio of 16:9.
@@ -112,7 +112,7 @@ def new_figure(width: float, height: float, layout: str | LayoutEngine = "constr
     if style.is_slide:
         width = max(width, 16.0 / 9.0 * height)
         height = 9.0 / 16.0 * width
-    return Figure(figsize=(width, height), layout=layout)
+    return Figure(figsize=(width, height), layout=layout or "constrained")
 
 
 def finished(figure: Figure) -> Figure:
@@ -290,7 +290,8 @@ def body_colours(bodies: int, single: str) -> list[Colour]:
     if bodies == 1:
         return [single]
     if bodies <= MOST_BODY_COLOURS:
-        return [BLUE, GREEN, PINK, AMBER, SKY, DARK, GREY][:bodies]
+        named: list[Colour] = [BLUE, GREEN, PINK, AMBER, SKY, DARK, GREY]
+        return named[:bodies]
     return [body_map()(index / (bodies - 1)) for index in range(bodies)]
 
 

@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import matplotlib
 import numpy as np
@@ -280,7 +280,7 @@ def frames(scene: Scene, title: str) -> Iterator[Frame]:
     # Encoders of films need even numbers of pixels.
     width, height = (2 * round(side * _DPI / 2) / _DPI for side in (width, height))
     figure = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     prepare(axes, room)
     for artist in instant(scene, 0, room, moving=False):

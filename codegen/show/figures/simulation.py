@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,9 +36,10 @@ _ROUNDING = 1e-12
 
 
 def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = "") -> Figure:
-    """Draw every coordinate over time with its phase portrait, the drawing, and the energy; `unit` is that of the time.
+    """Draw every coordinate over time with its phase portrait, the drawing, and the energy.
 
-    Without inputs and damping the change of the energy is shown, which is the error of the scheme.
+    `unit` is the unit of the time. Without inputs and damping the change of the energy is shown, which is the error of
+    the scheme.
     """
     assert result.energy is not None, "a simulation has energies"
     names, units = result.names["q"], Units.of(result, unit)
@@ -222,7 +223,7 @@ def closed_loop_figure(loop: ClosedLoop, references: References) -> Figure:
     return figure
 
 
-def _rows(kind: str, count: int, columns: int, parts: int) -> list[list[str]]:
+def _rows(kind: str, count: int, columns: int, parts: int) -> list[Any]:
     """Return the names of panels in rows of some columns; each panel spans parts of the width of the figure."""
     names = [*(f"{kind} {i}" for i in range(count)), *["."] * (-count % columns)]
     rows = [names[first : first + columns] for first in range(0, count, columns)]

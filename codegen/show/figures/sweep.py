@@ -2,7 +2,7 @@
 
 Many trajectories in a panel are graded by a quantity, or shown as quantiles over time.
 
-With sensitivities, first-order predictions of mean and standard deviation stand beside those of the samples. They use
+With sensitivities, mean and standard deviation of the samples are compared with first-order predictions. They use
 the derivatives of the case that is nearest to the mean of the varied quantities. Variances of independent samples add
 up; covariances of the columns of a table are included. Source: JCGM 100 (2008), Guide to the expression of uncertainty
 in measurement, section 5.
@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -24,7 +24,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.patheffects import withStroke
+from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import Locator, LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
@@ -60,7 +60,8 @@ class Prediction:
     """A first-order prediction from the derivatives of the case `centre`; `by` indexes the varied quantities among
     them.
 
-    `offset` (m,) is the mean of m quantities less their values in that case, `covariance` (m, m) that of their samples.
+    `offset` (m,) is the mean of m quantities less their values in that case. `covariance` (m, m) is the covariance of
+    their samples.
     """
 
     centre: int
@@ -188,11 +189,7 @@ def fan(axes: Axes, data: Dataset, group: tuple[str, str], linear: Prediction | 
 
 
 def histogram(
-    axes: Axes,
-    name: str,
-    values: Numbers,
-    is_wide: bool,
-    linear: tuple[float, float] = (np.nan, np.nan),
+    axes: Axes, name: str, values: Numbers, is_wide: bool, linear: tuple[float, float] = (np.nan, np.nan)
 ) -> None:
     """Draw a histogram with the median and the quantiles of 5 and 95 %.
 
@@ -205,7 +202,7 @@ def histogram(
         axes.text(0.5, 0.5, "no case is solved", transform=axes.transAxes, ha="center", color=DARK)
         return
     number = int(np.clip(np.sqrt(finite.size), 5, 60))
-    bins = np.geomspace(finite.min(), finite.max(), number + 1) if is_wide else number
+    bins = np.geomspace(finite.min(), finite.max(), number + 1).tolist() if is_wide else number
     axes.hist(finite, bins, color=BLUE, alpha=0.45)
     if is_wide:
         axes.set_xscale("log")
@@ -307,7 +304,7 @@ def contours(axes: Axes, x: Numbers, y: Numbers, shown: Numbers, norm: Normalize
     levels = levels[(levels > least) & (levels < most)]
     if not levels.size:
         return
-    halo = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
+    halo: list[AbstractPathEffect] = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
     lines = axes.contour(x, y, np.ma.masked_invalid(shown), levels, colors=DARK, linewidths=0.7)
     lines.set_path_effects(halo)
     positions = list(_label_positions(axes, lines.allsegs))
@@ -391,7 +388,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     by = dims[1] if len(dims) > 1 else None
     measures, (groups, _) = measures_of(data), groups_of(data)
     columns = _columns(len(groups))
-    rows = [[f"m{i}"] * columns for i in range(len(measures))]
+    rows: list[Any] = [[f"m{i}"] * columns for i in range(len(measures))]
     names = [f"g{i}" for i in range(len(groups))] if by is None or data.sizes[by] == 1 else []
     names += ["."] * (-len(names) % columns)
     rows += [names[first : first + columns] for first in range(0, len(names), columns)]
@@ -573,7 +570,7 @@ def _samples(data: Dataset) -> Figure:
     columns = max(3 if len(groups) > 6 else 2, min(4, 1 + len(varied)))
     blocks = [[f"m{i}", *(f"s{i},{j}" for j in range(len(varied)))] for i in range(len(measures))]
     blocks.append([f"g{i}" for i in range(len(groups))])
-    rows = [
+    rows: list[Any] = [
         [*block[first : first + columns], *["."] * (columns - len(block[first : first + columns]))]
         for block in blocks for first in range(0, len(block), columns)
     ]  # fmt: skip
