@@ -50,11 +50,6 @@ class Start:
     factor: float = 0.0
     is_along_tangent: bool = False
 
-    @property
-    def is_moved(self) -> bool:
-        """True if the start differs from the solution."""
-        return self.is_along_tangent or self.before is not None
-
 
 class Continuation:
     """The solutions of a chunk so far, and the starts of the next case.
@@ -98,7 +93,8 @@ class Continuation:
         if first is not None:
             yield first
         yield None
-        others = path[:-1] if first is not None and not first.is_moved else path
+        is_moved = first is None or first.is_along_tangent or first.before is not None
+        others = path if is_moved else path[:-1]
         if others:
             distances = ((self._points[others] - self._points[index]) ** 2).sum(axis=1)
             for k in np.argsort(distances, kind="stable")[:OTHERS]:

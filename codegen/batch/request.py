@@ -55,11 +55,6 @@ class SweepRequest:
     chunk: int | None
     cluster: object
 
-    @property
-    def is_store(self) -> bool:
-        """True if results are written to a zarr store during the sweep."""
-        return self.out is not None and self.out.suffix in STORES
-
 
 def sweep_request(
     problem: Path | str | GeneratedModule,

@@ -46,11 +46,6 @@ class SweepJournal:
     chunks: Chunks
     finished: Mapping[int, Tally]
 
-    @property
-    def digest(self) -> str:
-        """The digest of the sweep."""
-        return str(self.file.header["sweep"])
-
     def add(self, number: int, tally: Tally) -> None:
         """Append a finished chunk; raises FileError when the file system refuses."""
         self.file.add([{"chunk": number, **tally.as_record()}])
@@ -75,7 +70,7 @@ def resumable(out: Path, journal: SweepJournal) -> Iterator[None]:
         yield
     except (KeyboardInterrupt, ClusterError, FileError) as error:
         # Read the journal again: an interrupt may come just after a line was written.
-        tallies = read_sweep_journal(journal.file.path, journal.digest).finished.values()
+        tallies = read_sweep_journal(journal.file.path, str(journal.file.header["sweep"])).finished.values()
         stored = f"{sum(tally.cases for tally in tallies)} of {math.prod(journal.chunks.shape)} cases are in {out}"
         if isinstance(error, KeyboardInterrupt):
             raise Interrupted(f"interrupted; {stored}; {rest}") from None
@@ -132,34 +127,6 @@ class Frame:
             for name, (dims, shape, kind) in self.variables.items()
         }
         return xarray.Dataset(empty, self.coordinates, dict(self.attributes))
-
-
-class Memory:
-    """The rows of a sweep in memory."""
-
-    def __init__(self, frame: Frame) -> None:
-        self.frame = frame
-        self.arrays: Rows = {}
-        for name, (_, shape, kind) in frame.variables.items():
-            if kind == "str":
-                self.arrays[name] = np.full(shape, "", object)
-            else:
-                self.arrays[name] = np.full(shape, -1 if kind == "i4" else np.nan, kind)
-
-    def write(self, region: tuple[slice, ...], rows: Rows) -> None:
-        """Write the rows of a chunk."""
-        for name, array in rows.items():
-            self.arrays[name][region] = array
-
-    def dataset(self) -> Dataset:
-        """Return the data set."""
-        import xarray
-
-        variables = {}
-        for name, (dims, _, kind) in self.frame.variables.items():
-            array = self.arrays[name]
-            variables[name] = (dims, array.astype(np.str_) if kind == "str" else array)
-        return xarray.Dataset(variables, self.frame.coordinates, dict(self.frame.attributes))
 
 
 def write_netcdf(data: Dataset, path: Path) -> None:

@@ -27,8 +27,8 @@ from codegen.batch.executors import Progress, Team, Working, connected, silent
 from codegen.batch.executors.chunks import Done, Tally, counted, only_one
 from codegen.batch.jumps import Costs, along, jumps_of
 from codegen.batch.layout import Chunks, Layout, about_a_second, blocks_of, layout_of
-from codegen.batch.request import GUESS, OPTIONS, STEPS, SweepRequest, sweep_request
-from codegen.batch.store import Frame, Memory, Store, resumable, write_netcdf
+from codegen.batch.request import GUESS, OPTIONS, STEPS, STORES, SweepRequest, sweep_request
+from codegen.batch.store import Frame, Store, resumable, write_netcdf
 from codegen.batch.work import Modules, Rows, Work, modules_of
 from codegen.errors import ArgumentError, ExtraError
 from codegen.machine import versions
@@ -189,7 +189,8 @@ def outcome_of(
         )
         frame = Frame(cases, layout, _attributes(request, modules, work))
         require(frame.outlined())
-        finish = _into_store if request.is_store else _into_memory
+        is_store = request.out is not None and request.out.suffix in STORES  # written during the sweep
+        finish = _into_store if is_store else _into_memory
         team = Team(request.workers, cluster, working, progress)
         tally, before, dataset = finish(request, modules, work, frame, team)
     messages = (*modules.messages, *team.notes)
@@ -200,17 +201,30 @@ def _into_memory(
     request: SweepRequest, modules: Modules, work: Work, frame: Frame, team: Team
 ) -> tuple[Tally, int, Callable[[], Dataset]]:
     """Solve all cases with rows in memory, then write the file, if requested."""
-    memory = Memory(frame)
+    import xarray
+
+    arrays: Rows = {
+        name: np.full(shape, {"str": "", "i4": -1}.get(kind, np.nan), object if kind == "str" else kind)
+        for name, (_, shape, kind) in frame.variables.items()
+    }
     work = replace(work, chunks=_chunks(request, modules, work, _tried(work, team)))
 
     def keep(number: int, done: Done) -> None:
         assert done.rows is not None, "without a sink the rows are returned"
-        memory.write(work.chunks.region(number), done.rows)
+        write(work.chunks.region(number), done.rows)
+
+    def write(region: tuple[slice, ...], rows: Rows) -> None:
+        for name, array in rows.items():
+            arrays[name][region] = array
 
     tally = team.do(work, range(work.chunks.number), work.cases.number, Tally(), keep)
     if _is_cut(work):
-        tally = _marked(work, tally, memory.arrays["cost"], memory.write, team)
-    data = memory.dataset()
+        tally = _marked(work, tally, arrays["cost"], write, team)
+    variables = {
+        name: (dims, arrays[name].astype(np.str_) if kind == "str" else arrays[name])
+        for name, (dims, _, kind) in frame.variables.items()
+    }
+    data = xarray.Dataset(variables, frame.coordinates, dict(frame.attributes))
     if request.out is not None:
         write_netcdf(data, request.out)
     return tally, 0, lambda: data
@@ -344,8 +358,12 @@ def _digest(request: SweepRequest, modules: Modules, work: Work) -> str:
     """Return a digest of modules, cases, stored arrays, options and versions, but not of the number of workers."""
     cases: Cases = request.cases
     digest = hashlib.sha256()
-    parts = [
-        *modules.texts, versions()["codegen"].encode(), _options(request).encode(), repr(work.warm_starts).encode(),
+    parts = []
+    for variant in modules.variants.values():
+        path = variant.path or getattr(modules.first, "__file__", None)
+        parts.append(variant.message.encode() if path is None else Path(path).read_bytes())
+    parts += [
+        versions()["codegen"].encode(), _options(request).encode(), repr(work.warm_starts).encode(),
         repr((cases.dims, cases.shape, dict(cases.axes), tuple(work.layout.dims))).encode(),
     ]  # fmt: skip
     if modules.points is not None:

@@ -10,7 +10,7 @@ import hashlib
 import math
 import platform
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
@@ -73,13 +73,6 @@ class Modules:
     first: GeneratedModule
     messages: tuple[str, ...]
     points: PointSet | None = None
-
-    @property
-    def texts(self) -> Iterator[bytes]:
-        """The contents of the files of modules."""
-        for variant in self.variants.values():
-            path = variant.path or getattr(self.first, "__file__", None)
-            yield variant.message.encode() if path is None else Path(path).read_bytes()
 
 
 def modules_of(request: Request, cases: Cases, working: Working) -> Modules:

@@ -45,38 +45,6 @@ if TYPE_CHECKING:
     from codegen.solving.request import Request
     from codegen.solving.results.result import Result
 
-DriverName = Annotated[str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")]
-Tolerance = Annotated[
-    float | None,
-    typer.Option(metavar="E", help="Largest error of an equation (newton, ipopt), or of an adaptive step."),
-]
-MaxIterations = Annotated[
-    int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of an optimiser.")
-]
-TimeLimit = Annotated[float | None, typer.Option(metavar="S", help="Most seconds of a search (newton, ipopt).")]
-Scaling = Annotated[str, typer.Option(help="auto, or none to work in the problem's own units (newton).")]
-Warm = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")]
-Doublings = Annotated[int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")]
-Accuracy = Annotated[
-    float | None, typer.Option(metavar="E", help="Refine the time grid until the estimated relative error is below it.")
-]
-Parameters = Annotated[
-    list[str],
-    typer.Option("--parameter", metavar="NAME=VALUE", help="A value of a parameter, without a build; repeatable."),
-]
-Tables = Annotated[
-    list[str], typer.Option(metavar="NAME=FILE.csv", help="Other numbers for a table, on as many breakpoints.")
-]
-Observations = Annotated[
-    list[Path], typer.Option(metavar="FILE.csv", help="Other measurements; of several bodies one file for each.")
-]
-Guesses = Annotated[int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")]
-Sensitivities = Annotated[
-    bool, typer.Option("--sensitivities", help="Derivatives by parameters, boundary values and a given duration.")
-]
-Animate = Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")]
-Save = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")]
-
 
 EXAMPLES = (
     "codegen solve problems/cart_pole.py --steps 100 --plot cart_pole.png",
@@ -92,28 +60,53 @@ def solve(
     scheme: Scheme = None,
     method: Method = None,
     controls: ControlSites = Controls.INTERVAL,
-    driver: DriverName = "newton",
+    driver: Annotated[
+        str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")
+    ] = "newton",
     steps: Steps = None,
     every: Every = 1,
     repeat: Repeat = 1,
     json: Json = False,
     log: Log = False,
-    tolerance: Tolerance = None,
-    max_iterations: MaxIterations = None,
-    time_limit: TimeLimit = None,
-    scaling: Scaling = "auto",
-    warm: Warm = None,
-    doublings: Doublings = 0,
-    accuracy: Accuracy = None,
-    parameter: Parameters = [],  # noqa: B006
-    table: Tables = [],  # noqa: B006
-    observations: Observations = [],  # noqa: B006
-    guesses: Guesses = 1,
-    sensitivities: Sensitivities = False,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(metavar="E", help="Largest error of an equation (newton, ipopt), or of an adaptive step."),
+    ] = None,
+    max_iterations: Annotated[
+        int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of an optimiser.")
+    ] = None,
+    time_limit: Annotated[
+        float | None, typer.Option(metavar="S", help="Most seconds of a search (newton, ipopt).")
+    ] = None,
+    scaling: Annotated[str, typer.Option(help="auto, or none to work in the problem's own units (newton).")] = "auto",
+    warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
+    doublings: Annotated[
+        int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")
+    ] = 0,
+    accuracy: Annotated[
+        float | None,
+        typer.Option(metavar="E", help="Refine the time grid until the estimated relative error is below it."),
+    ] = None,
+    parameter: Annotated[
+        list[str],
+        typer.Option("--parameter", metavar="NAME=VALUE", help="A value of a parameter, without a build; repeatable."),
+    ] = [],  # noqa: B006
+    table: Annotated[
+        list[str], typer.Option(metavar="NAME=FILE.csv", help="Other numbers for a table, on as many breakpoints.")
+    ] = [],  # noqa: B006
+    observations: Annotated[
+        list[Path], typer.Option(metavar="FILE.csv", help="Other measurements; of several bodies one file for each.")
+    ] = [],  # noqa: B006
+    guesses: Annotated[
+        int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")
+    ] = 1,
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities", help="Derivatives by parameters, boundary values and a given duration.")
+    ] = False,
     plot: Plot = None,
     style: PictureStyle = PictureStyles.PAGE,
-    animate: Animate = None,
-    save: Save = None,
+    animate: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")] = None,
+    save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")] = None,
     out: Out = None,
 ) -> None:
     """Solve a problem; build its module first if necessary."""
@@ -209,25 +202,17 @@ class Pictures:
     style: str = "page"
 
     def save(self, module: GeneratedModule, result: Result) -> None:
-        """Write the files; the film with a progress bar on a terminal."""
+        """Write the files."""
         if self.plot is not None:
             from codegen.show.figures.picture import Picture
             from codegen.show.films import figure_of
 
             Picture(figure_of(module, self.model, result, self.unit, self.style), self.style).save(self.plot)
         if self.animation is not None:
-            from rich.console import Console
-            from rich.progress import track
-
             from codegen.show.films import save_film
 
-            def shown(frames: Iterable[Frame], count: int) -> Iterable[Frame]:
-                if not sys.stderr.isatty():
-                    return frames
-                return track(frames, "Drawing", total=count, console=Console(stderr=True), transient=True)
-
             with replacing(self.animation) as temporary:
-                save_film(self.model, result, temporary, shown)
+                save_film(self.model, result, temporary, _with_progress)
 
 
 def requested(request: Request, plot: Path | None, animation: Path | None, style: str = "page") -> Pictures:
@@ -259,3 +244,13 @@ def requested(request: Request, plot: Path | None, animation: Path | None, style
         finding = f"--animate {animation}: {request.problem} says nothing about how to draw it"
         raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")
     return Pictures(plot, animation, model, unit, style)
+
+
+def _with_progress(frames: Iterable[Frame], count: int) -> Iterable[Frame]:
+    """Show a progress bar on a terminal."""
+    if not sys.stderr.isatty():
+        return frames
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(frames, "Drawing", total=count, console=Console(stderr=True), transient=True)

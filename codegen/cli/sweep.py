@@ -27,64 +27,6 @@ from codegen.errors import ArgumentError
 from codegen.terminal import console, progress, working
 
 Value = TypeVar("Value")
-Vary = Annotated[
-    list[str], typer.Option(metavar="NAME=VALUES", help="first:last:count or a,b,c; all combinations are cases.")
-]
-Together = Annotated[
-    list[str], typer.Option("--zip", metavar="NAME,NAME", help="Vary these together instead of combined.")
-]
-Samples = Annotated[
-    list[str], typer.Option(metavar="NAME=DISTRIBUTION", help='As "m=normal(100, 5)", or any of scipy.stats by name.')
-]
-CasesOf = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FILE.csv or N",
-        help="A table with a row for each case, or the number of samples. [default: 1000 samples]",
-        show_default=False,
-    ),
-]
-Sampling = Annotated[str, typer.Option(help="Sampling method: random, latin or sobol.")]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the samples.")]
-Store = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="File for results: .zarr during the sweep, or .nc at the end.")
-]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue a store of the same sweep.")]
-Keep = Annotated[
-    str,
-    typer.Option(
-        metavar="NAMES",
-        help="Arrays among t,q,p,u,multipliers,energy and their derivatives d_q, d_u, ...; or none. [default: all but "
-        "derivatives, or t,q,u if that is more than 250 MB]",
-        show_default=False,
-    ),
-]
-Workers = Annotated[
-    int | None, typer.Option(parser=positive, metavar="N", help="Processes. [default: one for each processor]")
-]
-Cluster = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to start one.")
-]
-WarmStarts = Annotated[
-    bool, typer.Option("--warm-starts", help="Start from solved neighbours, not only after a failure.")
-]
-Chunk = Annotated[
-    int | None,
-    typer.Option(parser=positive, metavar="N", help="Cases written together. [default: about a second of work]"),
-]
-Formulation = Annotated[str | None, typer.Option(help="variational, hamiltonian or one-step.")]
-DriverName = Annotated[str, typer.Option(help="As for codegen solve.")]
-Tolerance = Annotated[float | None, typer.Option(metavar="E", help="Largest error of an equation.")]
-MaxIterations = Annotated[int | None, typer.Option(parser=positive, metavar="N", help="Iteration limit of a solve.")]
-TimeLimit = Annotated[float | None, typer.Option(metavar="S", help="Time limit of a solve in seconds.")]
-Scaling = Annotated[str, typer.Option(help="auto or none, as for codegen solve (newton).")]
-Sensitivities = Annotated[
-    bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of arrays by --keep.")
-]
-Pareto = Annotated[
-    str | None,
-    typer.Option(metavar="A,B", help="Draw the Pareto front of two numbers of each case; -A: larger is better."),
-]
 
 
 EXAMPLES = (
@@ -95,34 +37,74 @@ EXAMPLES = (
 
 def sweep(
     problem: Problem,
-    vary: Vary = [],  # noqa: B006
-    zip_: Together = [],  # noqa: B006
-    sample: Samples = [],  # noqa: B006
-    cases: CasesOf = None,
-    method: Sampling = "random",
-    seed: Seed = 0,
-    out: Store = None,
-    resume: Resume = False,
-    keep: Keep = "",
-    workers: Workers = None,
-    cluster: Cluster = None,
-    warm_starts: WarmStarts = False,
-    chunk: Chunk = None,
+    vary: Annotated[
+        list[str], typer.Option(metavar="NAME=VALUES", help="first:last:count or a,b,c; all combinations are cases.")
+    ] = [],  # noqa: B006
+    zip_: Annotated[
+        list[str], typer.Option("--zip", metavar="NAME,NAME", help="Vary these together instead of combined.")
+    ] = [],  # noqa: B006
+    sample: Annotated[
+        list[str],
+        typer.Option(metavar="NAME=DISTRIBUTION", help='As "m=normal(100, 5)", or any of scipy.stats by name.'),
+    ] = [],  # noqa: B006
+    cases: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE.csv or N",
+            help="A table with a row for each case, or the number of samples. [default: 1000 samples]",
+            show_default=False,
+        ),
+    ] = None,
+    method: Annotated[str, typer.Option(help="Sampling method: random, latin or sobol.")] = "random",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the samples.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File for results: .zarr during the sweep, or .nc at the end.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a store of the same sweep.")] = False,
+    keep: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="Arrays among t,q,p,u,multipliers,energy and their derivatives d_q, d_u, ...; or none. [default: all "
+            "but derivatives, or t,q,u if that is more than 250 MB]",
+            show_default=False,
+        ),
+    ] = "",
+    workers: Annotated[
+        int | None, typer.Option(parser=positive, metavar="N", help="Processes. [default: one for each processor]")
+    ] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to start one.")
+    ] = None,
+    warm_starts: Annotated[
+        bool, typer.Option("--warm-starts", help="Start from solved neighbours, not only after a failure.")
+    ] = False,
+    chunk: Annotated[
+        int | None,
+        typer.Option(parser=positive, metavar="N", help="Cases written together. [default: about a second of work]"),
+    ] = None,
     set_: Set = [],  # noqa: B006
     scheme: Scheme = None,
-    formulation: Formulation = None,
+    formulation: Annotated[str | None, typer.Option(help="variational, hamiltonian or one-step.")] = None,
     controls: ControlSites = Controls.INTERVAL,
-    driver: DriverName = "newton",
+    driver: Annotated[str, typer.Option(help="As for codegen solve.")] = "newton",
     steps: Steps = None,
     every: Every = 1,
-    tolerance: Tolerance = None,
-    max_iterations: MaxIterations = None,
-    time_limit: TimeLimit = None,
-    scaling: Scaling = "auto",
-    sensitivities: Sensitivities = False,
+    tolerance: Annotated[float | None, typer.Option(metavar="E", help="Largest error of an equation.")] = None,
+    max_iterations: Annotated[
+        int | None, typer.Option(parser=positive, metavar="N", help="Iteration limit of a solve.")
+    ] = None,
+    time_limit: Annotated[float | None, typer.Option(metavar="S", help="Time limit of a solve in seconds.")] = None,
+    scaling: Annotated[str, typer.Option(help="auto or none, as for codegen solve (newton).")] = "auto",
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of arrays by --keep.")
+    ] = False,
     plot: Plot = None,
     style: PictureStyle = PictureStyles.PAGE,
-    pareto: Pareto = None,
+    pareto: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="Draw the Pareto front of two numbers of each case; -A: larger is better."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Solve a problem for many values of its parameters, in parallel."""

@@ -27,7 +27,7 @@ from codegen.runtime.record import Sites, Task
 from codegen.runtime.search.bounds import contradictory_bounds
 from codegen.runtime.search.iterates import Search, on_grid, search_on
 from codegen.solving import compiler, loading
-from codegen.solving.loading import ControlModule, Grid, Indices, Vector
+from codegen.solving.loading import ControlModule, Grid, Vector
 from codegen.solving.machine_code import processes
 from codegen.solving.request import SCALINGS, Request, as_number, parameter_arguments
 from codegen.solving.results.result import component_names
@@ -276,29 +276,10 @@ class Grids:
             raise NumericsError(str(error), "correct the run-time values") from error
 
 
-@dataclass(frozen=True, eq=False)
-class Shift:
-    """A linear map of unknowns (n,): each is a sum of the unknowns `one` and `two` with weights.
+def shift_by(module: ControlModule, grid: Grid, intervals: float) -> Callable[[Vector], Vector]:
+    """Return the map from the unknowns (n,) of a plan to the unknowns shifted by a number of intervals.
 
-    With `is_single` the second term is zero.
-    """
-
-    one: Indices
-    two: Indices
-    weight_one: Vector
-    weight_two: Vector
-    is_single: bool
-
-    def __call__(self, unknowns: Vector) -> Vector:
-        """Return the unknowns (n,) of the shifted plan."""
-        if self.is_single:
-            return self.weight_one * unknowns.take(self.one)
-        return self.weight_one * unknowns[self.one] + self.weight_two * unknowns[self.two]
-
-
-def shift_by(module: ControlModule, grid: Grid, intervals: float) -> Shift:
-    """Return the shift by a number of intervals of equal length, which need not be whole.
-
+    The number need not be whole; intervals have equal length. Each unknown becomes a weighted sum of two unknowns.
     Unknowns that only the ends have, such as their velocities, do not move, because they are zero at inner nodes.
     Global unknowns do not move either.
     """
@@ -325,4 +306,7 @@ def shift_by(module: ControlModule, grid: Grid, intervals: float) -> Shift:
         one_node[:, :, only] = of_nodes[:, :, only]
         node_first[:, :, only] = node_second[:, :, only] = 0.0
         node_first[:, [0, -1], only] = 1.0
-    return Shift(one.astype(np.intp), two.astype(np.intp), first, second, not second.any())
+    at_one, at_two = one.astype(np.intp), two.astype(np.intp)
+    if not second.any():
+        return lambda unknowns: first * unknowns.take(at_one)
+    return lambda unknowns: first * unknowns[at_one] + second * unknowns[at_two]

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -25,7 +24,7 @@ from codegen.mpc.interface import WHOLE, Arguments, Grids, Interface, Moving, Va
 from codegen.runtime.record import Form
 from codegen.runtime.search.linear_system import allocate_system, filled_entries
 from codegen.runtime.search.point import evaluate
-from codegen.solving.loading import ControlModule, GeneratedModule, Indices, Vector, is_control, is_of_particles
+from codegen.solving.loading import ControlModule, Indices, Vector, is_control, is_of_particles
 from codegen.solving.request import parameter_arguments
 
 VELOCITY_NEWTON_STEPS, VELOCITY_CLOSE = 20, 1e-12
@@ -201,89 +200,69 @@ def plant_of(
         if disturbances:
             finding = "disturbances beside a plant that is a function"
             raise ArgumentError(finding, "have the function disturb itself, or give a module")
-        return FunctionPlant(plant, names[0])
-    module: GeneratedModule = module_of(plant, arguments, None, None)
-    states, inputs = names
-    starts = _start_names(module)
+        return _of_function(plant, names[0])
+    module: Any = module_of(plant, arguments, None, None)
+    metadata, (states, inputs) = module.metadata, names
+    is_free = is_control(module) and (metadata.control_names or metadata.form == Form.LAGRANGIAN)
+    if is_of_particles(module) or is_free:
+        finding = f"{metadata.problem} is no plant: it has controls, or particles"
+        raise ArgumentError(finding, "give a Simulate, or for dynamics a Control without controls and cost")
+    starts = tuple(metadata.start)
     if set(starts) != set(states):
         finding = f"the plant starts from {', '.join(starts) or 'nothing'}, the controller from {', '.join(states)}"
         raise ArgumentError(clause(finding), "give both the same names")
-    parameters = tuple(module.metadata.parameters)
+    parameters = tuple(metadata.parameters)
     if missing := [name for name in inputs if name not in parameters]:
         finding = f"the plant has no parameter {missing[0]}, which is an input of the controller"
         raise ArgumentError(finding, f'declare it there, as in {missing[0]} = parameter("{missing[0]}", 0)')
     if both := [name for name in inputs if name in disturbances]:
         raise ArgumentError(f"{both[0]} is an input of the plant", "disturb another parameter")
-    return ModulePlant(module, states, inputs, disturbances)
+    values = Values(Interface(states, inputs, parameter_arguments(module), ()), disturbances, {}, "the plant")
+    rate_names = tuple(name for name in starts if name not in metadata.coordinates)
+    has_velocities = bool(rate_names) and metadata.form == Form.LAGRANGIAN
 
-
-@dataclass(frozen=True)
-class FunctionPlant:
-    """A plant that is a function of the state, the inputs, the time and the duration; its results are checked."""
-
-    function: Callable[[Vector, Vector, float, float], object]
-    states: tuple[str, ...]
-
-    def __call__(self, state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
-        """Return the next state; raises NumericsError for an invalid result, PlantFailed for one that is not finite."""
-        returned = self.function(state.copy(), inputs.copy(), t, seconds)
+    def after(state: Vector, inputs_now: Vector, t: float, seconds: float) -> Vector:
+        """Return the next state; the own time of the module restarts at every sampling time."""
+        given = values.given(t, dict(zip(inputs, inputs_now.tolist(), strict=True)))
+        start = dict(zip(states, state.tolist(), strict=True))
+        given |= {"start": start, "duration": seconds}
         try:
-            after = np.array(returned, dtype=float)
-        except (TypeError, ValueError):
-            finding = clause(f"the plant returned {returned!r}")
-            raise NumericsError(finding, f"return {', '.join(self.states)}") from None
-        if after.shape != state.shape:
-            finding = f"the plant returned an array of shape {after.shape}, expected {state.shape}"
-            raise NumericsError(finding, f"return {', '.join(self.states)}")
-        if not np.isfinite(after).all():
-            raise PlantFailed("its state is not finite")
-        return after
-
-
-def _start_names(module: GeneratedModule) -> tuple[str, ...]:
-    metadata = module.metadata
-    is_free = is_control(module) and (metadata.control_names or metadata.form == Form.LAGRANGIAN)
-    if is_of_particles(module) or is_free:
-        finding = f"{metadata.problem} is no plant: it has controls, or particles"
-        raise ArgumentError(finding, "give a Simulate, or for dynamics a Control without controls and cost")
-    return tuple(metadata.start)
-
-
-class ModulePlant:
-    """A generated module as a plant; its own time restarts at every sampling time."""
-
-    def __init__(
-        self,
-        module: Any,
-        states: tuple[str, ...],
-        inputs: tuple[str, ...],
-        disturbances: Mapping[str, Moving],
-    ) -> None:
-        self.module, self.states, self.inputs = module, states, inputs
-        self._values = Values(Interface(states, inputs, parameter_arguments(module), ()), disturbances, {}, "the plant")
-        metadata = module.metadata
-        self._rates = tuple(name for name in _start_names(module) if name not in metadata.coordinates)
-        self._has_velocities = bool(self._rates) and metadata.form == Form.LAGRANGIAN
-
-    def __call__(self, state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
-        """Return the next state; raises PlantFailed if the solve fails."""
-        given = self._values.given(t, dict(zip(self.inputs, inputs.tolist(), strict=True)))
-        given |= {"start": dict(zip(self.states, state.tolist(), strict=True)), "duration": seconds}
-        try:
-            result = self.module.solve(int(self.module.metadata.steps), **given)
+            result = module.solve(int(metadata.steps), **given)
         except ValueError as error:
             raise NumericsError(str(error), "correct the plant's numbers") from error
         if result.status != "solved":
             raise PlantFailed(result.message)
         q, rates = result.q[-1], result.p[-1]
-        values = dict(zip(self.module.metadata.coordinates, q.tolist(), strict=True))
-        if self._has_velocities:  # the velocities with the momenta at the end
+        found = dict(zip(metadata.coordinates, q.tolist(), strict=True))
+        if has_velocities:  # the velocities with the momenta at the end
 
             def momenta(v: Vector) -> Vector:
-                start = values | dict(zip(self._rates, v.tolist(), strict=True))
-                return np.asarray(self.module.make_grid(1, **{**given, "start": start}).start[q.size :])
+                moved = found | dict(zip(rate_names, v.tolist(), strict=True))
+                return np.asarray(module.make_grid(1, **{**given, "start": moved}).start[q.size :])
 
-            rates = velocities_of(momenta, rates, np.array([given["start"][name] for name in self._rates]))
-        if self._rates:
-            values |= zip(self._rates, rates.tolist(), strict=True)
-        return np.array([values[name] for name in self.states])
+            rates = velocities_of(momenta, rates, np.array([start[name] for name in rate_names]))
+        if rate_names:
+            found |= zip(rate_names, rates.tolist(), strict=True)
+        return np.array([found[name] for name in states])
+
+    return after
+
+
+def _of_function(function: Callable[[Vector, Vector, float, float], object], states: tuple[str, ...]) -> Plant:
+    """Return a plant that checks the results of a function of the state, the inputs, the time and the duration."""
+
+    def after(state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
+        returned = function(state.copy(), inputs.copy(), t, seconds)
+        try:
+            array = np.array(returned, dtype=float)
+        except (TypeError, ValueError):
+            finding = clause(f"the plant returned {returned!r}")
+            raise NumericsError(finding, f"return {', '.join(states)}") from None
+        if array.shape != state.shape:
+            finding = f"the plant returned an array of shape {array.shape}, expected {state.shape}"
+            raise NumericsError(finding, f"return {', '.join(states)}")
+        if not np.isfinite(array).all():
+            raise PlantFailed("its state is not finite")
+        return array
+
+    return after

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -97,13 +96,25 @@ _IN_A_ROW = 4
 
 def latex(problem: Problem | Phases) -> str:
     """Return the problem as aligned rows, phase by phase; objects without LaTeX are shown by their type."""
+    quantities = quantities_in(problem)
     if not isinstance(problem, Phases):
-        return _aligned(_rows(_Part.alone(problem)))
-    parts = [_Part.phase(problem, number) for number in range(1, len(problem.phases) + 1)]
-    blocks = [rf"\text{{Phase {part.number}:}}\quad {_aligned(_rows(part))}\\[1ex]" for part in parts]
+        # Time ends at the symbol of the duration, else at T, or t_f if T is taken.
+        duration, is_taken = problem.duration, any(symbol.name == "T" for symbol in quantities)
+        last = in_latex(duration.name) if isinstance(duration, Quantity) else r"t_\mathrm{f}" if is_taken else "T"
+        free = [symbol for symbol in quantities if isinstance(symbol, FreeParameter)]
+        return _aligned(_rows(problem, Printer(quantities, "0", last), 0, free, quantities))
+    blocks, printers, before = list[str](), list[Printer](), set[Quantity]()
+    for number, phase in enumerate(problem.phases, start=1):  # time continues from phase to phase
+        printer = Printer(quantities, f"t_{{{number - 1}}}" if number > 1 else "0", f"t_{{{number}}}")
+        own = quantities_in(phase)
+        free = [symbol for symbol in own if isinstance(symbol, FreeParameter) and symbol not in before]
+        aligned = _aligned(_rows(phase, printer, number, free, quantities))
+        blocks.append(rf"\text{{Phase {number}:}}\quad {aligned}\\[1ex]")
+        printers.append(printer)
+        before |= set(own)
     jumps = [
-        rf"&{part.print_(symbol)} \mapsto {part.print_(value)}\quad\text{{at }} t = {part.print_.last}"
-        for part, jump in zip(parts, problem.jumps, strict=False)
+        rf"&{print_(symbol)} \mapsto {print_(value)}\quad\text{{at }} t = {print_.last}"
+        for print_, jump in zip(printers, problem.jumps, strict=False)
         for symbol, value in jump.items()
     ]
     return "\n".join([*blocks, *([rf"\text{{Jumps:}}\quad {_aligned(jumps)}\\[1ex]"] if jumps else [])])
@@ -119,45 +130,13 @@ def _aligned(rows: Iterator[str] | Sequence[str]) -> str:
     return r"\begin{aligned}" + r" \\ ".join(rows) + r"\end{aligned}"
 
 
-@dataclass(frozen=True)
-class _Part:
-    """A problem or one of several phases, with its printer; a single problem has the number 0.
+def _rows(
+    problem: Problem, print_: Printer, number: int, free: Sequence[FreeParameter], quantities: Sequence[Quantity]
+) -> Iterator[str]:
+    """Yield the rows of a problem or of a phase, whose `number` is not zero.
 
-    `own` are the free parameters that no earlier phase has; `quantities` are the quantities of all phases.
+    `free` are its free parameters that no earlier phase has; `quantities` are the quantities of all phases.
     """
-
-    problem: Problem
-    print_: Printer
-    own: tuple[FreeParameter, ...]
-    number: int = 0
-    quantities: tuple[Quantity, ...] = ()
-
-    @classmethod
-    def alone(cls, problem: Problem) -> _Part:
-        """Return a single problem; its time ends at the symbol of the duration, else at T, or t_f if T is taken."""
-        quantities, duration = quantities_in(problem), problem.duration
-        is_taken = any(symbol.name == "T" for symbol in quantities)
-        last = in_latex(duration.name) if isinstance(duration, Quantity) else r"t_\mathrm{f}" if is_taken else "T"
-        printer = Printer(quantities, "0", last)
-        return cls(problem, printer, _free(quantities), quantities=tuple(quantities))
-
-    @classmethod
-    def phase(cls, problem: Phases, number: int) -> _Part:
-        """Return a phase; time continues from phase to phase."""
-        earlier, phase = problem.phases[: number - 1], problem.phases[number - 1]
-        before = {symbol for part in earlier for symbol in _free(quantities_in(part))}
-        own = tuple(symbol for symbol in _free(quantities_in(phase)) if symbol not in before)
-        first = f"t_{{{number - 1}}}" if number > 1 else "0"
-        whole = quantities_in(problem)
-        return cls(phase, Printer(whole, first, f"t_{{{number}}}"), own, number, tuple(whole))
-
-
-def _free(quantities: Sequence[Quantity]) -> tuple[FreeParameter, ...]:
-    return tuple(symbol for symbol in quantities if isinstance(symbol, FreeParameter))
-
-
-def _rows(part: _Part) -> Iterator[str]:
-    problem, print_ = part.problem, part.print_
     if isinstance(problem, Control):
 
         def is_zero(value: object) -> bool:
@@ -174,7 +153,7 @@ def _rows(part: _Part) -> Iterator[str]:
         terms += [term for kind in CONDITIONS for term in kind.costs(problem, print_)]
         if terms:
             yield (r"\text{maximise}\quad &" if is_maximised else r"\text{minimise}\quad &") + " + ".join(terms)
-        elif not part.number:
+        elif not number:
             yield r"&\text{find a motion}"
     elif isinstance(problem, Connect):
         yield r"&\text{connect particles that start at given points with their targets}"
@@ -195,7 +174,7 @@ def _rows(part: _Part) -> Iterator[str]:
         yield from (f"{letter}_{{{name}}} &= {value}" for name, value in zip(named, values, strict=True))
     duration = print_(problem.duration)
     if duration != print_.last:
-        yield f"{print_.last} &= " + (f"{print_.first} + {duration}" if part.number > 1 else duration)
+        yield f"{print_.last} &= " + (f"{print_.first} + {duration}" if number > 1 else duration)
     if getattr(problem, "bodies", 1) != 1:
         yield rf"&\text{{for each of }} {print_(problem.bodies)} \text{{ bodies}}"  # type: ignore[attr-defined]
     for mapping, time in ((problem.start, print_.first), (getattr(problem, "end", {}), print_.last)):
@@ -205,16 +184,16 @@ def _rows(part: _Part) -> Iterator[str]:
             yield rf"{print_.at(symbol, 't')} &= {print_(value)}\quad\text{{for }} t \le 0"
         yield from (row for kind in CONDITIONS for row in kind.displayed(problem, print_))
         bounds = dict(_items(problem.bounds))
-        for symbol in part.own:
+        for symbol in free:
             low, high = bounds.pop(symbol, (symbol.lower, symbol.upper))
             # A duration is not negative.
             low = 0 if low is None and symbol == problem.duration and not problem.periodic else low
             yield rf"&{print_.between(print_(symbol), (low, high))}\quad\text{{(free)}}"
         yield from (f"&{print_.between(print_(symbol), pair)}" for symbol, pair in bounds.items())
-    if part.number <= 1:
+    if number <= 1:
         # Quantities with units: parameters with their values, others with the unit in brackets.
         units = []
-        for symbol in part.quantities:
+        for symbol in quantities:
             if hasattr(symbol, "unit"):
                 unit = rf"\text{{{written_unit(symbol.unit) or '1'}}}"
                 is_parameter = isinstance(symbol, Parameter)

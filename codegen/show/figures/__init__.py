@@ -32,7 +32,6 @@ __all__ = [
     "figure_of_sweep",
     "label",
     "pareto_figure",
-    "save",
     "save_specimens",
     "save_sweep",
     "simulation_figure",
@@ -60,13 +59,6 @@ def figure(
             return finished(control_figure(module, result, drawings, unit))
         assert not isinstance(drawings, Drawings)
         return finished(simulation_figure(result, drawings, unit))
-
-
-def save(
-    module: GeneratedModule, result: Result, path: Path, drawings: Drawings | Scene | None = None, unit: str = ""
-) -> None:
-    """Draw a module's result into a file of a format of matplotlib; `unit` is the unit of the time."""
-    write(figure(module, result, drawings, unit), path)
 
 
 def save_sweep(data: Dataset, path: Path, pareto: str | None = None, style: str = "page") -> None:

@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
-from codegen.show.figures.labels import Units, label, quantity, title
+from codegen.show.figures.labels import in_unit, label, quantity, title
 from codegen.show.figures.picture import (
     AMBER,
     BLUE,
@@ -246,8 +246,8 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     inner = result.t[list(time_grid(module, result.steps, result.grid).inner)] if inner_name else ()
     switches = result.t[result.steps : -1 : result.steps]
     time = Time(
-        Units.of(result, unit).time, float(result.t[0]), float(result.t[-1]), tuple(map(float, switches)),
-        tuple(map(float, inner)),
+        in_unit("time", result.units.get("t", unit)), float(result.t[0]), float(result.t[-1]),
+        tuple(map(float, switches)), tuple(map(float, inner)),
     )  # fmt: skip
     outcome = "optimum" if result.solved else "last iterate"
     if drawings is not None and beside:

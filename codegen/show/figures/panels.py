@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from codegen.show.figures.labels import label, relation
+from codegen.show.figures.labels import in_unit, label, relation
 from codegen.show.figures.picture import (
     AMBER,
     BLUE,
@@ -63,7 +63,7 @@ def quantity(axes: Axes, shown: Quantity, second: Quantity | None = None) -> Non
             axes.plot(shown.t[[0, -1]], values[[0, -1]], "o", color=colour, markersize=3.5)
     _highlight(axes, shown.t, shown.values, shown.active())
     name = label(shown.name) if second is None else f"{label(shown.name)}, {label(second.name)}"
-    axes.set_ylabel(f"{name} ({shown.unit})" if shown.unit else name)
+    axes.set_ylabel(in_unit(name, shown.unit))
     drawn = shown.values if second is None else np.vstack([shown.values, second.values])
     if shown.kind == "momentum" and single:
         say_if_conserved(axes, drawn)

@@ -104,7 +104,7 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
         grid = time_grid(module, guess.steps, guess.grid)
         with np.errstate(all="ignore"):  # durations and momenta of infinite unknowns are not used
             unpacked = [module.unpack(grid, bounds) for bounds in module.variable_bounds(grid)]
-        lower, upper = ([own.q, own.p, own.u] for own in unpacked)
+        lower, upper = (list(own[1:4]) for own in unpacked)
     groups: dict[str, tuple[tuple[str, ...], Matrix, Matrix, int]] = {
         "state": (coordinates, result.q, guess.q, 0),
         "momentum": (momenta, result.p, guess.p, 1),

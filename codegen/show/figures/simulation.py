@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
-from codegen.show.figures.labels import Units, label, set_title, title
+from codegen.show.figures.labels import in_unit, label, set_title, title
 from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, DARK, GREY, RED, Look, letter_size, new_figure
 from codegen.solving.loading import ConnectModule
 from codegen.solving.results.result import Result
@@ -42,7 +42,7 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
     the scheme.
     """
     assert result.energy is not None, "a simulation has energies"
-    names, units = result.names["q"], Units.of(result, unit)
+    names, units, momenta = result.names["q"], {"t": unit, **result.units}, result.names["p"]
     shown = min(len(names), _MOST_COORDINATES)
     columns = 1 if shown <= _MOST_IN_A_COLUMN else 2
     rows = math.ceil(shown / columns)
@@ -80,27 +80,27 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
         axes.plot(t[0], q[0], "o", color=AMBER, markersize=5, label="start")
         axes.margins(x=0.01)
         panels.widen_if_flat(axes, q)
-        axes.set_ylabel(units.label(names[i]))
+        axes.set_ylabel(in_unit(label(names[i]), units.get(names[i], "")))
         if i == 0:  # the legend stands above the panel, where no curve can be
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), handletextpad=0.1, borderaxespad=0.0)
         is_lowest = line == rows - 1 or i == shown - 1
-        axes.set_xlabel(units.time if is_lowest else "")
+        axes.set_xlabel(in_unit("time", units["t"]) if is_lowest else "")
         axes.tick_params(labelbottom=is_lowest)
         portrait = curves.add_subplot(grid[line, 3 * column + 2])
         portrait.plot(q, p, color=BLUE, linewidth=0.8 if q.size <= 2000 else 0.5, alpha=0.6)
         if q.size <= _MOST_DOTS:
             portrait.plot(q, p, ".", color=BLUE, markersize=2.5)
         portrait.plot(q[0], p[0], "o", color=AMBER, markersize=5)
-        portrait.set_xlabel(units.label(names[i]))
-        portrait.set_ylabel(units.label(result.names["p"][i]))
+        portrait.set_xlabel(in_unit(label(names[i]), units.get(names[i], "")))
+        portrait.set_ylabel(in_unit(label(momenta[i]), units.get(momenta[i], "")))
         portrait.margins(0.08)
         panels.say_if_conserved(portrait, p)
     # The change of a conserved energy, or an energy that changes.
     axes, energy, t = curves.add_subplot(grid[rows, :]), result.energy, result.t[::stride]
     is_conserved = "energy_drift" in result.summary
     axes.plot(t, (energy - energy[0] if is_conserved else energy)[::stride], color=RED, linewidth=1.2)
-    axes.set_xlabel(units.time)
-    axes.set_ylabel(units.named("change of energy" if is_conserved else "energy", "energy"))
+    axes.set_xlabel(in_unit("time", units["t"]))
+    axes.set_ylabel(in_unit("change of energy" if is_conserved else "energy", units.get("energy", "")))
     axes.margins(x=0.01)
     finite = energy[np.isfinite(energy)]
     size = float(np.abs(finite).max(initial=0.0))
