@@ -180,7 +180,8 @@ def improved(
     case. The best solution is the cheapest of these and of the outcome.
     """
     costs = np.array([outcome.cost if outcome.is_start else np.nan for outcome in outcomes])
-    best, attempts, tried = list(outcomes), dict[int, list[Attempt]](), set[tuple[int, int, float]]()
+    best, tried = list(outcomes), set[tuple[int, int, float]]()
+    attempts: dict[int, list[Attempt]] = {}
     behind: list[Pair] = []
     while True:
         begun, pairs, behind = len(tried), [*neighbours.jumps(costs), *behind], []

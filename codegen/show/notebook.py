@@ -36,7 +36,6 @@ from codegen.solving.results.result import Result
 if TYPE_CHECKING:
     from codegen.discretise.model.definitions import Model
     from codegen.discretise.model.pairwise import PairwiseModel
-    from codegen.mpc.closed_loop import ClosedLoop
     from codegen.show.figures.picture import Film, Picture
     from codegen.show.figures.simulation import References
 
@@ -285,7 +284,7 @@ def _model(background: Background) -> Model | PairwiseModel | None:
     return None if background.source is None else load_problem(background.source, background.arguments)
 
 
-def loop_html(loop: ClosedLoop) -> str:
+def loop_html(loop: Any) -> str:
     """Return the outcome of a closed loop as a table, with its figure."""
     ended = ", ".join(f"{count} {status}" for status, count in loop.counts.items())
     times = f"median {number(1e3 * loop.latency(50), 3)} ms, 99.9 % below {number(1e3 * loop.latency(99.9), 3)} ms"
@@ -301,7 +300,7 @@ def loop_html(loop: ClosedLoop) -> str:
     return summary + loop_picture(loop, {})._repr_html_() if loop.latencies.size else summary
 
 
-def loop_picture(loop: ClosedLoop, references: References) -> Picture:
+def loop_picture(loop: Any, references: References) -> Picture:
     """Return the figure of states, inputs and latencies, with their references."""
     from codegen.show.figures.picture import Picture, finished, using
     from codegen.show.figures.simulation import closed_loop_figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,9 +20,6 @@ from codegen.show.figures.labels import in_unit, label, set_title, title
 from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, DARK, GREY, RED, Look, letter_size, new_figure
 from codegen.solving.loading import ConnectModule
 from codegen.solving.results.result import Result
-
-if TYPE_CHECKING:
-    from codegen.mpc.closed_loop import ClosedLoop
 
 _MOST_COORDINATES = 12
 _MOST_IN_A_COLUMN = 4
@@ -171,8 +168,8 @@ _REFERENCE: Look = {"color": GREY, "linestyle": (0, (4, 2)), "linewidth": 1.1, "
 _CROSS: Look = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5, "zorder": 3.0}
 
 
-def closed_loop_figure(loop: ClosedLoop, references: References) -> Figure:
-    """Draw states with measurements, inputs, and latencies with the deadline.
+def closed_loop_figure(loop: Any, references: References) -> Figure:
+    """Draw states with measurements, inputs, and latencies with the deadline of a `codegen.ClosedLoop`.
 
     Crosses mark inputs of an earlier plan, and missed deadlines.
     """
@@ -230,7 +227,7 @@ def _rows(kind: str, count: int, columns: int, parts: int) -> list[Any]:
     return [[name for name in row for _ in range(parts // columns)] for row in rows]
 
 
-def _finish(axes: Axes, loop: ClosedLoop, name: str, references: References) -> None:
+def _finish(axes: Axes, loop: Any, name: str, references: References) -> None:
     if name in references:
         fine = np.linspace(loop.times[0], loop.times[-1], max(400, 2 * loop.times.size))
         axes.plot(fine, [references[name](t) for t in fine.tolist()], **_REFERENCE)
