@@ -13,9 +13,9 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from codegen.batch.layout import Shapes
 from codegen.batch.request import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
 from codegen.errors import CodegenError, one_line
 from codegen.solving.drivers import find
-from codegen.solving.loading import Matrix, Vector, is_connect
+from codegen.solving.loading import ControlModule, Matrix, Vector, is_connect
 from codegen.solving.request import with_arguments
 from codegen.solving.results.result import STATUSES, Outline, Run
 from codegen.solving.results.segments import segments_of
@@ -41,40 +41,17 @@ STRAIGHT = 1e-6
 """Largest relative deviation of a step from the direction of the previous one on a straight path."""
 
 
-AttemptType = TypeVar("AttemptType", bound="Attempted")
-
-
-class Attempted(Protocol):
-    """An attempt at a case, as continuation sees it."""
-
-    @property
-    def is_start(self) -> bool:
-        """True if other cases can start from the attempt."""
-
-    @property
-    def has_tangent(self) -> bool:
-        """True if derivatives by the varied quantities are stored."""
-
-    def without_tangent(self: AttemptType) -> AttemptType:
-        """Return the attempt without derivatives, which take memory."""
-
-
 @dataclass(frozen=True)
-class Start(Generic[AttemptType]):
+class Start:
     """A solution to start from, moved by `factor` times its difference from `before`, along its tangent, or both."""
 
-    solution: AttemptType
-    before: AttemptType | None = None
+    solution: Attempt
+    before: Attempt | None = None
     factor: float = 0.0
     is_along_tangent: bool = False
 
-    @property
-    def is_moved(self) -> bool:
-        """True if the start differs from the solution."""
-        return self.is_along_tangent or self.before is not None
 
-
-class Continuation(Generic[AttemptType]):
+class Continuation:
     """The solutions of a chunk so far, and the starts of the next case.
 
     `points` (n, quantities) are the cases scaled by the range of each quantity. `families` (n,) numbers the modules of
@@ -85,17 +62,17 @@ class Continuation(Generic[AttemptType]):
     def __init__(self, points: Matrix, families: NDArray[np.intp], warm: bool) -> None:
         self._points, self._families, self._warm = points, families, warm
         self._coordinates: list[list[float]] = points.tolist()  # faster than arrays for single points
-        self._solved: dict[int, AttemptType] = {}
+        self._solved: dict[int, Attempt] = {}
         self._path: dict[int, list[int]] = {}
 
-    def solve(self, index: int, attempt: Callable[[Start[AttemptType] | None], AttemptType]) -> list[AttemptType]:
+    def solve(self, index: int, attempt: Callable[[Start | None], Attempt]) -> list[Attempt]:
         """Return the attempts at a case; the last one is its outcome.
 
         The outcome is the first solved attempt, else the attempt from the problem's own guess. `attempt` solves from a
         start, or from the own guess for None.
         """
-        attempts: list[AttemptType] = []
-        from_guess: AttemptType | None = None
+        attempts: list[Attempt] = []
+        from_guess: Attempt | None = None
         for start in self._starts(index):
             result = attempt(start)
             attempts.append(result)
@@ -110,19 +87,20 @@ class Continuation(Generic[AttemptType]):
         assert from_guess is not None, "every case is tried from its own guess"
         return [*(result for result in attempts if result is not from_guess), from_guess]
 
-    def _starts(self, index: int) -> Iterator[Start[AttemptType] | None]:
+    def _starts(self, index: int) -> Iterator[Start | None]:
         path = self._path.get(int(self._families[index]), [])
         first = self._first(index, path) if self._warm else None
         if first is not None:
             yield first
         yield None
-        others = path[:-1] if first is not None and not first.is_moved else path
+        is_moved = first is None or first.is_along_tangent or first.before is not None
+        others = path if is_moved else path[:-1]
         if others:
             distances = ((self._points[others] - self._points[index]) ** 2).sum(axis=1)
             for k in np.argsort(distances, kind="stable")[:OTHERS]:
                 yield Start(self._solved[others[k]])
 
-    def _first(self, index: int, path: Sequence[int]) -> Start[AttemptType] | None:
+    def _first(self, index: int, path: Sequence[int]) -> Start | None:
         """Return the last solution, moved along its tangent, and along the secant if the path is straight."""
         if not path:
             return None
@@ -225,30 +203,14 @@ class Varied:
         if is_connect(self.module):
             return with_arguments(self.module, **arguments)
         # The guess, the driver and the evaluation outside the driver use the same grid.
-        self._module.make_grid = _LastCall(partial(self.module.make_grid, **arguments))
+        self._module.make_grid = lru_cache(maxsize=1)(partial(self.module.make_grid, **arguments))
         self._module.solve = partial(self.module.solve, **arguments)
         if hasattr(self.module, "nlp"):
             self._module.nlp = partial(self.module.nlp, **arguments)
         return self._module
 
 
-class _LastCall:
-    """A function of hashable arguments that stores its last value; created for each case, cheaper than a cache."""
-
-    __slots__ = ("_arguments", "_function", "_value")
-
-    def __init__(self, function: Any) -> None:
-        self._function, self._value = function, None
-        self._arguments: tuple[Any, Any] | None = None
-
-    def __call__(self, *positional: Any, **named: Any) -> Any:
-        """Return the value, computed if the arguments differ from those of the last call."""
-        if self._arguments != (positional, named):
-            self._arguments, self._value = (positional, named), self._function(*positional, **named)
-        return self._value
-
-
-def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[Attempt] | None) -> Attempt:
+def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start | None) -> Attempt:
     """Solve a case from a neighbour's solution, or from the problem's own guess for None.
 
     Unusable numbers are a status. A case is solved only if all equations hold when evaluated outside the driver.
@@ -265,12 +227,8 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[At
             run = replace(run, guess=_unknowns(module, steps, start, values))
         elif varied.task.name == "control":  # the driver and the evaluation outside it share the guess
             number = int(of_kind.get(GUESS, 1))
-            guess = (
-                module.initial_guess(module.make_grid(steps))
-                if number == 1
-                else varied_guess(module, steps, number - 1)
-            )
-            run = replace(run, guess=guess, near=False)
+            own = module.initial_guess(module.make_grid(steps)) if number == 1 else None
+            run = replace(run, guess=varied_guess(module, steps, number - 1) if own is None else own, near=False)
         result = varied.function(module, run)
         seconds = time.perf_counter() - begin
         outline = varied.task.outline(module, varied.driver, run, result)
@@ -286,7 +244,7 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[At
     return replace(attempt, rates=varied.wanted.of_solution(module, varied.driver, run, result, values))
 
 
-def _unknowns(module: Any, steps: int, start: Start[Attempt], values: Mapping[Quantity, float]) -> Vector:
+def _unknowns(module: ControlModule, steps: int, start: Start, values: Mapping[Quantity, float]) -> Vector:
     """Return the unknowns (n,) of a start on a number of intervals; see the docstring of this module."""
     unknowns, rates = start.solution.outline.unknowns, start.solution.rates
     assert unknowns is not None, "only solutions with unknowns are starts"

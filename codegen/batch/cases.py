@@ -18,14 +18,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codegen.batch.executors.chunks import counted
 from codegen.errors import ArgumentError, NumericsError, clause, one_line
-from codegen.solving.loading import Matrix
 
 Values: TypeAlias = NDArray[np.float64] | NDArray[np.str_]
 MOST_CASES = 100_000_000
@@ -82,20 +81,28 @@ class Cases:
 
     def points(self, indices: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return cases as points (n, quantities), each quantity scaled by its range; words are numbered."""
-        return np.column_stack([self._ranges[name].parts(column) for name, column in self.chosen(indices).items()])
+        return np.column_stack([self._scaled(name, column) for name, column in self.chosen(indices).items()])
 
     def points_along(self, axis: int) -> NDArray[np.float64]:
         """Return the scaled values of the quantities of a dimension as points (n, quantities)."""
         own = [name for name, place in self.axes.items() if place == axis]
-        return np.column_stack([self._ranges[name].parts(self.columns[name]) for name in own])
+        return np.column_stack([self._scaled(name, self.columns[name]) for name in own])
+
+    def _scaled(self, name: str, column: Values) -> NDArray[np.float64]:
+        """Return values relative to the range of a quantity, or the numbers of words."""
+        known = self._ranges[name]
+        if not isinstance(known, tuple):
+            return np.searchsorted(known, column).astype(float)
+        least, extent = known
+        return np.asarray((np.asarray(column, dtype=float) - least) / extent)
 
     @cached_property
-    def _ranges(self) -> dict[str, _Range]:
-        """The range of each quantity, computed once: columns may be long, and chunks many."""
+    def _ranges(self) -> dict[str, tuple[float, float] | NDArray[np.str_]]:
+        """The least value and the extent of each quantity, or its words: columns may be long, and chunks many."""
         return {
-            name: _Range(0.0, 1.0, np.unique(column))
+            name: np.unique(column).astype(np.str_)
             if column.dtype.kind == "U"
-            else _Range(float(np.min(column)), float(np.ptp(column)) or 1.0, None)
+            else (float(np.min(column)), float(np.ptp(column)) or 1.0)
             for name, column in self.columns.items()
         }
 
@@ -105,21 +112,7 @@ def rows_of(columns: Mapping[str, Values]) -> list[dict[str, float | str]]:
     return [dict(zip(columns, row)) for row in zip(*(column.tolist() for column in columns.values()), strict=True)]
 
 
-@dataclass(frozen=True, eq=False)
-class _Range:
-    """The least value of a quantity and its extent, or its words."""
-
-    least: float
-    extent: float
-    words: NDArray[np.str_] | None
-
-    def parts(self, column: Values) -> NDArray[np.float64]:
-        if self.words is not None:
-            return np.searchsorted(self.words, column).astype(float)
-        return np.asarray((np.asarray(column, dtype=float) - self.least) / self.extent)
-
-
-def grid(axes: Mapping[str, Any], zipped: Sequence[Sequence[str]] = ()) -> Cases:
+def grid(axes: Mapping[str, object], zipped: Sequence[Sequence[str]] = ()) -> Cases:
     """Return all combinations of the values of each quantity; a zipped group varies along one dimension.
 
     Raises ArgumentError for invalid values, and for names that cannot be zipped.
@@ -146,7 +139,7 @@ def grid(axes: Mapping[str, Any], zipped: Sequence[Sequence[str]] = ()) -> Cases
     return Cases(dims, shape, columns, {name: dims.index(heads[name]) for name in columns})
 
 
-def values_of(name: str, values: Any) -> Values:
+def values_of(name: str, values: object) -> Values:
     """Return the values of one quantity (n,) as numbers or texts; raises ArgumentError for other values."""
     try:
         array = np.atleast_1d(np.asarray(values))
@@ -277,60 +270,57 @@ NUMBER = 1000
 """Default number of samples."""
 
 
-def _random(number: int, dimensions: int, rng: np.random.Generator) -> Matrix:
-    return rng.random((number, dimensions))
+METHODS = ("random", "latin", "sobol")
+"""Sampling methods."""
 
 
-def _latin(number: int, dimensions: int, rng: np.random.Generator) -> Matrix:
-    from scipy.stats import qmc
+@runtime_checkable
+class Distribution(Protocol):
+    """A frozen distribution of scipy."""
 
-    return np.asarray(qmc.LatinHypercube(dimensions, seed=rng).random(number))
-
-
-def _sobol(number: int, dimensions: int, rng: np.random.Generator) -> Matrix:
-    from scipy.stats import qmc
-
-    # The sequence is balanced in powers of two; of a longer one the first are taken.
-    return np.asarray(qmc.Sobol(dimensions, seed=rng).random_base2(max(number - 1, 1).bit_length())[:number])
+    def ppf(self, q: object) -> NDArray[np.float64]:
+        """Return the quantiles of probabilities."""
 
 
-METHODS: dict[str, Callable[[int, int, np.random.Generator], Matrix]] = {
-    "random": _random,
-    "latin": _latin,
-    "sobol": _sobol,
-}
-"""Sampling methods by name: (number, dimensions, generator) -> points of the unit cube (number, dimensions)."""
-
-
-def _uniform(low: float, high: float) -> Any:
+def _uniform(low: float, high: float) -> Distribution:
     from scipy import stats
 
-    return stats.uniform(low, high - low)
+    frozen: Distribution = stats.uniform(low, high - low)
+    return frozen
 
 
-def _normal(mean: float, deviation: float) -> Any:
+def _normal(mean: float, deviation: float) -> Distribution:
     from scipy import stats
 
-    return stats.norm(mean, deviation)
+    frozen: Distribution = stats.norm(mean, deviation)
+    return frozen
 
 
-PLAIN: dict[str, Callable[..., Any]] = {"uniform": _uniform, "normal": _normal}
+PLAIN: dict[str, Callable[..., Distribution]] = {"uniform": _uniform, "normal": _normal}
 """Distributions with arguments other than in scipy: uniform(low, high), normal(mean, deviation)."""
 
 
-def samples(distributions: Mapping[str, Any], number: int, method: str, seed: int) -> Cases:
+def samples(distributions: Mapping[str, object], number: int, method: str, seed: int) -> Cases:
     """Return samples of independent quantities, the same for the same method and seed.
 
     A distribution is a text such as `normal(100, 5)`, or a frozen distribution of scipy. Raises ArgumentError for an
     invalid distribution, method, number or seed.
     """
+    from scipy.stats import qmc
+
     require_method(method)
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= MOST_CASES:
         raise ArgumentError(f"{clause(repr(number))} samples", f"give a number of --cases from 1 to {MOST_CASES}")
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ArgumentError(f"--seed {clause(repr(seed))}", "give a whole number that is not negative")
     frozen = {name: _distribution(name, text) for name, text in distributions.items()}
-    points = METHODS[method](number, len(frozen), np.random.default_rng(seed))
+    rng, dimensions = np.random.default_rng(seed), len(frozen)
+    if method == "random":
+        points = rng.random((number, dimensions))
+    elif method == "latin":
+        points = np.asarray(qmc.LatinHypercube(dimensions, seed=rng).random(number))
+    else:  # the sequence is balanced in powers of two; of a longer one the first are taken
+        points = np.asarray(qmc.Sobol(dimensions, seed=rng).random_base2(max(number - 1, 1).bit_length())[:number])
     # Most distributions are infinite at 0 and 1.
     points = np.clip(points, 2.0**-53, 1.0 - 2.0**-53)
     columns = {}
@@ -350,9 +340,9 @@ def require_method(method: str) -> None:
         raise ArgumentError(f"there is no sampling method {clause(repr(method))}", remedy)
 
 
-def _distribution(name: str, distribution: Any) -> Any:
+def _distribution(name: str, distribution: object) -> Distribution:
     """Return a frozen distribution of scipy; raises ArgumentError for an invalid text."""
-    if callable(getattr(distribution, "ppf", None)):
+    if isinstance(distribution, Distribution):
         return distribution
     from scipy import stats
 

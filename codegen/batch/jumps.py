@@ -17,10 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from codegen.batch.case import Attempt
 
 Costs: TypeAlias = NDArray[np.float64]
 Pair: TypeAlias = tuple[int, int]
@@ -92,7 +95,7 @@ def _of_ends(costs: Costs, places: NDArray[np.float64]) -> tuple[NDArray[np.bool
     later = [_shifted(costs, k)[:, :number] for k in range(AHEAD + 1)]
     positions = [_shifted(places[None], k)[:, :number] for k in range(AHEAD + 1)]
     line, parabola, cubic = (_polynomial(later[1:k], positions[1:k], positions[0]) for k in (3, 4, 5))
-    # Four values have no cubic: the error of the line bounds that of the parabola.
+    # Four values have no cubic: the error of the line bounds the error of the parabola.
     low = np.where(np.isnan(cubic), np.minimum(line, 2.0 * parabola - line), np.minimum(parabola, cubic))
     high = np.where(np.isnan(cubic), np.maximum(line, 2.0 * parabola - line), np.maximum(parabola, cubic))
     step = np.maximum.reduce([np.abs(value - later[1]) for value in (line, low, high)])
@@ -168,41 +171,17 @@ BETTER = 1e-7
 """Least relative reduction of the cost by another solution."""
 
 
-class Solved(Protocol):
-    """A solution as this module sees it."""
-
-    @property
-    def is_start(self) -> bool:
-        """True if other cases can start from the solution."""
-
-    @property
-    def cost(self) -> float:
-        """The cost, NaN without a solution."""
-
-
-class Neighbours(Protocol):
-    """The neighbours among cases whose costs (n,) are NaN without a solution."""
-
-    def jumps(self, costs: Costs, certain: bool = False) -> list[Pair]:
-        """Return pairs of neighbours between which the cost jumps, or jumps for certain."""
-
-    def followers(self, worse: int, better: int, costs: Costs) -> list[int]:
-        """Return the cases that an improved case may improve."""
-
-
-SolvedType = TypeVar("SolvedType", bound=Solved)
-
-
 def improved(
-    outcomes: Sequence[SolvedType], neighbours: Neighbours, attempt: Callable[[int, SolvedType], SolvedType]
-) -> dict[int, list[SolvedType]]:
+    outcomes: Sequence[Attempt], neighbours: Neighbours, attempt: Callable[[int, Attempt], Attempt]
+) -> dict[int, list[Attempt]]:
     """Solve the worse side of every jump from its neighbour, and new jumps likewise, until nothing improves.
 
-    `outcomes` are those of all cases; `attempt` solves a case from a solution. Returns the further attempts by case.
-    The best solution is the cheapest of these and of the outcome.
+    `outcomes` are the outcomes of all cases; `attempt` solves a case from a solution. Returns the further attempts by
+    case. The best solution is the cheapest of these and of the outcome.
     """
     costs = np.array([outcome.cost if outcome.is_start else np.nan for outcome in outcomes])
-    best, attempts, tried = list(outcomes), dict[int, list[SolvedType]](), set[tuple[int, int, float]]()
+    best, tried = list(outcomes), set[tuple[int, int, float]]()
+    attempts: dict[int, list[Attempt]] = {}
     behind: list[Pair] = []
     while True:
         begun, pairs, behind = len(tried), [*neighbours.jumps(costs), *behind], []
@@ -221,7 +200,7 @@ def improved(
             return attempts
 
 
-def is_better(one: Solved, other: Solved) -> bool:
+def is_better(one: Attempt, other: Attempt) -> bool:
     """Return True if a solution costs less than another solution of the same case, beyond rounding."""
     return one.is_start and one.cost < other.cost - BETTER * abs(other.cost)
 
@@ -270,8 +249,14 @@ def scattered(points: NDArray[np.float64], families: NDArray[np.intp], solved: N
         cloud = points[own]
         cloud = cloud[:, np.ptp(cloud, axis=0) > 0.0] if own.size else cloud
         if cloud.shape[1] and own.size >= SCATTERED_LEAST * (cloud.shape[1] + 1):
+            from scipy.spatial import KDTree  # slow to import, and not needed for grids
+
             number, dimensions = cloud.shape
-            around = _apart_first(cloud, _nearest(cloud, min(number - 1, AROUND * dimensions + 2)))
+            count = min(number - 1, AROUND * dimensions + 2)
+            nearest = np.asarray(KDTree(cloud).query(cloud, count + 1)[1], dtype=np.intp)
+            is_itself = nearest == np.arange(number)[:, None]
+            is_itself[~is_itself.any(axis=1), -1] = True  # a point with many copies may be missing among its neighbours
+            around = _apart_first(cloud, nearest[~is_itself].reshape(number, count))
             near = around[:, : min(NEAR * dimensions, MOST_NEAR)]
             begins = np.broadcast_to(np.arange(number)[:, None], near.shape)
             both = [_predictions(cloud, around, a.ravel(), b.ravel()) for a, b in ((begins, near), (near, begins))]
@@ -330,16 +315,6 @@ class _Cloud:
         return [int(number) for number in self.own[near[ahead > 0.0]]]
 
 
-def _nearest(points: NDArray[np.float64], number: int) -> NDArray[np.intp]:
-    """Return the nearest other points (n, number) of each point, nearest first."""
-    from scipy.spatial import KDTree  # slow to import, and not needed for grids
-
-    near = np.asarray(KDTree(points).query(points, number + 1)[1], dtype=np.intp)
-    is_itself = near == np.arange(len(points))[:, None]
-    is_itself[~is_itself.any(axis=1), -1] = True  # a point with many copies may be missing among its neighbours
-    return np.asarray(near[~is_itself].reshape(len(points), number))
-
-
 def _apart_first(points: NDArray[np.float64], around: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the neighbours (n, k) of points in another order: Gabriel neighbours first.
 
@@ -389,6 +364,10 @@ def _slopes(others: NDArray[np.float64], ways: NDArray[np.float64]) -> tuple[NDA
     seconds = distance + (np.abs(weights) * squares).sum(axis=1)
     is_one = (distance > 0.0) & (missed <= MISSED**2 * distance) & (seconds <= FARTHEST * distance)
     return weights, np.where(is_one, seconds, np.nan)
+
+
+Neighbours: TypeAlias = Grid | Scattered
+"""The neighbours among cases whose costs (n,) are NaN without a solution."""
 
 
 def _middle(table: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -110,7 +110,7 @@ def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: i
 
 @dataclass(frozen=True)
 class Layout:
-    """The arrays of all cases: their dimensions after those of cases, sizes of dimensions, and names of columns.
+    """The arrays of all cases: their dimensions except the dimensions of cases, sizes, and names of columns.
 
     `free` are free parameters, one number for each case. `left_out` are arrays that would take too much space.
     """
@@ -254,7 +254,7 @@ coordinates.
 RATES = 5
 """Number of iterations that take as long as the sensitivities of a case."""
 SLOWER = 50.0
-"""Ratio of the time of external drivers to that of generated solvers."""
+"""Time of external drivers relative to generated solvers."""
 
 
 @dataclass(frozen=True)
@@ -300,7 +300,7 @@ class Piece:
     number: int
     region: tuple[slice, ...]
     is_grid: bool
-    columns: Mapping[str, NDArray[Any]]
+    columns: Mapping[str, NDArray[np.float64] | NDArray[np.str_]]
     points: NDArray[np.float64]
 
     @property

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.cases import NUMBER, Cases, grid, require_method, samples, table
+from codegen.batch.cases import NUMBER, Cases, grid, require_method, table
+from codegen.batch.cases import samples as sampled
 from codegen.batch.executors import team_size
 from codegen.batch.executors.chunks import counted
 from codegen.batch.layout import RATE, free_label
@@ -25,7 +26,7 @@ from codegen.solving.results.result import ControlAttempt, Run
 from codegen.solving.results.sensitivities import rates_at
 
 if TYPE_CHECKING:
-    from codegen.solving.loading import GeneratedModule
+    from codegen.solving.loading import ControlModule, GeneratedModule
 
 STORES, FILES = (".zarr",), (".nc",)
 OPTIONS = (
@@ -52,21 +53,16 @@ class SweepRequest:
     workers: int
     warm_starts: bool
     chunk: int | None
-    cluster: Any
-
-    @property
-    def is_store(self) -> bool:
-        """True if results are written to a zarr store during the sweep."""
-        return self.out is not None and self.out.suffix in STORES
+    cluster: object
 
 
 def sweep_request(
     problem: Path | str | GeneratedModule,
-    vary: Mapping[str, Any] | None = None,
+    vary: Mapping[str, object] | None = None,
     *,
     zipped: Sequence[Sequence[str]] = (),
-    samples: Mapping[str, Any] | None = None,
-    cases: Any = None,
+    samples: Mapping[str, object] | None = None,
+    cases: object = None,
     method: str = "random",
     seed: int = 0,
     out: Path | str | None = None,
@@ -75,10 +71,10 @@ def sweep_request(
     workers: int | None = None,
     warm_starts: bool = False,
     chunk: int | None = None,
-    cluster: Any = None,
+    cluster: object = None,
     **options: Any,
 ) -> SweepRequest:
-    """Return the request of these arguments, which are those of `codegen.sweep`.
+    """Return the request of these arguments, the arguments of `codegen.sweep`.
 
     Raises ArgumentError for arguments that do not exist or do not fit together, NumericsError for unusable numbers.
     """
@@ -92,12 +88,40 @@ def sweep_request(
     if not isinstance(out, str | PathLike | None):
         raise ArgumentError(f"--out {clause(repr(out))} is no path", 'give one, such as "sweep.zarr"')
     path = None if out is None else Path(out)
-    if path is not None:
-        _require_out(path, resume)
-    elif resume:
+    if path is None and resume:
         raise ArgumentError("--resume without --out", "name the store to go on with")
+    if path is not None:
+        if path.suffix not in STORES + FILES:
+            raise ArgumentError(f"--out {path}: unknown kind of file", "let it end in .zarr or .nc")
+        require_folder(path.absolute().parent, "--out")
+        if resume and path.suffix in FILES:
+            raise ArgumentError(f"--resume: {path} is written at the end, as a whole", "let --out end in .zarr")
+        if path.exists() and not resume:
+            another = "choose another name" + ("" if path.suffix in FILES else ", or --resume to go on with it")
+            raise ArgumentError(f"--out {path} is there already", another)
     solve = Request(problem, **options)
-    all_cases, origin = _cases(vary, zipped, samples, cases, method, seed)
+    require_method(method)
+    is_number = isinstance(cases, int) and not isinstance(cases, bool)
+    if zipped and not vary:
+        raise ArgumentError("--zip without --vary", "name what varies together by --vary")
+    if sum(map(bool, (vary, samples, cases is not None and not is_number))) > 1:
+        raise ArgumentError("cases are given in several ways", "give --vary, or --sample, or --cases FILE")
+    if is_number and not samples:
+        raise ArgumentError(f"{cases} cases of what?", "give distributions, as --sample 'm=normal(100, 5)'")
+    for name, values in (("vary", vary), ("samples", samples)):
+        if values and not (isinstance(values, Mapping) and all(isinstance(key, str) for key in values)):
+            finding = f"{name} is {clause(repr(values))}"
+            raise ArgumentError(finding, 'give names and values, such as {"r1": [5.5, 6, 6.5]}')
+    if vary:
+        all_cases, origin = grid(vary, zipped), "grid"
+    elif samples:
+        number = cases if isinstance(cases, int) else NUMBER
+        all_cases = sampled(samples, number, method, seed)
+        origin = f"{counted(number, f'{method} sample')}, seed {seed}"
+    elif cases is None:
+        raise ArgumentError("nothing varies", "give --vary, --sample or --cases, as --vary r1=5.5:6.5:101")
+    else:
+        all_cases, origin = table(cases), "table"
     if keep is not None and (isinstance(keep, str) or not all(isinstance(name, str) for name in keep)):
         raise ArgumentError(f"--keep {clause(repr(keep))}", 'give names of arrays, such as ("q", "u")')
     if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
@@ -105,49 +129,6 @@ def sweep_request(
     processes = team_size(workers, cluster)
     kept = None if keep is None else tuple(dict.fromkeys(keep))
     return SweepRequest(solve, all_cases, origin, path, resume, kept, processes, warm_starts, chunk, cluster)
-
-
-def _require_out(out: Path, resume: bool) -> None:
-    """Raise ArgumentError for an output that cannot be written or exists already."""
-    if out.suffix not in STORES + FILES:
-        raise ArgumentError(f"--out {out}: unknown kind of file", "let it end in .zarr or .nc")
-    require_folder(out.absolute().parent, "--out")
-    if resume and out.suffix in FILES:
-        raise ArgumentError(f"--resume: {out} is written at the end, as a whole", "let --out end in .zarr")
-    if out.exists() and not resume:
-        remedy = "choose another name" if out.suffix in FILES else "choose another name, or --resume to go on with it"
-        raise ArgumentError(f"--out {out} is there already", remedy)
-
-
-def _cases(
-    vary: Mapping[str, Any] | None,
-    zipped: Sequence[Sequence[str]],
-    distributions: Mapping[str, Any] | None,
-    cases: Any,
-    method: str,
-    seed: int,
-) -> tuple[Cases, str]:
-    """Return the cases, and a few words about their origin."""
-    require_method(method)
-    is_number = isinstance(cases, int) and not isinstance(cases, bool)
-    if zipped and not vary:
-        raise ArgumentError("--zip without --vary", "name what varies together by --vary")
-    if sum(map(bool, (vary, distributions, cases is not None and not is_number))) > 1:
-        raise ArgumentError("cases are given in several ways", "give --vary, or --sample, or --cases FILE")
-    if is_number and not distributions:
-        raise ArgumentError(f"{cases} cases of what?", "give distributions, as --sample 'm=normal(100, 5)'")
-    for name, values in (("vary", vary), ("samples", distributions)):
-        if values and not (isinstance(values, Mapping) and all(isinstance(key, str) for key in values)):
-            finding = f"{name} is {clause(repr(values))}"
-            raise ArgumentError(finding, 'give names and values, such as {"r1": [5.5, 6, 6.5]}')
-    if vary:
-        return grid(vary, zipped), "grid"
-    if distributions:
-        number = NUMBER if cases is None else cases
-        return samples(distributions, number, method, seed), f"{counted(number, f'{method} sample')}, seed {seed}"
-    if cases is None:
-        raise ArgumentError("nothing varies", "give --vary, --sample or --cases, as --vary r1=5.5:6.5:101")
-    return table(cases), "table"
 
 
 STEPS, GUESS = "steps", "guess"
@@ -169,7 +150,7 @@ class Quantity:
     key: str
 
 
-def quantities(names: Collection[str], module: Any, arguments: Sequence[str]) -> tuple[Quantity, ...]:
+def quantities(names: Collection[str], module: GeneratedModule, arguments: Sequence[str]) -> tuple[Quantity, ...]:
     """Return the quantities that names mean for a module and the `arguments` of its problem().
 
     Raises ArgumentError with close names for an unknown one.
@@ -226,16 +207,17 @@ def as_argument(value: float | str) -> str:
     return str(int(value)) if value == int(value) and abs(value) < 1e15 else repr(value)
 
 
-def given_to(module_values: Mapping[Quantity, float]) -> dict[str, Any]:
+def given_to(module_values: Mapping[Quantity, float]) -> dict[str, float | dict[str, float]]:
     """Return the arguments of a module's functions for the values of a case."""
-    arguments: dict[str, Any] = {}
+    arguments: dict[str, float] = {}
+    ends: dict[str, dict[str, float]] = {}
     for quantity, value in module_values.items():
         if quantity.kind == "parameter":
             arguments[quantity.key] = value
         elif quantity.kind == "boundary":
             end, name = quantity.key.split(" ", 1)
-            arguments.setdefault(end, {})[name] = value
-    return arguments
+            ends.setdefault(end, {})[name] = value
+    return {**arguments, **ends}
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,10 +259,10 @@ class Wanted:
     tangents: bool
 
     def of_solution(
-        self, module: Any, driver: str, run: Run, attempt: ControlAttempt, values: Mapping[Quantity, float]
+        self, module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, values: Mapping[Quantity, float]
     ) -> CaseRates:
         """Return the derivatives of a solved case; `module` has its values."""
-        names = module.metadata.sensitivities
+        names = module.metadata.sensitivities or ()
         fixed = [own.name for own in self.varied if own.name in names]
         try:
             rates = rates_at(module, run.steps, attempt.unknowns, fixed)

@@ -14,10 +14,9 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,22 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.batch.cases import Cases
-from codegen.batch.executors.chunks import (
-    Journal,
-    Tally,
-    damaged_journal,
-    journal_of,
-    new_journal,
-    only_one,
-    read_journal,
-)
+from codegen.batch.executors.chunks import Journal, Tally, damaged_journal, journal_of, new_journal, read_journal
 from codegen.batch.layout import RESERVED, Chunks, Layout
 from codegen.batch.work import Rows
-from codegen.errors import ArgumentError, ClusterError, ExtraError, FileError, Interrupted
+from codegen.errors import ArgumentError, ClusterError, FileError, Interrupted
 from codegen.files import refused, replacing
 
 if TYPE_CHECKING:
     from xarray import Dataset
+    from zarr import Array, Group
 
 
 ANOTHER = "choose another name, or give the problem, cases and options that it was begun with"
@@ -53,11 +45,6 @@ class SweepJournal:
     file: Journal
     chunks: Chunks
     finished: Mapping[int, Tally]
-
-    @property
-    def digest(self) -> str:
-        """The digest of the sweep."""
-        return str(self.file.header["sweep"])
 
     def add(self, number: int, tally: Tally) -> None:
         """Append a finished chunk; raises FileError when the file system refuses."""
@@ -75,12 +62,6 @@ def read_sweep_journal(path: Path, digest: str) -> SweepJournal:
     return SweepJournal(file, chunks, finished)
 
 
-def only_sweep(out: Path) -> AbstractContextManager[None]:
-    """Return a context that raises ArgumentError if another process of this machine writes to the store."""
-    remedy = "wait until it ends, or choose another name"
-    return only_one(str(out.resolve()), ArgumentError(f"--out {out}: another process is at work on it", remedy))
-
-
 @contextmanager
 def resumable(out: Path, journal: SweepJournal) -> Iterator[None]:
     """Add the number of stored cases to an interrupt, and to the errors of a full disk and of a lost cluster."""
@@ -89,20 +70,12 @@ def resumable(out: Path, journal: SweepJournal) -> Iterator[None]:
         yield
     except (KeyboardInterrupt, ClusterError, FileError) as error:
         # Read the journal again: an interrupt may come just after a line was written.
-        tallies = read_sweep_journal(journal.file.path, journal.digest).finished.values()
+        tallies = read_sweep_journal(journal.file.path, str(journal.file.header["sweep"])).finished.values()
         stored = f"{sum(tally.cases for tally in tallies)} of {math.prod(journal.chunks.shape)} cases are in {out}"
         if isinstance(error, KeyboardInterrupt):
             raise Interrupted(f"interrupted; {stored}; {rest}") from None
         remedy = error.remedy if "--resume" in error.remedy else f"{error.remedy}; {rest}"
         raise type(error)(f"{error.finding}, {stored}", remedy) from error
-
-
-def require_xarray() -> None:
-    """Raise ExtraError, with the command that installs them, if xarray or zarr is missing."""
-    for name in ("xarray", "zarr"):
-        if find_spec(name) is None:  # a quick test: both are slow to import
-            remedy = "pip install xarray zarr netCDF4"
-            raise ExtraError(f"a sweep needs {name}, which is not installed", remedy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +84,7 @@ class Frame:
 
     cases: Cases
     layout: Layout
-    attributes: Mapping[str, Any]
+    attributes: Mapping[str, str | int]
 
     @property
     def labels(self) -> dict[str, str]:
@@ -148,40 +121,12 @@ class Frame:
         """Return the data set with constant arrays, which take no memory."""
         import xarray
 
-        fills: dict[str, Any] = {"str": "", "i4": 0, "f8": np.nan}
+        fills: dict[str, str | float] = {"str": "", "i4": 0, "f8": np.nan}
         empty = {
             name: (dims, np.broadcast_to(np.array(fills[kind]), shape))
             for name, (dims, shape, kind) in self.variables.items()
         }
         return xarray.Dataset(empty, self.coordinates, dict(self.attributes))
-
-
-class Memory:
-    """The rows of a sweep in memory."""
-
-    def __init__(self, frame: Frame) -> None:
-        self.frame = frame
-        self.arrays: Rows = {}
-        for name, (_, shape, kind) in frame.variables.items():
-            if kind == "str":
-                self.arrays[name] = np.full(shape, "", object)
-            else:
-                self.arrays[name] = np.full(shape, -1 if kind == "i4" else np.nan, kind)
-
-    def write(self, region: tuple[slice, ...], rows: Rows) -> None:
-        """Write the rows of a chunk."""
-        for name, array in rows.items():
-            self.arrays[name][region] = array
-
-    def dataset(self) -> Dataset:
-        """Return the data set."""
-        import xarray
-
-        variables = {}
-        for name, (dims, _, kind) in self.frame.variables.items():
-            array = self.arrays[name]
-            variables[name] = (dims, array.astype(np.str_) if kind == "str" else array)
-        return xarray.Dataset(variables, self.frame.coordinates, dict(self.frame.attributes))
 
 
 def write_netcdf(data: Dataset, path: Path) -> None:
@@ -219,7 +164,7 @@ class Store:
             return ()
         return status.st_ino, status.st_mtime_ns, status.st_size
 
-    def read(self, name: str) -> NDArray[Any]:
+    def read(self, name: str) -> NDArray[np.float64]:
         """Return all numbers of a variable."""
         import zarr
 
@@ -234,20 +179,35 @@ class Store:
 
 
 @lru_cache(maxsize=1)
-def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[str, Any]:
+def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[str, Array[Any]]:
     """Return the open arrays of a store with this `mark`: opening takes a third of the time of writing."""
     import zarr
 
-    group: Any = zarr.open_group(path, mode="r+", use_consolidated=False)
-    return {name: group[name].with_config(_CONFIG) for name in names}
+    group = zarr.open_group(path, mode="r+", use_consolidated=False)
+    arrays = {name: group[name] for name in names}
+    return {name: array.with_config(_CONFIG) for name, array in arrays.items() if isinstance(array, zarr.Array)}
 
 
 def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> SweepJournal:
     """Lay out a store and its journal, and rename the complete store; raises FileError when the file system refuses."""
+    import zarr
+
     try:
         folder = Path(tempfile.mkdtemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix))
         try:
-            _laid_out(folder, frame, chunks, digest)
+            # The arrays without the numbers of cases.
+            beside = [name for name, (dims, _) in frame.coordinates.items() if dims != (name,)]
+            named = {"coordinates": " ".join(beside)} if beside else {}
+            group = zarr.create_group(folder, overwrite=True, attributes={**frame.attributes, **named, DIGEST: digest})
+            for name, (dims, values) in frame.coordinates.items():
+                words = values.dtype.kind == "U"
+                array = _array(group, name, dims, values.shape, values.shape, "str" if words else "f8")
+                array[:] = values.astype(object) if words else values
+            for name, (dims, shape, kind) in frame.variables.items():
+                _array(group, name, dims, shape, (*chunks.block, *shape[len(chunks.block) :]), kind)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # zarr warns that some readers do not support consolidated metadata
+                zarr.consolidate_metadata(folder)
             header = {"sweep": digest, "cases": chunks.shape, "chunk": chunks.block}
             journal = SweepJournal(new_journal(journal_of(path), header), chunks, {})
             folder.chmod(0o755)
@@ -293,30 +253,12 @@ def _require_files(path: Path, name: str, indices: list[tuple[int, ...]]) -> Non
             raise ArgumentError(f"--resume: {path} lacks {lacking}, which was written", remedy)
 
 
-def _laid_out(folder: Path, frame: Frame, chunks: Chunks, digest: str) -> None:
-    """Write the arrays of a store without the numbers of cases."""
-    import zarr
-
-    beside = [name for name, (dims, _) in frame.coordinates.items() if dims != (name,)]
-    named = {"coordinates": " ".join(beside)} if beside else {}
-    group = zarr.create_group(folder, overwrite=True, attributes={**frame.attributes, **named, DIGEST: digest})
-    for name, (dims, values) in frame.coordinates.items():
-        words = values.dtype.kind == "U"
-        array = _array(group, name, dims, values.shape, values.shape, "str" if words else "f8")
-        array[:] = values.astype(object) if words else values
-    for name, (dims, shape, kind) in frame.variables.items():
-        _array(group, name, dims, shape, (*chunks.block, *shape[len(chunks.block) :]), kind)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # zarr warns that some readers do not support consolidated metadata
-        zarr.consolidate_metadata(folder)
-
-
 def _array(
-    group: Any, name: str, dims: tuple[str, ...], shape: tuple[int, ...], chunks: tuple[int, ...], kind: str
-) -> Any:
+    group: Group, name: str, dims: tuple[str, ...], shape: tuple[int, ...], chunks: tuple[int, ...], kind: str
+) -> Array[Any]:
     from zarr.codecs import BloscCodec
 
-    fill: Any = {"str": "", "i4": -1}.get(kind, np.nan)
+    fill = {"str": "", "i4": -1}.get(kind, np.nan)
     # This codec needs half of the time of the default one, for files of the same size.
     codec = BloscCodec(cname="lz4", clevel=1)
     return group.create_array(

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,13 +24,13 @@ from codegen.batch import store
 from codegen.batch.case import Attempt
 from codegen.batch.cases import Cases
 from codegen.batch.executors import Progress, Team, Working, connected, silent
-from codegen.batch.executors.chunks import Done, Tally, counted
+from codegen.batch.executors.chunks import Done, Tally, counted, only_one
 from codegen.batch.jumps import Costs, along, jumps_of
 from codegen.batch.layout import Chunks, Layout, about_a_second, blocks_of, layout_of
-from codegen.batch.request import GUESS, OPTIONS, STEPS, SweepRequest, sweep_request
-from codegen.batch.store import Frame, Memory, Store, only_sweep, require_xarray, resumable, write_netcdf
+from codegen.batch.request import GUESS, OPTIONS, STEPS, STORES, SweepRequest, sweep_request
+from codegen.batch.store import Frame, Store, resumable, write_netcdf
 from codegen.batch.work import Modules, Rows, Work, modules_of
-from codegen.errors import ArgumentError
+from codegen.errors import ArgumentError, ExtraError
 from codegen.machine import versions
 from codegen.problem.sources import ProblemFile, ProblemObject
 from codegen.solving.outcome import require_memory
@@ -97,7 +98,7 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
         intervals, padded with NaN where `steps` vary. For each case cost, residual (evaluated outside the driver),
         iterations and seconds of all attempts, status, message, and free parameters. With sensitivities d_cost
         (..., by), d_T for a free parameter T, d_q (..., by, node, names), and d_message with the reason of NaN. For
-        optimisations `improvement`, the gain of a start from beyond a jump of the cost, and `jump`, 1 beside a better
+        optimisations `improvement`, the gain of a start from beyond a jump of the cost, and `jump`, 1 next to a better
         neighbour. A failed case has NaN in cost and arrays.
 
     Raises
@@ -142,7 +143,7 @@ class SweepOutcome:
     layout: Layout
 
     @property
-    def record(self) -> dict[str, Any]:
+    def record(self) -> dict[str, object]:
         """The JSON object of `--json`."""
         tally, before = self.tally, {"before": self.before} if self.before else {}
         return {
@@ -162,12 +163,34 @@ def outcome_of(
     `require` receives the data set without numbers before the first solve, and may raise an error.
     """
     begin = time.perf_counter()
-    require_xarray()
+    for name in ("xarray", "zarr"):
+        if find_spec(name) is None:  # a quick test: both are slow to import
+            remedy = "pip install xarray zarr netCDF4"
+            raise ExtraError(f"a sweep needs {name}, which is not installed", remedy)
     with connected(request.cluster) as cluster:
         modules = modules_of(request.solve, request.cases, working)
-        work, frame = _planned(request, modules)
+        solve, cases, module, task = request.solve, request.cases, modules.first, task_of(modules.first)
+        shapes = [variant.shapes for variant in modules.variants.values() if variant.shapes is not None]
+        kinds = {quantity.kind for quantity in modules.quantities}
+        steps = int(np.max(cases.columns[STEPS])) if STEPS in kinds else solve.steps
+        most = steps or max(own.steps for own in shapes)
+        run = Run(
+            most, solve.every, tolerance=solve.tolerance, max_iterations=solve.max_iterations, scaling=solve.scaling,
+            time_limit=np.inf if solve.time_limit is None else solve.time_limit, points=modules.points,
+        )  # fmt: skip
+        require_memory(task.numbers(module.metadata, run), most)
+        has_jumps = task.name == "control" and GUESS not in kinds
+        layout = replace(layout_of(shapes, steps, request.keep, cases.number), has_jumps=has_jumps)
+        warm = request.warm_starts and task.name == "control"
+        loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
+        single = Chunks(cases.shape, (1,) * len(cases.shape))
+        work = Work(
+            solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded
+        )
+        frame = Frame(cases, layout, _attributes(request, modules, work))
         require(frame.outlined())
-        finish = _into_store if request.is_store else _into_memory
+        is_store = request.out is not None and request.out.suffix in STORES  # written during the sweep
+        finish = _into_store if is_store else _into_memory
         team = Team(request.workers, cluster, working, progress)
         tally, before, dataset = finish(request, modules, work, frame, team)
     messages = (*modules.messages, *team.notes)
@@ -178,17 +201,30 @@ def _into_memory(
     request: SweepRequest, modules: Modules, work: Work, frame: Frame, team: Team
 ) -> tuple[Tally, int, Callable[[], Dataset]]:
     """Solve all cases with rows in memory, then write the file, if requested."""
-    memory = Memory(frame)
+    import xarray
+
+    arrays: Rows = {
+        name: np.full(shape, {"str": "", "i4": -1}.get(kind, np.nan), object if kind == "str" else kind)
+        for name, (_, shape, kind) in frame.variables.items()
+    }
     work = replace(work, chunks=_chunks(request, modules, work, _tried(work, team)))
 
     def keep(number: int, done: Done) -> None:
         assert done.rows is not None, "without a sink the rows are returned"
-        memory.write(work.chunks.region(number), done.rows)
+        write(work.chunks.region(number), done.rows)
+
+    def write(region: tuple[slice, ...], rows: Rows) -> None:
+        for name, array in rows.items():
+            arrays[name][region] = array
 
     tally = team.do(work, range(work.chunks.number), work.cases.number, Tally(), keep)
     if _is_cut(work):
-        tally = _marked(work, tally, memory.arrays["cost"], memory.write, team)
-    data = memory.dataset()
+        tally = _marked(work, tally, arrays["cost"], write, team)
+    variables = {
+        name: (dims, arrays[name].astype(np.str_) if kind == "str" else arrays[name])
+        for name, (dims, _, kind) in frame.variables.items()
+    }
+    data = xarray.Dataset(variables, frame.coordinates, dict(frame.attributes))
     if request.out is not None:
         write_netcdf(data, request.out)
     return tally, 0, lambda: data
@@ -200,7 +236,10 @@ def _into_store(
     """Solve the chunks that a new or resumed store lacks; also return the number of cases that it had."""
     assert request.out is not None, "a store has a path"
     digest, target = _digest(request, modules, work), Store(request.out.absolute())
-    with only_sweep(request.out):
+    taken = ArgumentError(
+        f"--out {request.out}: another process is at work on it", "wait until it ends, or choose another name"
+    )
+    with only_one(str(request.out.resolve()), taken):
         is_resumed = request.resume and request.out.exists()
         if is_resumed:
             journal = store.resumed(request.out, frame, digest)
@@ -246,30 +285,6 @@ def _marked(
     return replace(tally, jumps=jumps)
 
 
-def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
-    """Return the work without its chunks, and the data set without its numbers."""
-    solve, cases, module = request.solve, request.cases, modules.first
-    task = task_of(module)
-    shapes = [variant.shapes for variant in modules.variants.values() if variant.shapes is not None]
-    kinds = {quantity.kind for quantity in modules.quantities}
-    steps = int(np.max(cases.columns[STEPS])) if STEPS in kinds else solve.steps
-    most = steps or max(own.steps for own in shapes)
-    run = Run(
-        most, solve.every, tolerance=solve.tolerance, max_iterations=solve.max_iterations, scaling=solve.scaling,
-        time_limit=np.inf if solve.time_limit is None else solve.time_limit, points=modules.points,
-    )  # fmt: skip
-    require_memory(task.numbers(module.metadata, run), most)
-    has_jumps = task.name == "control" and GUESS not in kinds
-    layout = replace(layout_of(shapes, steps, request.keep, cases.number), has_jumps=has_jumps)
-    warm = request.warm_starts and task.name == "control"
-    loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
-    single = Chunks(cases.shape, (1,) * len(cases.shape))
-    work = Work(
-        solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded
-    )
-    return work, Frame(cases, layout, _attributes(request, modules, work))
-
-
 def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt) -> Chunks:
     """Return chunks of about a second, from the iterations of a tried case.
 
@@ -300,7 +315,7 @@ def _tried(work: Work, team: Team) -> Attempt:
     return next((attempt for attempt in attempts if attempt.is_solved), attempts[-1])
 
 
-def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str, Any]:
+def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str, str | int]:
     """Return the attributes of the data set, texts and numbers about its origin."""
     own = modules.first.metadata
     packages = {**versions(), **{name: metadata.version(name) for name in ("xarray", "zarr")}}
@@ -343,8 +358,12 @@ def _digest(request: SweepRequest, modules: Modules, work: Work) -> str:
     """Return a digest of modules, cases, stored arrays, options and versions, but not of the number of workers."""
     cases: Cases = request.cases
     digest = hashlib.sha256()
-    parts = [
-        *modules.texts, versions()["codegen"].encode(), _options(request).encode(), repr(work.warm_starts).encode(),
+    parts = []
+    for variant in modules.variants.values():
+        path = variant.path or getattr(modules.first, "__file__", None)
+        parts.append(variant.message.encode() if path is None else Path(path).read_bytes())
+    parts += [
+        versions()["codegen"].encode(), _options(request).encode(), repr(work.warm_starts).encode(),
         repr((cases.dims, cases.shape, dict(cases.axes), tuple(work.layout.dims))).encode(),
     ]  # fmt: skip
     if modules.points is not None:

@@ -10,8 +10,8 @@ import hashlib
 import math
 import platform
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -36,18 +36,7 @@ from codegen.batch.executors.chunks import (
     workers_folder,
 )
 from codegen.batch.jumps import Grid, Neighbours, along_dimensions, improved, is_better, scattered
-from codegen.batch.layout import (
-    JUMPS,
-    RATE,
-    Chunks,
-    Layout,
-    Piece,
-    Shapes,
-    free_label,
-    nearest_chain,
-    serpentine,
-    shapes_of,
-)
+from codegen.batch.layout import JUMPS, RATE, Chunks, Layout, Piece, free_label, nearest_chain, serpentine, shapes_of
 from codegen.batch.request import GUESS, STEPS, Quantity, Wanted, as_argument, quantities, require_fitting
 from codegen.errors import ArgumentError, CodegenError
 from codegen.files import write_text
@@ -61,6 +50,7 @@ from codegen.solving.results.sensitivities import UNSOLVED, require_sensitive
 
 if TYPE_CHECKING:
     from codegen.problem.points import PointSet
+    from codegen.solving.loading import GeneratedModule
 
 MOST_MODULES = 100
 """Largest number of modules of a sweep: each takes seconds to derive and compile."""
@@ -80,16 +70,9 @@ class Modules:
     arguments: tuple[str, ...]
     quantities: tuple[Quantity, ...]
     variants: dict[tuple[str, ...], Variant]
-    first: Any
+    first: GeneratedModule
     messages: tuple[str, ...]
     points: PointSet | None = None
-
-    @property
-    def texts(self) -> Iterator[bytes]:
-        """The contents of the files of modules."""
-        for variant in self.variants.values():
-            path = variant.path or getattr(self.first, "__file__", None)
-            yield variant.message.encode() if path is None else Path(path).read_bytes()
 
 
 def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
@@ -98,65 +81,80 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
     A combination that cannot be derived is a variant without a module, unless none can be derived. Raises
     ArgumentError for unknown names, and for a value that an argument does not take.
     """
+    derived: dict[tuple[str, ...], tuple[GeneratedModule, compiler.Build | None]] = {}
+    errors: dict[tuple[str, ...], CodegenError] = {}
+    names: tuple[str, ...] = ()
+    combinations: list[tuple[str, ...]] = [()]
+    varied: tuple[Quantity, ...] = ()
     if request.is_built:
-        module = loading.load(request.problem) if isinstance(request.problem, str | Path) else request.problem
+        module: Any = loading.load(request.problem) if isinstance(request.problem, str | Path) else request.problem
         varied = _checked_quantities(request, cases, module, ())
-        file = getattr(module, "__file__", None)
-        points = _points(request, [module])
-        variant = Variant(Path(file) if file else None, _shapes(request, module, points))
-        return Modules((), varied, {(): variant}, module, (), points)
-    known = request.source.arguments
-    names = tuple(name for name in cases.columns if name in known)
-    if twice := next((name for name in names if name in request.arguments), None):
-        raise ArgumentError(f"{twice} varies and is given by --set", "leave one of them out")
-    combinations = _combinations(names, cases)
-    derived, errors = dict[tuple[str, ...], tuple[Any, compiler.Build]](), dict[tuple[str, ...], CodegenError]()
-    varied = ()
-    for number, key in enumerate(combinations, start=1):
-        count = f" (module {number} of {len(combinations)})" if len(combinations) > 1 else ""
-        try:
-            with _formulation_in_errors(), working(f"Deriving{count}"):
-                build = compiler.build(
-                    request.source, {**request.arguments, **dict(zip(names, key, strict=True))}, scheme=request.scheme,
-                    method=request.method, controls=request.controls, sensitivities=request.sensitivities,
-                )  # fmt: skip
-                module = loading.load(build.path)
-        except ArgumentError:
-            raise
-        except CodegenError as error:
-            errors[key] = error
-            continue
-        varied = _checked_quantities(request, cases, module, names)
-        derived[key] = module, build
+        derived[()] = module, None
+    else:
+        names, combinations = _combinations(request, cases)
+        for number, key in enumerate(combinations, start=1):
+            count = f" (module {number} of {len(combinations)})" if len(combinations) > 1 else ""
+            try:
+                with working(f"Deriving{count}"):
+                    arguments = {**request.arguments, **dict(zip(names, key, strict=True))}
+                    build = compiler.build(
+                        request.source, arguments, scheme=request.scheme, method=request.method,
+                        controls=request.controls, sensitivities=request.sensitivities,
+                    )  # fmt: skip
+                    module = loading.load(build.path)
+            except CodegenError as error:
+                # In a sweep `--method` is the sampling method.
+                parts = (text.replace("--method", "--formulation") for text in (error.finding, error.remedy))
+                renamed = type(error)(*parts)
+                if isinstance(renamed, ArgumentError):
+                    raise renamed from error
+                errors[key] = renamed
+                continue
+            varied = _checked_quantities(request, cases, module, names)
+            derived[key] = module, build
     if not derived:
         raise next(iter(errors.values()))
-    points, messages = _points(request, [module for module, _ in derived.values()]), list[str]()
-    for module, build in derived.values():
-        if DRIVERS[request.driver].generated:
-            messages += processes.require(build.path, module, build.written, working)[1]
-    variants = {
-        key: Variant(derived[key][1].path, _shapes(request, derived[key][0], points))
-        if key in derived
-        else Variant(None, None, str(errors[key]))
-        for key in combinations
-    }
-    return Modules(names, varied, variants, next(iter(derived.values()))[0], tuple(messages), points)
-
-
-def _points(request: Request, modules: Sequence[Any]) -> PointSet | None:
-    """Return the points that all cases connect; raises ArgumentError if they differ among modules."""
-    first, *others = (points_of(request, module) for module in modules)
+    # The points that all cases connect.
+    points, *others = (points_of(request, module) for module, _ in derived.values())
     for other in others:
-        if first is not None and other is not None and not np.array_equal(first.table, other.table):
+        if points is not None and other is not None and not np.array_equal(points.table, other.table):
             raise ArgumentError("the points differ among values of an argument", "sweep over each value by itself")
-    return first
+    messages = list[str]()
+    for module, built in derived.values():
+        if built is not None and DRIVERS[request.driver].generated:
+            messages += processes.require(built.path, module, built.written, working)[1]
+    particles = 0 if points is None else len(points.start)
+    variants = {key: Variant(None, None, str(error)) for key, error in errors.items()}
+    for key, (module, built) in derived.items():
+        file = getattr(module, "__file__", None) if built is None else built.path
+        shapes = shapes_of(module, request.every, request.sensitivities, particles)
+        variants[key] = Variant(Path(file) if file else None, shapes)
+    ordered = {key: variants[key] for key in combinations}
+    return Modules(names, varied, ordered, next(iter(derived.values()))[0], tuple(messages), points)
 
 
-def _shapes(request: Request, module: Any, points: PointSet | None) -> Shapes:
-    return shapes_of(module, request.every, request.sensitivities, 0 if points is None else len(points.start))
+def _combinations(request: Request, cases: Cases) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return the arguments of problem() that vary, and their texts that occur together."""
+    names = tuple(name for name in cases.columns if name in request.source.arguments)
+    if twice := next((name for name in names if name in request.arguments), None):
+        raise ArgumentError(f"{twice} varies and is given by --set", "leave one of them out")
+    groups = [[name for name in names if cases.axes[name] == axis] for axis in sorted({cases.axes[n] for n in names})]
+    texts = {name: [as_argument(value) for value in cases.columns[name].tolist()] for name in names}
+    along = [dict.fromkeys(zip(*(texts[name] for name in group), strict=True)) for group in groups]
+    if (number := math.prod(map(len, along))) > MOST_MODULES:
+        finding = f"{' and '.join(names)} of problem() would need {number} modules, one for each value"
+        raise ArgumentError(finding, f"take at most {MOST_MODULES} values, or vary parameters of the module")
+    order = [name for group in groups for name in group]
+    combinations = []
+    for parts in product(*along):
+        values = dict(zip(order, (text for part in parts for text in part), strict=True))
+        combinations.append(tuple(values[name] for name in names))
+    return names, combinations
 
 
-def _checked_quantities(request: Request, cases: Cases, module: Any, arguments: Sequence[str]) -> tuple[Quantity, ...]:
+def _checked_quantities(
+    request: Request, cases: Cases, module: GeneratedModule, arguments: Sequence[str]
+) -> tuple[Quantity, ...]:
     """Return the quantities that vary; raises an error if options, names or values do not fit the module."""
     request.driver_for(module)
     if request.sensitivities:
@@ -169,34 +167,6 @@ def _checked_quantities(request: Request, cases: Cases, module: Any, arguments: 
     if request.steps is not None and any(quantity.kind == STEPS for quantity in varied):
         raise ArgumentError("steps vary and are given by --steps", "leave one of them out")
     return varied
-
-
-def _combinations(names: Sequence[str], cases: Cases) -> list[tuple[str, ...]]:
-    """Return the texts of arguments that occur together."""
-    axes = sorted({cases.axes[name] for name in names})
-    groups = [[name for name in names if cases.axes[name] == axis] for axis in axes]
-    texts = {name: [as_argument(value) for value in cases.columns[name].tolist()] for name in names}
-    along = [dict.fromkeys(zip(*(texts[name] for name in group), strict=True)) for group in groups]
-    number = math.prod(map(len, along))
-    if number > MOST_MODULES:
-        finding = f"{' and '.join(names)} of problem() would need {number} modules, one for each value"
-        raise ArgumentError(finding, f"take at most {MOST_MODULES} values, or vary parameters of the module")
-    order = [name for group in groups for name in group]
-    combinations = []
-    for parts in product(*along):
-        values = dict(zip(order, (text for part in parts for text in part), strict=True))
-        combinations.append(tuple(values[name] for name in names))
-    return combinations
-
-
-@contextmanager
-def _formulation_in_errors() -> Iterator[None]:
-    """Replace `--method` in errors: in a sweep this option is the sampling method."""
-    try:
-        yield
-    except CodegenError as error:
-        parts = (text.replace("--method", "--formulation") for text in (error.finding, error.remedy))
-        raise type(error)(*parts) from error
 
 
 class Sink(Protocol):
@@ -227,7 +197,7 @@ class Work:
     chunks: Chunks
     warm_starts: bool
     sink: Sink | None = None
-    module: Any = None
+    module: GeneratedModule | None = None
 
     def piece(self, number: int) -> Piece:
         """Return the data of a chunk that a worker needs in addition to the work."""
@@ -291,7 +261,7 @@ class Work:
         modules = {key: self._varied(self.variants[key]) for key in dict.fromkeys(keys)}
         module_values = [self._module_values(of_case) for of_case in values]
 
-        def attempt(index: int, start: Start[Attempt] | None) -> Attempt:
+        def attempt(index: int, start: Start | None) -> Attempt:
             if not is_wanted():
                 raise Abandoned
             module = modules[keys[index]]
@@ -299,7 +269,7 @@ class Work:
                 return failed(NOT_BUILT, self.variants[keys[index]].message)
             return solve_case(module, module_values[index], start)
 
-        def attempt_in_rows(index: int, start: Start[Attempt] | None) -> Attempt:
+        def attempt_in_rows(index: int, start: Start | None) -> Attempt:
             # Store the arrays at once: other cases start from the unknowns alone, and thousands of arrays in memory
             # take longer to allocate than to compute.
             result = attempt(index, start)
@@ -308,7 +278,7 @@ class Work:
 
         rows = self._empty_rows(len(values))
         attempts: list[list[Attempt]] = [[]] * len(values)
-        continuation = Continuation[Attempt](piece.points, families, self.warm_starts)
+        continuation = Continuation(piece.points, families, self.warm_starts)
         if piece.is_grid:
             order = serpentine(piece.extent)
         else:
@@ -342,7 +312,7 @@ class Work:
         neighbours: Neighbours,
         attempts: list[list[Attempt]],
         rows: Rows,
-        attempt: Callable[[int, Start[Attempt]], Attempt],
+        attempt: Callable[[int, Start], Attempt],
     ) -> list[int]:
         """Start cases on the worse side of a jump from the better side; return the improved cases."""
         outcomes = [own[-1] for own in attempts]
@@ -359,10 +329,10 @@ class Work:
         rows["jump"][[worse for worse, _ in neighbours.jumps(costs, certain=True)]] = 1
         return [index for index in further if attempts[index][-1] is not outcomes[index]]
 
-    def _module_values(self, values: Mapping[str, Any]) -> dict[Quantity, float]:
-        return {own: values[own.name] for own in self.quantities if own.kind != "argument"}
+    def _module_values(self, values: Mapping[str, float | str]) -> dict[Quantity, float]:
+        return {own: float(values[own.name]) for own in self.quantities if own.kind != "argument"}
 
-    def _module(self, variant: Variant) -> Any:
+    def _module(self, variant: Variant) -> GeneratedModule | None:
         if variant.shapes is None:
             return None
         return self.module if variant.path is None else loading.load(variant.path)

@@ -8,14 +8,15 @@ from typing import Annotated
 import typer
 
 EXAMPLES = ("codegen app", "codegen app moving.png fixed.png --port 5010")
-Images = Annotated[
-    list[Path] | None,
-    typer.Argument(metavar="[IMAGE]...", help="A moving and a fixed image, or one to be bent. [default: an example]"),
-]
 
 
 def app(
-    images: Images = None,
+    images: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[IMAGE]...", help="A moving and a fixed image, or one to be bent. [default: an example]"
+        ),
+    ] = None,
     port: Annotated[int, typer.Option(min=1024, max=65535, help="Port on localhost.")] = 5006,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Open no browser; print the address.")] = False,
     state: Annotated[

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -38,43 +38,11 @@ from codegen.terminal import console, following, working
 if TYPE_CHECKING:
     from codegen.discretise.model.definitions import Model
     from codegen.discretise.model.pairwise import PairwiseModel
+    from codegen.show.figures.shapes import Frame
     from codegen.solving.loading import GeneratedModule
     from codegen.solving.outcome import Outcome
     from codegen.solving.request import Request
     from codegen.solving.results.result import Result
-
-DriverName = Annotated[str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")]
-Tolerance = Annotated[
-    float | None,
-    typer.Option(metavar="E", help="Largest error of an equation (newton, ipopt), or of an adaptive step."),
-]
-MaxIterations = Annotated[
-    int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of an optimiser.")
-]
-TimeLimit = Annotated[float | None, typer.Option(metavar="S", help="Most seconds of a search (newton, ipopt).")]
-Scaling = Annotated[str, typer.Option(help="auto, or none to work in the problem's own units (newton).")]
-Warm = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")]
-Doublings = Annotated[int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")]
-Accuracy = Annotated[
-    float | None,
-    typer.Option(metavar="E", help="Refine the time grid until the estimated relative error is below it."),
-]
-Parameters = Annotated[
-    list[str],
-    typer.Option("--parameter", metavar="NAME=VALUE", help="A value of a parameter, without a build; repeatable."),
-]
-Tables = Annotated[
-    list[str], typer.Option(metavar="NAME=FILE.csv", help="Other numbers for a table, on as many breakpoints.")
-]
-Observations = Annotated[
-    list[Path], typer.Option(metavar="FILE.csv", help="Other measurements; of several bodies one file for each.")
-]
-Guesses = Annotated[int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")]
-Sensitivities = Annotated[
-    bool, typer.Option("--sensitivities", help="Derivatives by parameters, boundary values and a given duration.")
-]
-Animate = Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")]
-Save = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")]
 
 
 EXAMPLES = (
@@ -91,28 +59,53 @@ def solve(
     scheme: Scheme = None,
     method: Method = None,
     controls: ControlSites = Controls.INTERVAL,
-    driver: DriverName = "newton",
+    driver: Annotated[
+        str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")
+    ] = "newton",
     steps: Steps = None,
     every: Every = 1,
     repeat: Repeat = 1,
     json: Json = False,
     log: Log = False,
-    tolerance: Tolerance = None,
-    max_iterations: MaxIterations = None,
-    time_limit: TimeLimit = None,
-    scaling: Scaling = "auto",
-    warm: Warm = None,
-    doublings: Doublings = 0,
-    accuracy: Accuracy = None,
-    parameter: Parameters = [],  # noqa: B006
-    table: Tables = [],  # noqa: B006
-    observations: Observations = [],  # noqa: B006
-    guesses: Guesses = 1,
-    sensitivities: Sensitivities = False,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(metavar="E", help="Largest error of an equation (newton, ipopt), or of an adaptive step."),
+    ] = None,
+    max_iterations: Annotated[
+        int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of an optimiser.")
+    ] = None,
+    time_limit: Annotated[
+        float | None, typer.Option(metavar="S", help="Most seconds of a search (newton, ipopt).")
+    ] = None,
+    scaling: Annotated[str, typer.Option(help="auto, or none to work in the problem's own units (newton).")] = "auto",
+    warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
+    doublings: Annotated[
+        int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")
+    ] = 0,
+    accuracy: Annotated[
+        float | None,
+        typer.Option(metavar="E", help="Refine the time grid until the estimated relative error is below it."),
+    ] = None,
+    parameter: Annotated[
+        list[str],
+        typer.Option("--parameter", metavar="NAME=VALUE", help="A value of a parameter, without a build; repeatable."),
+    ] = [],  # noqa: B006
+    table: Annotated[
+        list[str], typer.Option(metavar="NAME=FILE.csv", help="Other numbers for a table, on as many breakpoints.")
+    ] = [],  # noqa: B006
+    observations: Annotated[
+        list[Path], typer.Option(metavar="FILE.csv", help="Other measurements; of several bodies one file for each.")
+    ] = [],  # noqa: B006
+    guesses: Annotated[
+        int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")
+    ] = 1,
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities", help="Derivatives by parameters, boundary values and a given duration.")
+    ] = False,
     plot: Plot = None,
     style: PictureStyle = PictureStyles.PAGE,
-    animate: Animate = None,
-    save: Save = None,
+    animate: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")] = None,
+    save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")] = None,
     out: Out = None,
 ) -> None:
     """Solve a problem; build its module first if necessary."""
@@ -144,8 +137,25 @@ def solve(
     if save is not None:
         output.save(outcome.result, outcome.record, save)
     wanted.save(outcome.module, outcome.result)
-    _print(outcome, json, log)
-    result = outcome.result
+    result, record = outcome.result, outcome.record
+    for line in outcome.notices:
+        typer.echo(line, err=True)
+    if log:
+        console(stderr=json).print(output.log_table(result))
+    for attempt in result.attempts:
+        typer.echo(attempt, err=True)
+    notes = [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]
+    for note in (*output.notes(outcome.module.metadata), *notes, *result.notes):
+        typer.echo(f"codegen: note: {note}", err=True)
+    if json:
+        typer.echo(output.as_json(record))
+    else:
+        console().print(result.title, style="bold", markup=False)
+        console().print(output.as_table(record, result))
+        if result.estimates:
+            console().print(*output.estimates_tables(record["estimates"]))
+        if result.sensitivity is not None and not result.sensitivity.reason:
+            console().print(output.sensitivities_table(record["sensitivities"]))
     if not result.solved:
         typer.echo(one_line(f"codegen: {result.message}") + on_statuses(result.status), err=True)
         raise typer.Exit(1)
@@ -163,31 +173,6 @@ def _pairs(items: Sequence[str], option: str, what: str, example: str) -> dict[s
             raise ArgumentError(f"{option} gives {name} twice", "give it once")
         pairs[name] = text.strip()
     return pairs
-
-
-def _print(outcome: Outcome, json: bool, log: bool) -> None:
-    """Print the outcome, and messages and notes on stderr."""
-    from codegen.solving.results import output
-
-    result, record = outcome.result, outcome.record
-    for line in outcome.notices:
-        typer.echo(line, err=True)
-    if log:
-        console(stderr=json).print(output.log_table(result))
-    for attempt in result.attempts:
-        typer.echo(attempt, err=True)
-    notes = [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]
-    for note in (*output.notes(outcome.module.metadata), *notes, *result.notes):
-        typer.echo(f"codegen: note: {note}", err=True)
-    if json:
-        typer.echo(output.as_json(record))
-        return
-    console().print(result.title, style="bold", markup=False)
-    console().print(output.as_table(record, result))
-    if result.estimates:
-        console().print(*output.estimates_tables(record["estimates"]))
-    if result.sensitivity is not None and not result.sensitivity.reason:
-        console().print(output.sensitivities_table(record["sensitivities"]))
 
 
 def with_options(outcome: Outcome) -> Outcome:
@@ -260,7 +245,7 @@ def requested(request: Request, plot: Path | None, animation: Path | None, style
     return Pictures(plot, animation, model, unit, style)
 
 
-def _with_progress(frames: Iterable[Any], count: int) -> Iterable[Any]:
+def _with_progress(frames: Iterable[Frame], count: int) -> Iterable[Frame]:
     """Show a progress bar on a terminal."""
     if not sys.stderr.isatty():
         return frames

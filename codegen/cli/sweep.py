@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, TypeVar
 
 import typer
 
@@ -26,68 +26,7 @@ from codegen.cli.options import (
 from codegen.errors import ArgumentError
 from codegen.terminal import console, progress, working
 
-if TYPE_CHECKING:
-    from codegen.batch.sweep import SweepOutcome
-
-Vary = Annotated[
-    list[str], typer.Option(metavar="NAME=VALUES", help="first:last:count or a,b,c; all combinations are cases.")
-]
-Together = Annotated[
-    list[str], typer.Option("--zip", metavar="NAME,NAME", help="Vary these together instead of combined.")
-]
-Samples = Annotated[
-    list[str],
-    typer.Option(metavar="NAME=DISTRIBUTION", help='As "m=normal(100, 5)", or any of scipy.stats by name.'),
-]
-CasesOf = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FILE.csv or N",
-        help="A table with a row for each case, or the number of samples. [default: 1000 samples]",
-        show_default=False,
-    ),
-]
-Sampling = Annotated[str, typer.Option(help="Sampling method: random, latin or sobol.")]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the samples.")]
-Store = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="File for results: .zarr during the sweep, or .nc at the end.")
-]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue a store of the same sweep.")]
-Keep = Annotated[
-    str,
-    typer.Option(
-        metavar="NAMES",
-        help="Arrays among t,q,p,u,multipliers,energy and their derivatives d_q, d_u, ...; or none. [default: all but "
-        "derivatives, or t,q,u if that is more than 250 MB]",
-        show_default=False,
-    ),
-]
-Workers = Annotated[
-    int | None, typer.Option(parser=positive, metavar="N", help="Processes. [default: one for each processor]")
-]
-Cluster = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to start one.")
-]
-WarmStarts = Annotated[
-    bool, typer.Option("--warm-starts", help="Start from solved neighbours, not only after a failure.")
-]
-Chunk = Annotated[
-    int | None,
-    typer.Option(parser=positive, metavar="N", help="Cases written together. [default: about a second of work]"),
-]
-Formulation = Annotated[str | None, typer.Option(help="variational, hamiltonian or one-step.")]
-DriverName = Annotated[str, typer.Option(help="As for codegen solve.")]
-Tolerance = Annotated[float | None, typer.Option(metavar="E", help="Largest error of an equation.")]
-MaxIterations = Annotated[int | None, typer.Option(parser=positive, metavar="N", help="Iteration limit of a solve.")]
-TimeLimit = Annotated[float | None, typer.Option(metavar="S", help="Time limit of a solve in seconds.")]
-Scaling = Annotated[str, typer.Option(help="auto or none, as for codegen solve (newton).")]
-Sensitivities = Annotated[
-    bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of arrays by --keep.")
-]
-Pareto = Annotated[
-    str | None,
-    typer.Option(metavar="A,B", help="Draw the Pareto front of two numbers of each case; -A: larger is better."),
-]
+Value = TypeVar("Value")
 
 
 EXAMPLES = (
@@ -98,44 +37,86 @@ EXAMPLES = (
 
 def sweep(
     problem: Problem,
-    vary: Vary = [],  # noqa: B006
-    zip_: Together = [],  # noqa: B006
-    sample: Samples = [],  # noqa: B006
-    cases: CasesOf = None,
-    method: Sampling = "random",
-    seed: Seed = 0,
-    out: Store = None,
-    resume: Resume = False,
-    keep: Keep = "",
-    workers: Workers = None,
-    cluster: Cluster = None,
-    warm_starts: WarmStarts = False,
-    chunk: Chunk = None,
+    vary: Annotated[
+        list[str], typer.Option(metavar="NAME=VALUES", help="first:last:count or a,b,c; all combinations are cases.")
+    ] = [],  # noqa: B006
+    zip_: Annotated[
+        list[str], typer.Option("--zip", metavar="NAME,NAME", help="Vary these together instead of combined.")
+    ] = [],  # noqa: B006
+    sample: Annotated[
+        list[str],
+        typer.Option(metavar="NAME=DISTRIBUTION", help='As "m=normal(100, 5)", or any of scipy.stats by name.'),
+    ] = [],  # noqa: B006
+    cases: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE.csv or N",
+            help="A table with a row for each case, or the number of samples. [default: 1000 samples]",
+            show_default=False,
+        ),
+    ] = None,
+    method: Annotated[str, typer.Option(help="Sampling method: random, latin or sobol.")] = "random",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the samples.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File for results: .zarr during the sweep, or .nc at the end.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a store of the same sweep.")] = False,
+    keep: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="Arrays among t,q,p,u,multipliers,energy and their derivatives d_q, d_u, ...; or none. [default: all "
+            "but derivatives, or t,q,u if that is more than 250 MB]",
+            show_default=False,
+        ),
+    ] = "",
+    workers: Annotated[
+        int | None, typer.Option(parser=positive, metavar="N", help="Processes. [default: one for each processor]")
+    ] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to start one.")
+    ] = None,
+    warm_starts: Annotated[
+        bool, typer.Option("--warm-starts", help="Start from solved neighbours, not only after a failure.")
+    ] = False,
+    chunk: Annotated[
+        int | None,
+        typer.Option(parser=positive, metavar="N", help="Cases written together. [default: about a second of work]"),
+    ] = None,
     set_: Set = [],  # noqa: B006
     scheme: Scheme = None,
-    formulation: Formulation = None,
+    formulation: Annotated[str | None, typer.Option(help="variational, hamiltonian or one-step.")] = None,
     controls: ControlSites = Controls.INTERVAL,
-    driver: DriverName = "newton",
+    driver: Annotated[str, typer.Option(help="As for codegen solve.")] = "newton",
     steps: Steps = None,
     every: Every = 1,
-    tolerance: Tolerance = None,
-    max_iterations: MaxIterations = None,
-    time_limit: TimeLimit = None,
-    scaling: Scaling = "auto",
-    sensitivities: Sensitivities = False,
+    tolerance: Annotated[float | None, typer.Option(metavar="E", help="Largest error of an equation.")] = None,
+    max_iterations: Annotated[
+        int | None, typer.Option(parser=positive, metavar="N", help="Iteration limit of a solve.")
+    ] = None,
+    time_limit: Annotated[float | None, typer.Option(metavar="S", help="Time limit of a solve in seconds.")] = None,
+    scaling: Annotated[str, typer.Option(help="auto or none, as for codegen solve (newton).")] = "auto",
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of arrays by --keep.")
+    ] = False,
     plot: Plot = None,
     style: PictureStyle = PictureStyles.PAGE,
-    pareto: Pareto = None,
+    pareto: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="Draw the Pareto front of two numbers of each case; -A: larger is better."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Solve a problem for many values of its parameters, in parallel."""
     from codegen.batch.cases import assigned, axis_of
+    from codegen.batch.executors.chunks import counted, table_of
+    from codegen.batch.layout import FITS
     from codegen.batch.request import sweep_request
     from codegen.batch.sweep import outcome_of
     from codegen.cli.solve import PLOTS
     from codegen.problem.sources import parse_arguments
     from codegen.show.figures.pareto import objectives_of, require_objectives
-    from codegen.solving.results.output import require_writable
+    from codegen.solving.results.output import as_json, require_writable
 
     if out is None:
         raise ArgumentError("a sweep needs a place for its results", "give --out sweep.zarr or --out sweep.nc")
@@ -166,27 +147,6 @@ def sweep(
 
         with working("Drawing"), replacing(plot) as temporary:
             figures.save_sweep(outcome.dataset(), temporary, pareto, style.value)
-    _print(outcome, json)
-    if outcome.tally.failed:
-        raise typer.Exit(1)
-
-
-def _once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the pairs as a dict; raises ArgumentError for a repeated name."""
-    values: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in values:
-            raise ArgumentError(f"{option} gives {name} twice", "give it once")
-        values[name] = value
-    return values
-
-
-def _print(outcome: SweepOutcome, json: bool) -> None:
-    """Print the outcome of a sweep."""
-    from codegen.batch.executors.chunks import counted, table_of
-    from codegen.batch.layout import FITS
-    from codegen.solving.results.output import as_json
-
     for line in outcome.messages:
         typer.echo(line, err=True)
     tally = outcome.tally
@@ -204,13 +164,24 @@ def _print(outcome: SweepOutcome, json: bool) -> None:
             console().print(f"{arrays}{without} (--keep)", markup=False)
     if tally.improved:
         were = "was" if tally.improved == 1 else "were"
-        cases = counted(tally.improved, "case")
-        typer.echo(f"{cases} {were} improved from neighbours beyond a jump of the cost", err=True)
+        improved = counted(tally.improved, "case")
+        typer.echo(f"{improved} {were} improved from neighbours beyond a jump of the cost", err=True)
     if tally.jumps:
         remain = "remains" if tally.jumps == 1 else "remain"
         text = f"{counted(tally.jumps, 'jump')} of the cost {remain}: where jump is 1, a neighbour is better"
         typer.echo(text, err=True)
     if tally.failed:
-        cases = f"{tally.cases - tally.solved} of {counted(tally.cases, 'case')}"
-        message = f"codegen: {cases} failed; see status and message in {outcome.out}"
+        failed = f"{tally.cases - tally.solved} of {counted(tally.cases, 'case')}"
+        message = f"codegen: {failed} failed; see status and message in {outcome.out}"
         typer.echo(message + on_statuses(*tally.failed), err=True)
+        raise typer.Exit(1)
+
+
+def _once(option: str, pairs: Sequence[tuple[str, Value]]) -> dict[str, Value]:
+    """Return the pairs as a dict; raises ArgumentError for a repeated name."""
+    values: dict[str, Value] = {}
+    for name, value in pairs:
+        if name in values:
+            raise ArgumentError(f"{option} gives {name} twice", "give it once")
+        values[name] = value
+    return values

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -48,126 +48,102 @@ class Interpolation(StrEnum):
     CUBIC = "cubic"
 
 
-Moving = Annotated[
-    Path,
-    typer.Argument(
-        metavar="MOVING", help="The image or volume to be warped, a folder of them, or a table of pairs (.csv)."
-    ),
-]
-Landmarks = Annotated[
-    list[Path],
-    typer.Option(metavar="FILE", help="Landmarks; elastix and Slicer: give it twice, first the moving file."),
-]
-Out = Annotated[Path | None, typer.Option(metavar="FILE", help="The warped image; for many pairs a folder.")]
-Fixed = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="The image to which it is registered, in whose frame the result is.")
-]
-Inverse = Annotated[
-    bool, typer.Option("--inverse", help="Bring the fixed image into the frame of the moving one instead.")
-]
-Sigma = Annotated[
-    str,
-    typer.Option(metavar="S", help="Standard deviation of landmarks' errors in pixels (volumes: mm), or auto."),
-]
-Scheme = Annotated[str, typer.Option(help="The scheme that integrates the flow.")]
-Steps = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="Steps of the scheme. [default: as many as it needs]")
-]
-Field = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE", help="Save displacements: .npz, .nii.gz, .mha, .mhd or .nrrd; for many pairs a folder."
-    ),
-]
-Report = Annotated[
-    Path | None, typer.Option(metavar="FILE.html", help="Write a page about the pair; for many pairs a folder.")
-]
-Coarse = Annotated[
-    bool | None,
-    typer.Option(
-        "--coarse/--exact",
-        help="Map a coarse grid and interpolate, with an estimated error below 0.01 pixel, or map each pixel. "
-        "[default: coarse for more than 4 million pixels]",
-        show_default=False,
-    ),
-]
-
-Workers = Annotated[
-    int | None,
-    typer.Option(parser=positive, metavar="N", help="Processes for many pairs. [default: one for each processor]"),
-]
-Cluster = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask for many pairs; or local, to begin one."),
-]
-Resume = Annotated[
-    bool, typer.Option("--resume", help="Go on with many pairs, only if they were begun with the same options.")
-]
-
-
 def warp(
-    moving: Moving,
-    landmarks: Landmarks = [],  # noqa: B006  typer copies it
-    out: Out = None,
-    fixed: Fixed = None,
-    inverse: Inverse = False,
-    sigma: Sigma = "0",
+    moving: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MOVING", help="The image or volume to be warped, a folder of them, or a table of pairs (.csv)."
+        ),
+    ],
+    landmarks: Annotated[
+        list[Path],
+        typer.Option(metavar="FILE", help="Landmarks; elastix and Slicer: give it twice, first the moving file."),
+    ] = [],  # noqa: B006  typer copies it
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The warped image; for many pairs a folder.")] = None,
+    fixed: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The image to which it is registered, in whose frame the result is."),
+    ] = None,
+    inverse: Annotated[
+        bool, typer.Option("--inverse", help="Bring the fixed image into the frame of the moving one instead.")
+    ] = False,
+    sigma: Annotated[
+        str, typer.Option(metavar="S", help="Standard deviation of landmarks' errors in pixels (volumes: mm), or auto.")
+    ] = "0",
     loss: Annotated[Loss, typer.Option(help="With a sigma: robust ones let outliers pull less.")] = Loss.LINEAR,
     align: Annotated[
         Align, typer.Option(help="What is taken out before the flow; auto: by leaving landmarks out.")
     ] = Align.AUTO,
     flip: Annotated[bool, typer.Option("--flip", help="Mirror the moving image left to right first.")] = False,
-    scheme: Scheme = "rk4",
-    steps: Steps = None,
+    scheme: Annotated[str, typer.Option(help="The scheme that integrates the flow.")] = "rk4",
+    steps: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Steps of the scheme. [default: as many as it needs]")
+    ] = None,
     interpolation: Annotated[Interpolation, typer.Option(help="Between pixels.")] = Interpolation.LINEAR,
-    field: Field = None,
-    report: Report = None,
+    field: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Save displacements: .npz, .nii.gz, .mha, .mhd or .nrrd; for many pairs a folder."
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write a page about the pair; for many pairs a folder.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-    coarse: Coarse = None,
-    workers: Workers = None,
-    cluster: Cluster = None,
-    resume: Resume = False,
+    coarse: Annotated[
+        bool | None,
+        typer.Option(
+            "--coarse/--exact",
+            help="Map a coarse grid and interpolate, with an estimated error below 0.01 pixel, or map each pixel. "
+            "[default: coarse for more than 4 million pixels]",
+            show_default=False,
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(parser=positive, metavar="N", help="Processes for many pairs. [default: one for each processor]"),
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="The scheduler of a cluster of dask for many pairs; or local, to begin one."
+        ),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with many pairs, only if they were begun with the same options.")
+    ] = False,
 ) -> None:
     """Warp images or volumes by landmarks. The map from moving to fixed is certified to be free of folds."""
     if len(landmarks) > 2:
         raise ArgumentError(
             f"--landmarks was given {len(landmarks)} times", "give one file, or a moving and a fixed one"
         )
-    from codegen.registration.job import Options
+    from codegen.registration import batch, job
+    from codegen.registration.job import Job, Options
+    from codegen.solving.results import output
 
     if loss is not Loss.LINEAR and sigma == "0":
         raise ArgumentError(f"--loss {loss.value} is for landmarks that may miss", "give a --sigma as well, or auto")
     try:
-        deviation: Any = sigma if sigma == "auto" else float(sigma)
+        deviation: float | Literal["auto"] = "auto" if sigma == "auto" else float(sigma)
     except ValueError:
         deviation = -1.0
-    if deviation != "auto" and not 0.0 <= deviation < 1e6:
+    if not isinstance(deviation, str) and not 0.0 <= deviation < 1e6:
         raise ArgumentError(f"--sigma {sigma[:30]}", "give a distance in pixels, or auto")
     options = Options(
         inverse, deviation, align.value, scheme, steps, interpolation.value, coarse, loss.value, flip,
     )  # fmt: skip
     if moving.is_dir() or moving.suffix.lower() == ".csv":
         _many(moving, tuple(landmarks), out, fixed, field, report, options, json, workers, cluster, resume)
-    elif workers is not None or cluster is not None or resume:
+        return
+    if workers is not None or cluster is not None or resume:
         option = "--workers" if workers is not None else "--cluster" if cluster is not None else "--resume"
         raise ArgumentError(f"{option} is for many pairs, and {moving} is none", "give a folder, or a table (.csv)")
-    else:
-        _one(moving, tuple(landmarks), out, fixed, field, report, options, json)
-
-
-def _one(
-    moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
-    report: Path | None, options: Options, json: bool,
-) -> None:  # fmt: skip
-    from codegen.registration import batch, job
-    from codegen.registration.job import Job
-    from codegen.solving.results import output
-
     if out is None or not landmarks:
         missing = "--out" if out is None else "--landmarks"
         raise ArgumentError(f"{missing} is missing", "say where the landmarks are and where the image goes")
-    wanted = Job(moving, landmarks, out, fixed, field, report)
     with working("Registering") as status:
+        wanted = Job(moving, tuple(landmarks), out, fixed, field, report)
         result = job.run(wanted, options, None if status is None else status.update)
     if json:
         typer.echo(output.as_json(result.record))

@@ -9,39 +9,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from statistics import median
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.descent import COST, ITERATIONS, RESIDUAL
-from codegen.runtime.search.iterates import stored
-from codegen.runtime.search.point import evaluate
-from codegen.solving.loading import Grid, Matrix, Vector
-from codegen.solving.results.control import control_verdict
-from codegen.solving.results.result import ControlAttempt, Run
+from codegen.runtime.search.iterates import Search, stored
+from codegen.runtime.search.point import Point
+from codegen.solving.loading import ControlModule, Grid, Matrix
 
 ALLOWED = 10.0
 """Largest residual and slope of a solution, relative to the tolerance, as in `control_verdict`."""
 PART, SHORTEST = 0.5, 1e-9
 """Part of the remaining time after which a search with a deadline returns; least seconds of an iteration."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Candidate:
-    """A plan, `unknowns` (n,), evaluated outside the solver.
-
-    `gradient` (n,) is that of the Lagrangian, `stationarity` its largest slope.
-    """
-
-    unknowns: Vector
-    gradient: Vector
-    cost: float
-    residual: float
-    stationarity: float
 
 
 class BestIterate:
@@ -69,7 +51,7 @@ class BestIterate:
         self._is_asked_by_restoration = self._is_over = False
         self.beginning: float | None = None
         self.was_late, self.is_exhausted = limit <= 0.0, False
-        self.best: Any = None
+        self.best: Point | None = None
 
     def iterations_per_call(self, done: int, most: int, affordable: int) -> int:
         """Return the number of iterations after which the compiled search is to return.
@@ -86,7 +68,7 @@ class BestIterate:
             count = min(count, 1.0 + PART * remaining // max(self._iteration, SHORTEST)) if remaining >= 0.0 else 0
         return int(count)
 
-    def extend(self, search: Any, rows: Matrix) -> None:
+    def extend(self, search: Search, rows: Matrix) -> None:
         """Record the iterate at which the compiled search returns; `rows` (k, 6) are the iterates that it logged.
 
         They include the last one if the search is over.
@@ -102,7 +84,7 @@ class BestIterate:
             if residual <= self._feasible and (self.best is None or cost < self.best.cost):
                 self.best = stored(search).point
 
-    def add(self, point: Any, _length: float) -> None:
+    def add(self, point: Point, _length: float) -> None:
         """Record an iterate of a linear search, which has no time limit."""
         now = self._clock()
         if self.beginning is None:
@@ -144,13 +126,7 @@ class BestIterate:
         return self._iteration + now - self._returned if self._iterations else None
 
 
-def candidate(grid: Grid, unknowns: Vector) -> Candidate:
-    """Return a plan with its equations evaluated."""
-    point = evaluate(grid, unknowns)
-    return Candidate(unknowns, point.gradient, point.cost, point.residual, point.stationarity)
-
-
-def holds(module: Any, grid: Grid, plan: Candidate, tolerance: float) -> bool:
+def holds(module: ControlModule, grid: Grid, plan: Point, tolerance: float) -> bool:
     """Return True if residual and slopes are within the tolerance, without scaling.
 
     The slope of a variable near its bound counts times the distance from the bound, at most one.
@@ -169,17 +145,8 @@ def holds(module: Any, grid: Grid, plan: Candidate, tolerance: float) -> bool:
     return bool((np.abs(slopes) * np.clip(distances, 0.0, 1.0) <= most).all())
 
 
-def is_solution(module: Any, grid: Grid, plan: Candidate, run: Run, iterations: int, tolerance: float) -> bool:
-    """Return True if a plan passes the convergence test that all drivers share.
-
-    The test takes account of scaling factors, rounding and large multipliers. It takes ten times as long as `holds`.
-    """
-    claim = ControlAttempt("solved", "", iterations, plan.unknowns, tolerance)
-    return control_verdict(module, "newton", run, claim, grid).status == "solved"
-
-
-def better(one: Any, other: Any, feasible: float) -> Any:
-    """Return the better one of two candidates or points of a search.
+def better(one: Point, other: Point, feasible: float) -> Point:
+    """Return the better one of two points of a search.
 
     A plan with a residual up to `feasible` is better than one without. Of two such plans the cheaper one is better, of
     two others the one with the smaller residual. The first one is returned if they are equal.

@@ -70,11 +70,6 @@ class ClosedLoop:
     fell_back: NDArray[np.bool_] = field(repr=False)
 
     @property
-    def names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Names of states and of inputs, in the order of columns."""
-        return self.state_names, self.input_names
-
-    @property
     def counts(self) -> dict[str, int]:
         """Number of sampling times by status."""
         return dict(Counter(self.statuses.tolist()))
@@ -137,50 +132,17 @@ class ClosedLoop:
         return loop_html(self)
 
 
-class Recording:
-    """Arrays for a number of sampling times, which are filled in order."""
-
-    def __init__(self, controller: Controller, samples: int, state: Vector) -> None:
-        states, inputs = len(controller.states), len(controller.inputs)
-        self.controller, self.count = controller, 0
-        self.states, self.measured = np.empty((samples + 1, states)), np.empty((samples, states))
-        self.inputs, self.numbers = np.empty((samples, inputs)), np.empty((samples, 4))
-        self.feedback: list[tuple[str, bool, bool]] = []
-        self.states[0] = state
-
-    def add(self, measured: Vector, applied: Vector, feedback: Feedback, state: Vector) -> None:
-        """Append a sampling time and the state at its end."""
-        k = self.count
-        self.measured[k], self.inputs[k], self.states[k + 1] = measured, applied, state
-        self.numbers[k] = feedback.iterations, feedback.residual, feedback.cost, feedback.seconds
-        self.feedback.append((feedback.status, feedback.in_time, feedback.fell_back))
-        self.count += 1
-
-    def ended(self, message: str = "") -> ClosedLoop:
-        """Return the result; `message` gives the reason of an early end."""
-        controller, n = self.controller, self.count
-        iterations, residuals, costs, latencies = self.numbers[:n].T
-        times = np.asarray(controller.sample * np.arange(n + 1.0))
-        statuses, in_time, fell_back = zip(*self.feedback, strict=True) if n else ((), (), ())
-        return ClosedLoop(
-            controller.module.metadata.title, controller.states, controller.inputs, controller.sample,
-            controller.options.deadline, message, times, self.states[: n + 1], self.measured[:n],
-            self.inputs[:n], np.array(statuses, dtype=np.str_), iterations.astype(np.intp),
-            residuals, costs, latencies, np.array(in_time, dtype=bool), np.array(fell_back, dtype=bool),
-        )  # fmt: skip
-
-
 def close_loop(
     controller: Controller,
-    plant: Any,
+    plant: object,
     *,
     samples: int = 100,
-    start: Any = None,
-    arguments: Mapping[str, Any] | None = None,
+    start: object = None,
+    arguments: Mapping[str, object] | None = None,
     disturbances: Mapping[str, Moving] | None = None,
     noise: Any = 0.0,
     delay: int | None = None,
-    inputs: Any = None,
+    inputs: object = None,
     seed: int = 0,
 ) -> ClosedLoop:
     """Let a controller act on a plant for some sampling times.
@@ -239,28 +201,6 @@ def close_loop(
     names = controller.states, controller.inputs
     next_state = plant_of(plant, arguments or {}, names, disturbances or {})
     state = controller.first_state() if start is None else vector(start, controller.states, "the start")
-    deviations = _deviations(controller, noise)
-    inputs = np.zeros(len(controller.inputs)) if inputs is None else inputs
-    inputs = vector(inputs, controller.inputs, "the array of inputs")
-    waiting = [inputs] * int(delay)
-    random, recording = np.random.default_rng(seed), Recording(controller, samples, state)
-    controller.reset(inputs if controller.delay else None)
-    for k in range(samples):
-        t = k * controller.sample
-        measured = state + deviations * random.standard_normal(state.size)
-        waiting.append(controller.step(measured, t))
-        applied = waiting.pop(0)
-        try:
-            state = next_state(state, applied, t, controller.sample)
-        except PlantFailed as failure:
-            return recording.ended(f"the plant failed after t = {t:g}: {failure}")
-        assert controller.last is not None, "a step stores its feedback"
-        recording.add(measured, applied, controller.last, state)
-    return recording.ended()
-
-
-def _deviations(controller: Controller, noise: Any) -> Vector:
-    """Return the standard deviations (states,) of measurement errors, zero for names that a mapping lacks."""
     if isinstance(noise, Mapping):
         if unknown := [name for name in noise if name not in controller.states]:
             finding = clause(f"noise of {unknown[0]!r}, which is no state")
@@ -271,4 +211,43 @@ def _deviations(controller: Controller, noise: Any) -> Vector:
     deviations = vector(noise, controller.states, "noise")
     if (deviations < 0.0).any():
         raise NumericsError("noise has a negative standard deviation", "give numbers that are not negative")
-    return deviations
+    inputs = np.zeros(len(controller.inputs)) if inputs is None else inputs
+    inputs = vector(inputs, controller.inputs, "the array of inputs")
+    waiting, random, message = [inputs] * int(delay), np.random.default_rng(seed), ""
+    controller.reset(inputs if controller.delay else None)
+    states, measurements, applied, results = [state], list[Vector](), list[Vector](), list[Feedback]()
+    for k in range(samples):
+        t = k * controller.sample
+        measured = state + deviations * random.standard_normal(state.size)
+        waiting.append(controller.step(measured, t))
+        acting = waiting.pop(0)
+        try:
+            state = next_state(state, acting, t, controller.sample)
+        except PlantFailed as failure:
+            message = f"the plant failed after t = {t:g}: {failure}"
+            break
+        assert controller.last is not None, "a step stores its feedback"
+        states.append(state)
+        measurements.append(measured)
+        applied.append(acting)
+        results.append(controller.last)
+    n = len(results)
+    return ClosedLoop(
+        controller.module.metadata.title,
+        controller.states,
+        controller.inputs,
+        controller.sample,
+        controller.options.deadline,
+        message,
+        times=np.asarray(controller.sample * np.arange(n + 1.0)),
+        states=np.array(states),
+        measured=np.array(measurements).reshape(n, len(controller.states)),
+        inputs=np.array(applied).reshape(n, len(controller.inputs)),
+        statuses=np.array([result.status for result in results], dtype=np.str_),
+        iterations=np.array([result.iterations for result in results], dtype=np.intp),
+        residuals=np.array([result.residual for result in results], dtype=float),
+        costs=np.array([result.cost for result in results], dtype=float),
+        latencies=np.array([result.seconds for result in results], dtype=float),
+        in_time=np.array([result.in_time for result in results], dtype=bool),
+        fell_back=np.array([result.fell_back for result in results], dtype=bool),
+    )

@@ -11,21 +11,34 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from threading import Lock
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
-from codegen.errors import ArgumentError
-from codegen.mpc.acceptance import BestIterate, Candidate, Pace, better, candidate, holds, is_solution
-from codegen.mpc.interface import Grids, Interface, Moving, Options, Values, interface_of, module_of, number, shift_by
+from codegen.errors import ArgumentError, NumericsError
+from codegen.mpc.acceptance import BestIterate, Pace, better, holds
+from codegen.mpc.interface import (
+    WHOLE,
+    Arguments,
+    Grids,
+    Moving,
+    Options,
+    Values,
+    interface_of,
+    module_of,
+    number,
+    shift_by,
+    vector,
+)
 from codegen.mpc.motion import Delay, Motion
 from codegen.runtime.search.cascade import factor_nearby, minimise
 from codegen.runtime.search.messages import describe, reached
+from codegen.runtime.search.point import Point, evaluate
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import optimise, solve_linear_quadratic
 from codegen.runtime.search.termination import final_status
-from codegen.solving.loading import Grid, Matrix, Vector
-from codegen.solving.results.result import Run
+from codegen.solving.loading import ControlModule, Grid, Matrix, Vector
+from codegen.solving.results.control import control_verdict
+from codegen.solving.results.result import ControlAttempt, Run
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,7 +53,8 @@ class Feedback:
         Inputs in the units of the problem, to be applied from the time t, or later by the delay, until the next inputs.
     status : str
         "solved" if all equations hold to the tolerance, evaluated outside the solver. "iteration limit" or "time limit"
-        if iterations or time were used up. Otherwise the kind of failure.
+        if iterations or time were used up. "non-finite" also for a measured state with a number that is not finite.
+        Otherwise the kind of failure.
     message : str
         The status in a sentence.
     cost, residual : float
@@ -52,7 +66,7 @@ class Feedback:
     in_time : bool
         True if the deadline was kept.
     fell_back : bool
-        True if the inputs are those of the start of the search, usually the shifted last plan.
+        True if the inputs belong to the start of the search, usually the shifted last plan.
     """
 
     t: float
@@ -84,7 +98,7 @@ WARM_UPS, NUDGE = 20, 1e-4
 class Ahead:
     """The preparation of a sampling time: run-time values, the shifted plan (n,), and True if it is factored."""
 
-    given: dict[str, Any]
+    given: Arguments
     guess: Vector
     is_factored: bool
 
@@ -155,12 +169,12 @@ class Controller:
 
     def __init__(
         self,
-        problem: Any,
+        problem: object,
         *,
         steps: int | None = None,
         horizon: float | None = None,
         sample: float | None = None,
-        arguments: Mapping[str, Any] | None = None,
+        arguments: Mapping[str, object] | None = None,
         scheme: str | None = None,
         method: str | None = None,
         parameters: Mapping[str, Moving] | None = None,
@@ -171,8 +185,8 @@ class Controller:
         delay: int = 0,
     ) -> None:
         self.options = Options(steps, horizon, sample, tolerance, newton_steps, deadline, scaling, delay)
-        self.module: Any = module_of(problem, arguments or {}, scheme, method)
-        self._interface: Interface = interface_of(self.module)
+        self.module: ControlModule = module_of(problem, arguments or {}, scheme, method)
+        self._interface = interface_of(self.module)
         self.states, self.inputs = self._interface.states, self._interface.inputs
         self.steps = int(self.module.metadata.steps) if steps is None else steps
         of_solves = {} if horizon is None else {"duration": horizon}
@@ -181,7 +195,12 @@ class Controller:
         grid = self._grids.at(self._values.given(0.0))
         self.horizon = grid.steps * grid.h
         self.sample = grid.h if sample is None else sample
-        intervals = self.options.intervals_of(self.sample, self.horizon, self.steps)
+        # The sampling time in intervals, rounded if it is nearly a whole number.
+        intervals = self.sample * self.steps / self.horizon
+        if intervals > self.steps * (1.0 + WHOLE):
+            finding = f"the sampling time {self.sample:g} is longer than the horizon {self.horizon:g}"
+            raise NumericsError(finding, "give a shorter sample, or a longer horizon")
+        intervals = float(round(intervals)) if abs(intervals - round(intervals)) <= WHOLE else intervals
         self._shift = shift_by(self.module, grid, intervals)
         self.delay = delay
         self._delay: Delay | None = None
@@ -202,11 +221,11 @@ class Controller:
 
     _clock = staticmethod(perf_counter)
 
-    def step(self, state: Any, t: float = 0.0, parameters: Mapping[str, float] | None = None) -> Vector:
+    def step(self, state: object, t: float = 0.0, parameters: Mapping[str, float] | None = None) -> Vector:
         """Return the inputs to apply from the time t on, for a measured state.
 
-        A numerical failure raises no exception: the inputs are those of the shifted plan, and `last.status` has the
-        failure.
+        A numerical failure raises no exception: the shifted plan gives the inputs, and `last.status` has the
+        failure. The same holds for a measured state with a number that is not finite; its status is "non-finite".
 
         Parameters
         ----------
@@ -216,7 +235,7 @@ class Controller:
             Time of the measurement in seconds. With a delay the inputs act later by the delay, and every sampling time
             needs its step.
         parameters : dict of str to float, optional
-            Run-time values that replace those of the controller in this step.
+            Run-time values that replace values of the controller in this step.
 
         Returns
         -------
@@ -226,21 +245,57 @@ class Controller:
         Raises
         ------
         NumericsError
-            For a state that is not finite or of another shape, and for unusable run-time values.
+            For a state of another shape, a time that is not finite, and unusable run-time values.
         ArgumentError
             For an unknown name.
         """
-        begin = self._clock()
-        measured = self._interface.state_vector(state)
+        deadline, clock = self.options.deadline, self._clock
+        begin = clock()
+        measured = vector(state, self.states, "the state", is_finite=False)
         t = number(t, "the time")
+        pairs = zip(self.states, measured.tolist(), strict=True)
+        invalid = ", ".join(f"{name} is {value}" for name, value in pairs if not math.isfinite(value))
         with self._lock:
-            start = measured if self._delay is None else self._delay.state_after(measured, t, parameters)
+            failure: tuple[str, str] | None = None  # status and message of a step without a search
+            start: Vector | None = measured
+            if invalid:
+                remedy = "give finite numbers, for example an estimate"
+                failure = "non-finite", f"non-finite: in the measured state {invalid}; {remedy}"
+            elif self._delay is not None:
+                start = self._delay.state_after(measured, t, parameters)
+                if start is None:
+                    message = "newton failed: the motion under the inputs on their way cannot be followed"
+                    failure = "newton failed", message
             given = self._values.given(self._start_of_plan(t), parameters)
-            self._state = measured if start is None else start
+            if not invalid:
+                self._state = measured if start is None else start
             if self._ahead is not None and self._ahead.given != given:
                 self._ahead = None
             grid = self._grids.at(given, self._state)
-            self.last = last = self._feedback(begin, t, grid, start is not None)
+            if self._plan is not None:
+                what, guess = BEFORE, self._shift(self._plan) if self._ahead is None else self._ahead.guess
+            elif self._of_start is not None and (deadline is not None or invalid):
+                # Without a plan there is no time before a deadline for a search from the problem's guess.
+                what, guess = OF_START, self._of_start.copy()
+            else:
+                what, guess = OWN_GUESS, self.module.initial_guess(grid)
+            if what is not OWN_GUESS and not invalid:
+                guess = self._pinned(grid, guess)
+            limit = math.inf if deadline is None else self._pace.limit(deadline - (clock() - begin))
+            most = None if self._plan is None else self.options.newton_steps
+            allowed = math.inf if self._plan is None else max(MOST_WARM, most or 0)
+            log = BestIterate(limit, self._feasible, clock, allowed, self._pace.rest.seconds)
+            best, fell_back, status, message, iterations = self._accepted(grid, guess, what, log, most, failure)
+            if self._plan is not None or not invalid:
+                self._plan = best.unknowns
+            end = clock()
+            seconds = end - begin
+            if deadline is not None:
+                self._pace.learn(log.beginning, log.rest(end), log.was_late)
+            self.last = last = Feedback(
+                t, best.unknowns[self._of_inputs], status, message, best.cost, best.residual, iterations, seconds,
+                deadline is None or seconds <= deadline, fell_back,
+            )  # fmt: skip
             self._ahead = None
             if self._delay is not None:
                 self._delay.append(last.inputs)
@@ -288,7 +343,7 @@ class Controller:
         """
         return self._interface.start_of(self._grids.separate(self._values.given(0.0)))
 
-    def reset(self, inputs: Any = None) -> None:
+    def reset(self, inputs: object = None) -> None:
         """Drop the plan, for a next state that does not follow from the last one.
 
         Parameters
@@ -340,65 +395,42 @@ class Controller:
         """Return the time at which a plan made at the time t starts."""
         return t + self.delay * self.sample
 
-    def _feedback(self, begin: float, t: float, grid: Grid, is_predicted: bool) -> Feedback:
-        """Solve and store the plan to apply; `is_predicted` is False if the prediction over the delay failed."""
-        deadline, clock = self.options.deadline, self._clock
-        if self._plan is not None:
-            what, guess = BEFORE, self._shift(self._plan) if self._ahead is None else self._ahead.guess
-            guess = self._pinned(grid, guess)
-        elif self._of_start is not None and deadline is not None:
-            # Without a plan there is no time before a deadline for a search from the problem's guess.
-            what, guess = OF_START, self._pinned(grid, self._of_start.copy())
-        else:
-            what, guess = OWN_GUESS, self.module.initial_guess(grid)
-        limit = math.inf if deadline is None else self._pace.limit(deadline - (clock() - begin))
-        most = None if self._plan is None else self.options.newton_steps
-        allowed = math.inf if self._plan is None else max(MOST_WARM, most or 0)
-        log = BestIterate(limit, self._feasible, clock, allowed, self._pace.rest.seconds)
-        best, fell_back, status, message, iterations = self._accepted(grid, guess, what, log, most, is_predicted)
-        self._plan = best.unknowns
-        end = clock()
-        seconds = end - begin
-        if deadline is not None:
-            self._pace.learn(log.beginning, log.rest(end), log.was_late)
-        return Feedback(
-            t, best.unknowns[self._of_inputs], status, message, best.cost, best.residual, iterations, seconds,
-            deadline is None or seconds <= deadline, fell_back,
-        )  # fmt: skip
-
     def _accepted(
-        self, grid: Grid, guess: Vector, what: str, log: BestIterate, most: int | None, is_predicted: bool = True
-    ) -> tuple[Candidate, bool, str, str, int]:
+        self, grid: Grid, guess: Vector, what: str, log: BestIterate, most: int | None,
+        failure: tuple[str, str] | None = None,
+    ) -> tuple[Point, bool, str, str, int]:  # fmt: skip
         """Return (plan to apply, True for the guess, status, message, iterations) of a search from a guess.
 
-        The plan is evaluated outside the solver.
+        The plan is evaluated outside the solver. With a `failure` (status, message) the search is omitted.
         """
-        status, iterations = "time limit", 0
-        point: Any = None
-        message = f"{status}: there was no time for an iteration"
-        if not is_predicted:
-            status = "newton failed"
-            message = f"{status}: the motion under the inputs on their way cannot be followed"
+        status, message, iterations = "time limit", "time limit: there was no time for an iteration", 0
+        point: Point | None = None
+        if failure is not None:
+            status, message = failure
         elif log.limit > 0.0:
             status, message, point, iterations = self._solve(grid, guess, what is not OWN_GUESS, log, most)
             if log.is_exhausted and status != "solved":
                 status = "iteration limit"
                 message = f"{status} after {iterations} iterations and {log.count - iterations} of restorations"
         if status == "solved":
-            best, module, tolerance = candidate(grid, point.unknowns), self.module, self.options.tolerance
-            if holds(module, grid, best, tolerance):
+            assert point is not None, "a solved search has a point"
+            best, tolerance = evaluate(grid, point.unknowns), self.options.tolerance
+            if holds(self.module, grid, best, tolerance):
                 return best, False, status, message, iterations
+            # The convergence test that all drivers share takes account of scaling factors, rounding and large
+            # multipliers. It takes ten times as long as `holds`.
             run = Run(self.steps, guess=guess, scaling=self._scaling)
-            if is_solution(module, grid, best, run, iterations, tolerance):
+            claim = ControlAttempt("solved", "", iterations, best.unknowns, tolerance)
+            if control_verdict(self.module, "newton", run, claim, grid).status == "solved":
                 return best, False, status, message, iterations
             status = "inaccurate"
             message = f"{status}: the solver reported success, but the equations have residual {best.residual:.1e}"
-        iterate: Any = None  # None if the guess is better
+        iterate: Point | None = None  # None if the guess is better
         if status in UNFINISHED and iterations and point is not None:
             iterate = point if log.best is None else better(point, log.best, self._feasible)
             if not iterate.residual <= self._feasible:
-                iterate = iterate if better(iterate, candidate(grid, guess), self._feasible) is iterate else None
-        best = candidate(grid, guess if iterate is None else iterate.unknowns)
+                iterate = iterate if better(iterate, evaluate(grid, guess), self._feasible) is iterate else None
+        best = evaluate(grid, guess if iterate is None else iterate.unknowns)
         if iterate is not None:
             what = "best feasible iterate" if best.residual <= self._feasible else "last iterate"
         message = f"{message}; applied is the {what}, whose equations hold to {best.residual:.1e}"
@@ -406,12 +438,12 @@ class Controller:
 
     def _pinned(self, grid: Grid, unknowns: Vector) -> Vector:
         """Set the measured state in a plan."""
-        self.module.pin_values(grid, unknowns, self.module.views(grid, unknowns)[0])
+        self.module.problem.pin_values(grid, unknowns, self.module.views(grid, unknowns)[0])
         return unknowns
 
     def _solve(
         self, grid: Grid, guess: Vector, is_warm: bool, log: BestIterate, most: int | None
-    ) -> tuple[str, str, Any, int]:
+    ) -> tuple[str, str, Point, int]:
         """Return (status, message, point, iterations) of a search, without the results of the module's `solve`.
 
         Without scaling and ranges of tables the bare search suffices. It also accepts a measured state beyond a bound,
@@ -423,7 +455,8 @@ class Controller:
             return status, message, point, iterations
         search = self._grids.search
         if self._is_linear:
-            status, point, iterations = solve_linear_quadratic(grid, guess, self.options.tolerance, log, search.system)
+            system = None if search is None else search.system
+            status, point, iterations = solve_linear_quadratic(grid, guess, self.options.tolerance, log, system)
         else:
             is_factored = self._ahead is not None and self._ahead.is_factored
             status, point, iterations = minimise(grid, guess, *options, log, search=search, is_factored=is_factored)

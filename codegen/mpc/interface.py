@@ -25,15 +25,18 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.runtime.record import Sites, Task
 from codegen.runtime.search.bounds import contradictory_bounds
-from codegen.runtime.search.iterates import on_grid, search_on
+from codegen.runtime.search.iterates import Search, on_grid, search_on
 from codegen.solving import compiler, loading
-from codegen.solving.loading import ControlModule, Grid, Indices, Vector
+from codegen.solving.loading import ControlModule, Grid, Vector
 from codegen.solving.machine_code import processes
 from codegen.solving.request import SCALINGS, Request, as_number, parameter_arguments
 from codegen.solving.results.result import component_names
 
 WHOLE = 1e-9
 """Tolerance, in intervals, of a sampling time that is a whole number of intervals."""
+
+Arguments: TypeAlias = dict[str, Any]
+"""Arguments of the functions of a generated module, by name."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Interface:
     keys: Mapping[str, str]
     ends: tuple[str, ...]
 
-    def set_value(self, given: dict[str, Any], name: str, value: float) -> None:
+    def set_value(self, given: Arguments, name: str, value: float) -> None:
         """Set a run-time value among the arguments of the module's functions."""
         if name in self.keys:
             given[self.keys[name]] = value
@@ -74,13 +77,12 @@ class Interface:
         """Return the values (states,) at the start of a grid."""
         return np.array(grid.parameters[0, self.start])
 
-    def state_vector(self, state: Any, what: str = "the state") -> Vector:
-        """Return a state as an array (states,), from an array or a mapping; raises NumericsError for other values."""
-        return vector(state, self.states, what)
 
+def vector(values: object, names: tuple[str, ...], what: str, is_finite: bool = True) -> Vector:
+    """Return numbers in the order of names, from an array or a mapping; raises NumericsError for other values.
 
-def vector(values: Any, names: tuple[str, ...], what: str) -> Vector:
-    """Return numbers in the order of names, from an array or a mapping; raises NumericsError for other values."""
+    With `is_finite` a number that is not finite is refused, too.
+    """
     remedy = f"give {', '.join(names)}, in this order or by name"
     if isinstance(values, Mapping):
         if values.keys() != set(names):
@@ -93,13 +95,13 @@ def vector(values: Any, names: tuple[str, ...], what: str) -> Vector:
         raise NumericsError(clause(f"{what} is {values!r}"), clause(remedy)) from None
     if array.shape != (len(names),):
         raise NumericsError(f"{what} has shape {array.shape}, expected ({len(names)},)", clause(remedy))
-    if not all(map(math.isfinite, array.tolist())):  # three times as fast as numpy for short arrays
+    if is_finite and not all(map(math.isfinite, array.tolist())):  # three times as fast as numpy for short arrays
         wrong = names[int(np.flatnonzero(~np.isfinite(array))[0])]
         raise NumericsError(f"{what} is not finite: {wrong} is {array[names.index(wrong)]}", "give finite numbers")
     return array
 
 
-def number(value: Any, what: str) -> float:
+def number(value: object, what: str) -> float:
     """Return a finite number; raises NumericsError for other values."""
     result = as_number(value)
     if not math.isfinite(result):
@@ -107,7 +109,7 @@ def number(value: Any, what: str) -> float:
     return result
 
 
-def require_count(name: str, value: Any, least: int) -> None:
+def require_count(name: str, value: object, least: int) -> None:
     """Raise NumericsError for a value that is no whole number from `least` on."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
         remedy = "a positive integer" if least else "a whole number that is not negative"
@@ -143,7 +145,7 @@ def interface_of(module: Any) -> Interface:
     return Interface(metadata.start, inputs, parameter_arguments(module), metadata.end)
 
 
-def module_of(problem: Any, arguments: Mapping[str, Any], scheme: str | None, method: str | None) -> ControlModule:
+def module_of(problem: Any, arguments: Mapping[str, object], scheme: str | None, method: str | None) -> ControlModule:
     """Return a loaded module with machine code, from a problem, the file of a module, or a module.
 
     Raises the errors of `codegen.solve` for a problem that cannot be read, derived or stored.
@@ -191,19 +193,6 @@ class Options:
         if self.scaling not in SCALINGS:
             raise ArgumentError(f"scaling is {self.scaling!r}", f"use one of {', '.join(SCALINGS)}")
 
-    @staticmethod
-    def intervals_of(sample: float, horizon: float, steps: int) -> float:
-        """Return the length of a sampling time in intervals, rounded if it is nearly a whole number.
-
-        Raises NumericsError if it is longer than the horizon.
-        """
-        intervals = sample * steps / horizon
-        if intervals > steps * (1.0 + WHOLE):
-            finding = f"the sampling time {sample:g} is longer than the horizon {horizon:g}"
-            raise NumericsError(finding, "give a shorter sample, or a longer horizon")
-        whole = round(intervals)
-        return float(whole) if abs(intervals - whole) <= WHOLE else intervals
-
 
 Moving: TypeAlias = float | Callable[[float], float]
 """A run-time value: a number, or a function of the present time."""
@@ -217,11 +206,7 @@ class Values:
     """
 
     def __init__(
-        self,
-        interface: Interface,
-        values: Mapping[str, Moving],
-        of_solves: Mapping[str, Any],
-        what: str = "the problem",
+        self, interface: Interface, values: Mapping[str, Moving], of_solves: Arguments, what: str = "the problem"
     ) -> None:
         if not isinstance(values, Mapping):
             finding = clause(f"run-time values of {what} are {values!r}")
@@ -231,7 +216,7 @@ class Values:
         self._constants = {n: number(v, f"parameter {n}") for n, v in values.items() if not callable(v)}
         self._moving = {n: v for n, v in values.items() if callable(v)}
 
-    def given(self, t: float, own: Mapping[str, float] | None = None) -> dict[str, Any]:
+    def given(self, t: float, own: Mapping[str, float] | None = None) -> Arguments:
         """Return the arguments of the module's functions at a time; the values of `own` hold at this time alone."""
         arguments = dict(self._of_solves)
         for name, value in self._constants.items():
@@ -251,73 +236,50 @@ class Grids:
     `search` is the storage of a search on the last grid, or None. Grids without a search have no bounds.
     """
 
-    def __init__(self, module: Any, interface: Interface, steps: int, is_searched: bool = True) -> None:
+    def __init__(self, module: ControlModule, interface: Interface, steps: int, is_searched: bool = True) -> None:
         self._module, self._steps, self._interface, self._is_searched = module, steps, interface, is_searched
         self._is_bounded = is_searched and bool(module.metadata.inequalities)
-        self._given: dict[str, Any] | None = None
+        self._given: Arguments | None = None
         self._last: Any = None
-        self.search: Any = None
+        self.search: Search | None = None
 
-    def at(self, given: dict[str, Any], start: Vector | None = None) -> Grid:
+    def at(self, given: Arguments, start: Vector | None = None) -> Grid:
         """Return the grid with run-time values and bounds; the next call may change it.
 
         The state is `start` (states,), by default the problem's own. Raises NumericsError for unusable values.
         """
         if start is None or self._given != given:
-            self._keep(self.separate(given))
+            grid: Any = self.separate(given)
+            same = self.search is not None
+            if self._is_bounded:
+                bounds = self._module.variable_bounds(grid)
+                # The comparison of bytes is ten times as fast as `array_equal`.
+                pairs = zip(bounds, self._last.bounds, strict=True) if same else ()
+                same = same and all(one.tobytes() == other.tobytes() for one, other in pairs)
+                grid = grid._replace(bounds=self._last.bounds if same else bounds)
+            self._last = grid
+            if self._is_searched and same:  # with unchanged bounds the storage of the last search is used again
+                self.search = on_grid(self.search, grid)
+            elif self._is_searched:
+                is_contradictory = self._is_bounded and contradictory_bounds(grid) >= 0
+                self.search = None if is_contradictory else search_on(grid)
             self._given = None if start is None else given
         if start is not None:
             self._last.parameters[0, self._interface.start] = start
         return self._last  # type: ignore[no-any-return]
 
-    def separate(self, given: dict[str, Any]) -> Grid:
+    def separate(self, given: Arguments) -> Grid:
         """Return a new grid with run-time values, which may include the state."""
         try:
-            return self._module.make_grid(self._steps, **given)  # type: ignore[no-any-return]
+            return self._module.make_grid(self._steps, **given)
         except ValueError as error:  # generated modules raise built-in exceptions
             raise NumericsError(str(error), "correct the run-time values") from error
 
-    def _keep(self, grid: Any) -> None:
-        """Store a grid; with unchanged bounds, also reuse the storage of the last search."""
-        module, same = self._module, self.search is not None
-        if self._is_bounded:
-            bounds = module.variable_bounds(grid)
-            same = same and all(map(_are_same, bounds, self._last.bounds))
-            grid = grid._replace(bounds=self._last.bounds if same else bounds)
-        self._last = grid
-        if self._is_searched:
-            is_contradictory = not same and self._is_bounded and contradictory_bounds(grid) >= 0
-            self.search = on_grid(self.search, grid) if same else None if is_contradictory else search_on(grid)
 
+def shift_by(module: ControlModule, grid: Grid, intervals: float) -> Callable[[Vector], Vector]:
+    """Return the map from the unknowns (n,) of a plan to the unknowns shifted by a number of intervals.
 
-def _are_same(one: Vector, other: Vector) -> bool:
-    """Return True if two arrays hold the same bits, ten times as fast as `array_equal`."""
-    return one.tobytes() == other.tobytes()
-
-
-@dataclass(frozen=True, eq=False)
-class Shift:
-    """A linear map of unknowns (n,): each is a sum of the unknowns `one` and `two` with weights.
-
-    With `is_single` the second term is zero.
-    """
-
-    one: Indices
-    two: Indices
-    weight_one: Vector
-    weight_two: Vector
-    is_single: bool
-
-    def __call__(self, unknowns: Vector) -> Vector:
-        """Return the unknowns (n,) of the shifted plan."""
-        if self.is_single:
-            return self.weight_one * unknowns.take(self.one)
-        return self.weight_one * unknowns[self.one] + self.weight_two * unknowns[self.two]
-
-
-def shift_by(module: Any, grid: Grid, intervals: float) -> Shift:
-    """Return the shift by a number of intervals of equal length, which need not be whole.
-
+    The number need not be whole; intervals have equal length. Each unknown becomes a weighted sum of two unknowns.
     Unknowns that only the ends have, such as their velocities, do not move, because they are zero at inner nodes.
     Global unknowns do not move either.
     """
@@ -344,4 +306,7 @@ def shift_by(module: Any, grid: Grid, intervals: float) -> Shift:
         one_node[:, :, only] = of_nodes[:, :, only]
         node_first[:, :, only] = node_second[:, :, only] = 0.0
         node_first[:, [0, -1], only] = 1.0
-    return Shift(one.astype(np.intp), two.astype(np.intp), first, second, not second.any())
+    at_one, at_two = one.astype(np.intp), two.astype(np.intp)
+    if not second.any():
+        return lambda unknowns: first * unknowns.take(at_one)
+    return lambda unknowns: first * unknowns[at_one] + second * unknowns[at_two]

@@ -15,17 +15,16 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
-from codegen.mpc.interface import WHOLE, Grids, Interface, Moving, Values, module_of, vector
+from codegen.mpc.interface import WHOLE, Arguments, Grids, Interface, Moving, Values, module_of, vector
 from codegen.runtime.record import Form
 from codegen.runtime.search.linear_system import allocate_system, filled_entries
 from codegen.runtime.search.point import evaluate
-from codegen.solving.loading import Grid, Indices, Vector, is_control, is_of_particles
+from codegen.solving.loading import ControlModule, Indices, Vector, is_control, is_of_particles
 from codegen.solving.request import parameter_arguments
 
 VELOCITY_NEWTON_STEPS, VELOCITY_CLOSE = 20, 1e-12
@@ -54,11 +53,11 @@ NEWTON_STEPS, CLOSE = 20, 1e-10
 class Motion:
     """The motion of a state over `seconds`, which are a number of `intervals` of a plan.
 
-    The time is divided into intervals no longer than those of the plan. Raises ArgumentError for a module whose motion
-    does not follow from its start and its inputs.
+    The time is divided into intervals no longer than the intervals of the plan. Raises ArgumentError for a module whose
+    motion does not follow from its start and its inputs.
     """
 
-    def __init__(self, module: Any, interface: Interface, seconds: float, intervals: float) -> None:
+    def __init__(self, module: ControlModule, interface: Interface, seconds: float, intervals: float) -> None:
         self._module, self._seconds = module, {"duration": seconds}
         steps = max(1, math.ceil(intervals - WHOLE))
         self._grids = Grids(module, interface, steps, is_searched=False)
@@ -88,19 +87,33 @@ class Motion:
         self._entries: tuple[Indices, ...] = tuple(np.array(entries, dtype=np.intp).T)
         self._system = allocate_system(module.make_grid(steps))
 
-    def __call__(self, state: Vector, inputs: Vector, given: dict[str, Any], later: dict[str, Any]) -> Vector | None:
+    def __call__(self, state: Vector, inputs: Vector, given: Arguments, later: Arguments) -> Vector | None:
         """Return the state (states,) after a state under inputs (controls,), or None if the solve fails.
 
         The run-time values `given` hold during the motion, `later` at its end.
         """
         grid = self._grids.at(given | self._seconds, state)
         unknowns = self._module.initial_guess(grid)
+        matrix = np.zeros((self._equations.size, self._equations.size))
+        entry, rows, columns = self._entries
         try:
             for k in range(grid.steps):
                 offset = k * self._stride
                 unknowns[offset + self._controls] = inputs
                 unknowns[offset + self._stride + self._node] = unknowns[offset + self._node]
-                if not self._is_solved(grid, unknowns, k):
+                equations, solved = offset + self._equations, offset + self._unknowns
+                for _ in range(NEWTON_STEPS):
+                    residual = evaluate(grid, unknowns).gradient[equations]
+                    values = filled_entries(grid, unknowns, self._system)  # entries of intervals come first
+                    matrix[rows, columns] = values[k * grid.problem.structure.rows.size + entry]
+                    step = np.linalg.solve(matrix, residual)
+                    unknowns[solved] -= step
+                    largest = np.abs(step).max()
+                    if not largest < np.inf:
+                        return None
+                    if largest <= CLOSE * max(1.0, np.abs(unknowns[solved]).max()):
+                        break
+                else:
                     return None
             _, q, p, _, _ = self._module.unpack(grid, unknowns)
             after = state.copy()
@@ -111,26 +124,7 @@ class Motion:
             return None
         return after if np.isfinite(after).all() else None
 
-    def _is_solved(self, grid: Grid, unknowns: Vector, k: int) -> bool:
-        """Solve interval k by Newton's method in `unknowns` (n,); return True if it converges."""
-        offset = k * self._stride
-        equations, solved = offset + self._equations, offset + self._unknowns
-        matrix = np.zeros((equations.size, equations.size))
-        entry, rows, columns = self._entries
-        for _ in range(NEWTON_STEPS):
-            residual = evaluate(grid, unknowns).gradient[equations]
-            values = filled_entries(grid, unknowns, self._system)  # entries of intervals come first
-            matrix[rows, columns] = values[k * grid.problem.structure.rows.size + entry]
-            step = np.linalg.solve(matrix, residual)
-            unknowns[solved] -= step
-            largest = np.abs(step).max()
-            if not largest < np.inf:
-                return False
-            if largest <= CLOSE * max(1.0, np.abs(unknowns[solved]).max()):
-                return True
-        return False
-
-    def _velocities(self, state: Vector, wanted: Vector, later: dict[str, Any]) -> Vector:
+    def _velocities(self, state: Vector, wanted: Vector, later: Arguments) -> Vector:
         """Return the rates of a state with the momenta (coordinates,) at the end of the motion."""
         module, start = self._module, state.copy()
         of_node = self._equations[self._equations < self._node.size]
@@ -140,9 +134,9 @@ class Motion:
         def momenta(rates: Vector) -> Vector:
             start[self._rates] = rates
             grid = self._starts.at(later | self._seconds, start)
-            module.pin_values(grid, unknowns, module.views(grid, unknowns)[0])
+            module.problem.pin_values(grid, unknowns, module.views(grid, unknowns)[0])
             p: Vector = module.unpack(grid, unknowns)[2][0]
-            # The discrete equation at the start is the prescribed momentum less that of the first interval.
+            # The discrete equation at the start is the prescribed momentum less the momentum of the first interval.
             if of_node.size:
                 p = p + evaluate(grid, unknowns).gradient[of_node]
             return p
@@ -158,8 +152,8 @@ class Delay:
         self._samples, self._sample = samples, seconds
         self.reset()
 
-    def reset(self, inputs: Any = None) -> None:
-        """Set the inputs (controls,) that act before those of the controller, zero by default."""
+    def reset(self, inputs: object = None) -> None:
+        """Set the inputs (controls,) that act before the inputs of the controller, zero by default."""
         names = self._interface.inputs
         before = np.zeros(len(names)) if inputs is None else vector(inputs, names, "the array of inputs")
         self._waiting = deque([before] * self._samples, self._samples)
@@ -171,7 +165,7 @@ class Delay:
     def state_after(self, state: Vector, t: float, own: Mapping[str, float] | None) -> Vector | None:
         """Return the state (states,) at the end of the delay that starts at time t, or None if the prediction fails.
 
-        Run-time values are those of the times in between; the values of `own` hold at all of them.
+        Run-time values are evaluated at the times in between; the values of `own` hold at all these times.
         """
         given = self._values.given(t, own)
         for k, inputs in enumerate(self._waiting, 1):
@@ -192,8 +186,8 @@ class PlantFailed(Exception):
 
 
 def plant_of(
-    plant: Any,
-    arguments: Mapping[str, Any],
+    plant: object,
+    arguments: Mapping[str, object],
     names: tuple[tuple[str, ...], tuple[str, ...]],
     disturbances: Mapping[str, Moving],
 ) -> Plant:
@@ -206,85 +200,69 @@ def plant_of(
         if disturbances:
             finding = "disturbances beside a plant that is a function"
             raise ArgumentError(finding, "have the function disturb itself, or give a module")
-        return FunctionPlant(plant, names[0])
+        return _of_function(plant, names[0])
     module: Any = module_of(plant, arguments, None, None)
-    states, inputs = names
-    starts = _start_names(module)
+    metadata, (states, inputs) = module.metadata, names
+    is_free = is_control(module) and (metadata.control_names or metadata.form == Form.LAGRANGIAN)
+    if is_of_particles(module) or is_free:
+        finding = f"{metadata.problem} is no plant: it has controls, or particles"
+        raise ArgumentError(finding, "give a Simulate, or for dynamics a Control without controls and cost")
+    starts = tuple(metadata.start)
     if set(starts) != set(states):
         finding = f"the plant starts from {', '.join(starts) or 'nothing'}, the controller from {', '.join(states)}"
         raise ArgumentError(clause(finding), "give both the same names")
-    parameters = tuple(module.metadata.parameters)
+    parameters = tuple(metadata.parameters)
     if missing := [name for name in inputs if name not in parameters]:
         finding = f"the plant has no parameter {missing[0]}, which is an input of the controller"
         raise ArgumentError(finding, f'declare it there, as in {missing[0]} = parameter("{missing[0]}", 0)')
     if both := [name for name in inputs if name in disturbances]:
         raise ArgumentError(f"{both[0]} is an input of the plant", "disturb another parameter")
-    return ModulePlant(module, states, inputs, disturbances)
+    values = Values(Interface(states, inputs, parameter_arguments(module), ()), disturbances, {}, "the plant")
+    rate_names = tuple(name for name in starts if name not in metadata.coordinates)
+    has_velocities = bool(rate_names) and metadata.form == Form.LAGRANGIAN
 
-
-@dataclass(frozen=True)
-class FunctionPlant:
-    """A plant that is a function of the state, the inputs, the time and the duration; its results are checked."""
-
-    function: Callable[[Vector, Vector, float, float], Any]
-    states: tuple[str, ...]
-
-    def __call__(self, state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
-        """Return the next state; raises NumericsError for an invalid result, PlantFailed for one that is not finite."""
-        returned = self.function(state.copy(), inputs.copy(), t, seconds)
+    def after(state: Vector, inputs_now: Vector, t: float, seconds: float) -> Vector:
+        """Return the next state; the own time of the module restarts at every sampling time."""
+        given = values.given(t, dict(zip(inputs, inputs_now.tolist(), strict=True)))
+        start = dict(zip(states, state.tolist(), strict=True))
+        given |= {"start": start, "duration": seconds}
         try:
-            after = np.array(returned, dtype=float)
-        except (TypeError, ValueError):
-            finding = clause(f"the plant returned {returned!r}")
-            raise NumericsError(finding, f"return {', '.join(self.states)}") from None
-        if after.shape != state.shape:
-            finding = f"the plant returned an array of shape {after.shape}, expected {state.shape}"
-            raise NumericsError(finding, f"return {', '.join(self.states)}")
-        if not np.isfinite(after).all():
-            raise PlantFailed("its state is not finite")
-        return after
-
-
-def _start_names(module: Any) -> tuple[str, ...]:
-    metadata = module.metadata
-    is_free = is_control(module) and (metadata.control_names or metadata.form == Form.LAGRANGIAN)
-    if is_of_particles(module) or is_free:
-        finding = f"{metadata.problem} is no plant: it has controls, or particles"
-        raise ArgumentError(finding, "give a Simulate, or for dynamics a Control without controls and cost")
-    return tuple(metadata.start)
-
-
-class ModulePlant:
-    """A generated module as a plant; its own time restarts at every sampling time."""
-
-    def __init__(
-        self, module: Any, states: tuple[str, ...], inputs: tuple[str, ...], disturbances: Mapping[str, Moving]
-    ) -> None:
-        self.module, self.states, self.inputs = module, states, inputs
-        self._values = Values(Interface(states, inputs, parameter_arguments(module), ()), disturbances, {}, "the plant")
-        metadata = module.metadata
-        self._rates = tuple(name for name in _start_names(module) if name not in metadata.coordinates)
-        self._has_velocities = bool(self._rates) and metadata.form == Form.LAGRANGIAN
-
-    def __call__(self, state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
-        """Return the next state; raises PlantFailed if the solve fails."""
-        given = self._values.given(t, dict(zip(self.inputs, inputs.tolist(), strict=True)))
-        given |= {"start": dict(zip(self.states, state.tolist(), strict=True)), "duration": seconds}
-        try:
-            result = self.module.solve(int(self.module.metadata.steps), **given)
+            result = module.solve(int(metadata.steps), **given)
         except ValueError as error:
             raise NumericsError(str(error), "correct the plant's numbers") from error
         if result.status != "solved":
             raise PlantFailed(result.message)
         q, rates = result.q[-1], result.p[-1]
-        values = dict(zip(self.module.metadata.coordinates, q.tolist(), strict=True))
-        if self._has_velocities:  # the velocities with the momenta at the end
+        found = dict(zip(metadata.coordinates, q.tolist(), strict=True))
+        if has_velocities:  # the velocities with the momenta at the end
 
             def momenta(v: Vector) -> Vector:
-                start = values | dict(zip(self._rates, v.tolist(), strict=True))
-                return np.asarray(self.module.make_grid(1, **{**given, "start": start}).start[q.size :])
+                moved = found | dict(zip(rate_names, v.tolist(), strict=True))
+                return np.asarray(module.make_grid(1, **{**given, "start": moved}).start[q.size :])
 
-            rates = velocities_of(momenta, rates, np.array([given["start"][name] for name in self._rates]))
-        if self._rates:
-            values |= zip(self._rates, rates.tolist(), strict=True)
-        return np.array([values[name] for name in self.states])
+            rates = velocities_of(momenta, rates, np.array([start[name] for name in rate_names]))
+        if rate_names:
+            found |= zip(rate_names, rates.tolist(), strict=True)
+        return np.array([found[name] for name in states])
+
+    return after
+
+
+def _of_function(function: Callable[[Vector, Vector, float, float], object], states: tuple[str, ...]) -> Plant:
+    """Return a plant that checks the results of a function of the state, the inputs, the time and the duration."""
+
+    def after(state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
+        returned = function(state.copy(), inputs.copy(), t, seconds)
+        try:
+            array = np.array(returned, dtype=float)
+        except (TypeError, ValueError):
+            finding = clause(f"the plant returned {returned!r}")
+            raise NumericsError(finding, f"return {', '.join(states)}") from None
+        if array.shape != state.shape:
+            finding = f"the plant returned an array of shape {array.shape}, expected {state.shape}"
+            raise NumericsError(finding, f"return {', '.join(states)}")
+        if not np.isfinite(array).all():
+            raise PlantFailed("its state is not finite")
+        return array
+
+    return after

@@ -6,7 +6,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import sympy
@@ -15,14 +15,7 @@ from sympy.simplify.fu import TR8
 
 from codegen.discretise import schemes, transcribe
 from codegen.discretise.conditions import CONDITIONS
-from codegen.discretise.interval import (
-    STEP,
-    VariationalInterval,
-    at_nodes,
-    one_step_interval,
-    repeated,
-    variational_interval,
-)
+from codegen.discretise.interval import STEP, at_nodes, one_step_interval, repeated, variational_interval
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Bounds, Model, prescribed
 from codegen.discretise.model.from_problem import load_problem
@@ -61,9 +54,6 @@ def pairwise_equations(model: PairwiseModel, scheme: str | None, method: str | N
     for left, right in rows:
         lines += textwrap.wrap(f"{left} = {sympy.sstr(right)}", WIDTH, initial_indent="  ", subsequent_indent="      ")
     return "\n".join(lines)
-
-
-Rows = Sequence[tuple[Symbol, Expr]]
 
 
 def is_past(name: str) -> bool:
@@ -122,22 +112,6 @@ def delay_blocks(model: Model) -> Iterator[Block]:
         yield Block("Method of steps", (), ((text, text + r"\\"),))
 
 
-def of_the_whole(model: Model, rows: Rows) -> tuple[tuple[Symbol, Expr], ...]:
-    """Return the boundary conditions of the whole motion, without the conditions that join segments."""
-    if model.segments is None:
-        return tuple(rows)
-    names = {own: (whole, number) for own, whole, number in model.segments.names}
-    ends = {"0": 1, "T": model.segments.number}
-    outer = []
-    for symbol, value in rows:
-        name, mark, end = symbol.name.rpartition("@")
-        stem = "p_" if name not in names and name.startswith("p_") else ""
-        whole, number = names.get(name.removeprefix(stem), ("", 0))
-        if number == ends.get(end):
-            outer.append((_named(f"{stem}{whole}{mark}{end}"), value))
-    return tuple(outer)
-
-
 _SHORTEN_LIMIT = 120
 """Operation count up to which expressions are simplified."""
 _FLAT_BONUS = 1.6
@@ -184,26 +158,40 @@ def equations(
         if model.phases
         else (*_continuous(model.authored, program.method), *delay_blocks(model), *_discrete(shown, program))
     )
-    rest = [*_ends(program), *_cost_and_bounds(model, notation)]
-    if tables := tables_of(model):
-        lines = [f"{table.summary}; {OUTSIDE[table.shape.outside]}" for table in tables]
-        rest.append(Block("Tables", (), tuple((line, line) for line in lines)))
-    return written(title, [*own, *rest, _layout(program, notation)], notation)
-
-
-def _cost_and_bounds(model: Model, notation: Notation) -> Iterator[Block]:
-    """Yield the terminal cost, free parameters with their initial guess, and the bounds of each phase."""
-    whole = model.authored
+    rest, whole = [*_ends(program)], model.authored
     if whole.terminal_cost != 0:
         at_end = {symbol: _named(f"{symbol}@T") for symbol in (*whole.coordinates, *whole.rates)}
-        yield Block("Terminal cost", ((_named("C_T"), whole.terminal_cost.xreplace(at_end)),))
+        rest.append(Block("Terminal cost", ((_named("C_T"), whole.terminal_cost.xreplace(at_end)),)))
     if whole.free_parameters:
         rows = tuple((free.symbol, free.guess) for free in whole.free_parameters)
         limits = [Bounds(free.symbol, free.lower, free.upper) for free in whole.free_parameters]
-        yield Block("Free parameters, at their first guess", rows, _within(limits, notation))
+        rest.append(Block("Free parameters, at their first guess", rows, _within(limits, notation)))
     for number, part in enumerate(whole.phases or (whole,), start=1):
-        if remarks := _within(part.bounds, notation):
-            yield Block(f"Bounds in phase {number}" if whole.phases else "Bounds", (), remarks)
+        if limited := _within(part.bounds, notation):
+            rest.append(Block(f"Bounds in phase {number}" if whole.phases else "Bounds", (), limited))
+    if tables := tables_of(model):
+        lines = [f"{table.summary}; {OUTSIDE[table.shape.outside]}" for table in tables]
+        rest.append(Block("Tables", (), tuple((line, line) for line in lines)))
+
+    def remark(words: str, symbols: Sequence[Symbol], none: str = "") -> tuple[str, str]:
+        names = (notation.name(symbol) for symbol in symbols)
+        text = words + (", ".join(f"${name}$" if notation.latex else name for name in names) or none)
+        return text, text + r"\\" if notation.latex else ""
+
+    # The unknowns of nodes, intervals and steps.
+    if isinstance(program, StepProgram):
+        remarks = [
+            remark("state at a node: ", program.left_symbols),
+            remark("solved for numerically in each step: ", program.unknowns, "nothing, the step is explicit"),
+        ]
+    else:
+        remarks = [
+            remark("at a node: ", program.left_symbols),
+            remark("on an interval: ", (*program.interval_symbols, *program.control_symbols), "nothing"),
+            ("order: node 0, interval 0, node 1, ..., node N",) * 2,
+        ]
+    rest.append(Block("Layout of the unknowns", remarks=tuple(remarks)))
+    return written(title, [*own, *rest], notation)
 
 
 def _within(bounds: Iterable[Bounds], notation: Notation) -> tuple[tuple[str, str], ...]:
@@ -248,19 +236,18 @@ def _named(name: str) -> Symbol:
 def _continuous(authored: Model, method: str) -> Iterator[Block]:
     """Yield the function of the author, its Legendre transform if needed, and the equations of motion."""
     model = _side(authored, method)
+    letter = model.form[0].upper()
+    forced = "Forced " if any(model.force) else ""
+    if model.form != "first-order":
+        if authored.form != model.form:
+            yield Block(authored.form.capitalize(), ((_named(authored.form[0].upper()), authored.function),))
+        rows = [(_named(letter), model.function)]
+        rows += [(_named(f"f_{q}"), f) for q, f in zip(model.coordinates, model.force, strict=True) if f != 0]
+        yield Block(model.form.capitalize() + (" and forces" if len(rows) > 1 else ""), tuple(rows))
     if model.form == "first-order":
         pairs = zip(model.coordinates, model.dynamics, strict=True)
         yield Block("Dynamics", tuple((_named(f"rate {x}"), f) for x, f in pairs))
-        yield from _cost(model)
-        return
-    if authored.form != model.form:
-        yield Block(authored.form.capitalize(), ((_named(authored.form[0].upper()), authored.function),))
-    letter = model.form[0].upper()
-    rows = [(_named(letter), model.function)]
-    rows += [(_named(f"f_{q}"), f) for q, f in zip(model.coordinates, model.force, strict=True) if f != 0]
-    yield Block(model.form.capitalize() + (" and forces" if len(rows) > 1 else ""), tuple(rows))
-    forced = "Forced " if any(model.force) else ""
-    if letter == "L":
+    elif letter == "L":
         q, v = model.coordinates, model.rates
         accelerations = [_named(f"acceleration {x}") for x in q]
         balances = []
@@ -276,17 +263,13 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
         states = (*model.coordinates, *model.rates)
         rates = tuple((_named(f"rate {x}"), _shortest(e)) for x, e in zip(states, field, strict=True))
         yield Block(f"{forced}Hamilton's equations", rates)
-    yield from _cost(model)
-
-
-def _cost(model: Model) -> Iterator[Block]:
-    """Yield the integrands of the cost and of conditions."""
+    # The integrands of the cost and of conditions.
     if model.cost is not None:
         remarks = (_MAXIMISED,) if model.maximised else ()
         pair = (_named("C"), model.cost), (_named("T"), model.duration)
         yield Block("Rate of the cost, and duration", pair, remarks)
-    for heading, rows in (block for kind in CONDITIONS for block in kind.shown(model)):
-        yield Block(heading, tuple((_named(name), value) for name, value in rows))
+    for heading, shown in (block for kind in CONDITIONS for block in kind.shown(model)):
+        yield Block(heading, tuple((_named(name), value) for name, value in shown))
 
 
 def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
@@ -303,7 +286,34 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
         _, scheme = repeated(scheme)
     if scheme.variational:
         interval = variational_interval(side, scheme, controls)
-        yield from _variational(side, interval)
+        coordinates = [q.name for q in side.coordinates]
+        own = [i for i, name in enumerate(coordinates) if not is_past(name)]
+        rows = [(_named("L_d"), _shortest(interval.lagrangian))]
+        for mark, forces in (("f-", interval.force_minus), ("f+", interval.force_plus)):
+            rows += [(_named(f"{mark} {name}"), f) for name, f in zip(coordinates, forces, strict=True) if f != 0]
+        rows += [(_named(f"f {q}"), f) for q, f in zip(interval.inner, interval.force_inner, strict=True) if f != 0]
+        yield Block("Discrete Lagrangian" + (" and discrete forces" if len(rows) > 1 else ""), tuple(rows))
+        pairs = zip(interval.inner, interval.inner_balance, strict=True)
+        if inner := tuple((_named("0"), _shortest(balance)) for q, balance in pairs if not is_past(q.name)):
+            yield Block("Balances at inner points", inner)
+        momenta = [(_named(f"p_{coordinates[i]}_k"), _shortest(interval.left_momentum[i])) for i in own]
+        momenta += [(_named(f"p_{coordinates[i]}_k1"), _shortest(interval.right_momentum[i])) for i in own]
+        yield Block("Discrete Legendre transforms", tuple(momenta), (_LEGENDRE,))
+        # The substitution that moves expressions from the interval after node k to the interval before.
+        sites = interval.q
+        shift: dict[Symbol, Expr] = dict(zip(sites.left, at_nodes(side.coordinates, "_k-1"), strict=True))
+        shift |= dict(zip(sites.right, sites.left, strict=True))
+        shift |= dict(zip(interval.inner, at_nodes(interval.inner, "_k-1"), strict=True))
+        shift |= {u: _named(f"{u.name}-1") for u in sites.of_interval}
+        if sites.nodal:
+            shift |= dict(zip(sites.right_controls, sites.left_controls, strict=True))
+        shift[side.time] = side.time - STEP
+        balances = []
+        for i in own:
+            before = _shortest(interval.right_momentum[i].xreplace(shift))
+            balances.append((_named("0"), _shortest(before - _shortest(interval.left_momentum[i]))))
+        heading = ("Forced discrete" if any(side.force) else "Discrete") + " Euler-Lagrange equations"
+        yield Block(heading, tuple(balances), (_BALANCE,))
         cost, quadratures = interval.cost, interval.integrals
     else:
         step = one_step_interval(side, scheme, controls)
@@ -318,42 +328,6 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
         yield Block("Shares in integrals, whose sums over all intervals are those of the integrals", shares)
 
 
-def _variational(model: Model, interval: VariationalInterval) -> Iterator[Block]:
-    names = [q.name for q in model.coordinates]
-    own = [i for i, name in enumerate(names) if not is_past(name)]
-    rows = [(_named("L_d"), _shortest(interval.lagrangian))]
-    for mark, forces in (("f-", interval.force_minus), ("f+", interval.force_plus)):
-        rows += [(_named(f"{mark} {name}"), f) for name, f in zip(names, forces, strict=True) if f != 0]
-    inner = [(q, b) for q, b in zip(interval.inner, interval.inner_balance, strict=True) if not is_past(q.name)]
-    rows += [(_named(f"f {q}"), f) for q, f in zip(interval.inner, interval.force_inner, strict=True) if f != 0]
-    yield Block("Discrete Lagrangian" + (" and discrete forces" if len(rows) > 1 else ""), tuple(rows))
-    if inner:
-        yield Block("Balances at inner points", tuple((_named("0"), _shortest(balance)) for _, balance in inner))
-    momenta = [(_named(f"p_{names[i]}_k"), _shortest(interval.left_momentum[i])) for i in own]
-    momenta += [(_named(f"p_{names[i]}_k1"), _shortest(interval.right_momentum[i])) for i in own]
-    yield Block("Discrete Legendre transforms", tuple(momenta), (_LEGENDRE,))
-    shift = _one_interval_earlier(model, interval)
-    halves = [(interval.right_momentum[i], interval.left_momentum[i]) for i in own]
-    balance = [
-        (_named("0"), _shortest(_shortest(before.xreplace(shift)) - _shortest(after))) for before, after in halves
-    ]
-    heading = ("Forced discrete" if any(model.force) else "Discrete") + " Euler-Lagrange equations"
-    yield Block(heading, tuple(balance), (_BALANCE,))
-
-
-def _one_interval_earlier(model: Model, interval: VariationalInterval) -> dict[Symbol, Expr]:
-    """Return the substitution from expressions of the interval after node k to those of the interval before it."""
-    q_sites = interval.q
-    shift: dict[Symbol, Expr] = dict(zip(q_sites.left, at_nodes(model.coordinates, "_k-1"), strict=True))
-    shift |= dict(zip(q_sites.right, q_sites.left, strict=True))
-    shift |= dict(zip(interval.inner, at_nodes(interval.inner, "_k-1"), strict=True))
-    shift |= {u: _named(f"{u.name}-1") for u in q_sites.of_interval}
-    if q_sites.nodal:
-        shift |= dict(zip(q_sites.right_controls, q_sites.left_controls, strict=True))
-    shift[model.time] = model.time - STEP
-    return shift
-
-
 def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
     if isinstance(program, StepProgram):
         values = {value.symbol: value.value for value in program.start_values}
@@ -361,7 +335,7 @@ def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
         yield Block("Initial state", tuple((_named(f"{u.name}@0"), e.xreplace(values)) for u, e in pairs))
         return
     values = {value.symbol: value.value for value in program.boundary_values}
-    rows: list[tuple[Expr, Expr]] = []
+    rows: list[tuple[Symbol, Expr]] = []
     for end, mark, symbols in ((program.start, "@0", program.left_symbols), (program.end, "@T", program.right_symbols)):
         pins = {symbols[i]: value.xreplace(values) for i, value in end.pins}
         node = list(zip(program.node, symbols, strict=True))
@@ -375,29 +349,18 @@ def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
     remarks = [_MOMENTA] if program.method == "variational" else []
     for where, end in (("start", program.start), ("end", program.end)):
         remarks += [(f"{bound.condition} at the {where}",) * 2 for _, bound in end.bounds]
-    yield Block("Boundary conditions", of_the_whole(program.model, rows), tuple(remarks))
-
-
-def _layout(program: ControlProgram | StepProgram, notation: Notation) -> Block:
-    """Return the unknowns of nodes, intervals and steps."""
-
-    def remark(words: str, symbols: Sequence[Symbol], none: str = "") -> tuple[str, str]:
-        names = (notation.name(symbol) for symbol in symbols)
-        text = words + (", ".join(f"${name}$" if notation.latex else name for name in names) or none)
-        return text, text + r"\\" if notation.latex else ""
-
-    if isinstance(program, StepProgram):
-        remarks = [
-            remark("state at a node: ", program.left_symbols),
-            remark("solved for numerically in each step: ", program.unknowns, "nothing, the step is explicit"),
-        ]
-    else:
-        remarks = [
-            remark("at a node: ", program.left_symbols),
-            remark("on an interval: ", (*program.interval_symbols, *program.control_symbols), "nothing"),
-            ("order: node 0, interval 0, node 1, ..., node N",) * 2,
-        ]
-    return Block("Layout of the unknowns", remarks=tuple(remarks))
+    model, shown = program.model, tuple(rows)
+    if model.segments is not None:  # the whole motion, without the conditions that join segments
+        names = {own: (whole, number) for own, whole, number in model.segments.names}
+        outer, last = [], {"0": 1, "T": model.segments.number}
+        for symbol, value in rows:
+            name, mark, end = symbol.name.rpartition("@")
+            stem = "p_" if name not in names and name.startswith("p_") else ""
+            whole, number = names.get(name.removeprefix(stem), ("", 0))
+            if number == last.get(end):
+                outer.append((_named(f"{stem}{whole}{mark}{end}"), value))
+        shown = tuple(outer)
+    yield Block("Boundary conditions", shown, tuple(remarks))
 
 
 def _shortest(expression: Expr) -> Expr:
@@ -438,10 +401,7 @@ class Equations:
         """The equations as LaTeX, derived on demand."""
         return self._latex()
 
-    def __str__(self) -> str:
-        return self.text
-
-    def __repr__(self) -> str:
+    def __repr__(self) -> str:  # also for `str`
         return self.text
 
     def _repr_markdown_(self) -> str:
@@ -456,11 +416,8 @@ def derived_equations(
     controls: str = "interval",
 ) -> Equations:
     """Return the equations of a problem file or object; raises the errors of `equations`."""
-
-    def written_as(latex: bool) -> str:
-        return equations(problem, arguments, scheme=scheme, method=method, controls=controls, latex=latex)
-
-    return Equations(written_as(False), lambda: written_as(True))
+    derived = partial(equations, problem, arguments, scheme=scheme, method=method, controls=controls)
+    return Equations(derived(), partial(derived, latex=True))
 
 
 _HEADING = re.compile(r"^\\(section\*|paragraph)\{(.*)\}$", re.MULTILINE)
@@ -473,10 +430,7 @@ def as_markdown(latex: str) -> str:
 
     def heading(match: re.Match[str]) -> str:
         mark = "###" if match[1] == "section*" else "####"
-        return f"{mark} {_ESCAPE.sub(lambda character: character[1], match[2])}"
-
-    def aligned(match: re.Match[str]) -> str:
-        return f"\n$$\n\\begin{{aligned}}\n{match[1]}\n\\end{{aligned}}\n$$"
+        return f"{mark} " + _ESCAPE.sub(r"\1", match[2])
 
     outside = re.sub(r"^([^&\n]*)\\\\$", r"\1  ", _HEADING.sub(heading, latex), flags=re.MULTILINE)
-    return _ALIGNED.sub(aligned, outside)
+    return _ALIGNED.sub(r"\n$$\n\\begin{aligned}\n\1\n\\end{aligned}\n$$", outside)

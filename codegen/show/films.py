@@ -6,9 +6,8 @@ A scene has arrays of numbers for the sympy expressions of a drawing.
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy
@@ -41,11 +40,19 @@ def scene(model: Model, result: Result, times: Array | None = None) -> Scene:
     polynomial through its stages. Numbers that cannot be evaluated, such as the root of a negative number, are NaN.
     """
     times = result.t if times is None else times
-    values = _values(model, result, times)
-    symbols = list(values)
-    arguments = list(values.values())
+    # The numbers of every symbol: scalars, and arrays that broadcast to (bodies, times).
+    values: dict[sympy.Symbol, float | Array] = dict(model.default_values)
+    values |= {symbol: result.parameters[symbol.name] for symbol in values if symbol.name in result.parameters}
+    values |= {free.symbol: result.summary[free.symbol.name] for free in model.free_parameters}
+    values |= {sympy.Symbol("body", real=True): np.arange(float(model.bodies))[:, None], model.time: times[None, :]}
+    q = np.column_stack([np.interp(times, result.t, column) for column in result.q.T])
+    values |= dict(zip(model.coordinates, _by_body(q, model.bodies), strict=True))
+    if result.u is not None:
+        controls = _by_body(result.controls_at(times), model.bodies)
+        values |= dict(zip(model.controls, controls, strict=True))
+    symbols, arguments = list(values), list(values.values())
 
-    def evaluated(expression: Any) -> Array:
+    def evaluated(expression: sympy.Expr) -> Array:
         array = np.asarray(sympy.lambdify(symbols, expression, NUMPY)(*arguments), dtype=float)
         return array if array.ndim == 2 else array.reshape(1, 1)
 
@@ -64,21 +71,6 @@ def fine_times(t: Array, least: int = 400) -> Array:
     return np.interp(np.arange((t.size - 1) * parts + 1) / parts, np.arange(t.size), t)
 
 
-def _values(model: Model, result: Result, times: Array) -> dict[sympy.Symbol, Any]:
-    """Return the numbers of every symbol: scalars, and arrays that broadcast to (bodies, times)."""
-    bodies = np.arange(float(model.bodies))
-    values: dict[sympy.Symbol, Any] = dict(model.default_values)
-    values |= {symbol: result.parameters[symbol.name] for symbol in values if symbol.name in result.parameters}
-    values |= {free.symbol: result.summary[free.symbol.name] for free in model.free_parameters}
-    values |= {sympy.Symbol("body", real=True): bodies[:, None], model.time: times[None, :]}
-    q = np.column_stack([np.interp(times, result.t, column) for column in result.q.T])
-    values |= dict(zip(model.coordinates, _by_body(q, model.bodies), strict=True))
-    if result.u is not None:
-        controls = _by_body(result.controls_at(times), model.bodies)
-        values |= dict(zip(model.controls, controls, strict=True))
-    return values
-
-
 def _by_body(rows: Array, bodies: int) -> Array:
     return rows.T.reshape(bodies, rows.shape[1] // bodies, len(rows)).swapaxes(0, 1)
 
@@ -86,13 +78,13 @@ def _by_body(rows: Array, bodies: int) -> Array:
 def figure_of(
     module: GeneratedModule, model: Model | PairwiseModel | None, result: Result, unit: str = "", style: str = "page"
 ) -> Figure:
-    """Return the figure of a result, with the drawing of its model, if there is one; `unit` is that of the time."""
-    drawings: Any = None
+    """Return the figure of a result, with the drawing of its model, if there is one; `unit` is the unit of the time."""
+    drawings: Scene | figures.Drawings | None = None
     if isinstance(model, Model) and model.drawing:
-        drawings = scene(model.authored, result, fine_times(result.t))
+        drawings = solution = scene(model.authored, result, fine_times(result.t))
         if is_control(module):
             guess = first_guess_of_segments(module, result)
-            drawings = figures.Drawings(drawings, scene(model.authored, guess, fine_times(guess.t)))
+            drawings = figures.Drawings(solution, scene(model.authored, guess, fine_times(guess.t)))
     return figures.figure(module, result, drawings, unit, style)
 
 
@@ -100,7 +92,7 @@ def save_film(
     model: Model | PairwiseModel | None,
     result: Result,
     path: Path,
-    progress: Callable[[Iterable[Any], int], Iterable[Any]] = lambda frames, count: frames,
+    progress: shapes.Progress = lambda frames, count: frames,
 ) -> None:
     """Film the drawing of a model along a result into a file, .gif or .mp4.
 

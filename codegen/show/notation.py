@@ -86,23 +86,21 @@ class Notation:
         if symbol.name != match["base"] and not match["end"] and not match["side"]:
             index = {None: "k", "1": "k+1", "-1": "k-1"}[match["shift"]]
         base, _, lag = identifiers.plain(match["base"]).partition("@t-")
-        written = self._written(base, match["stage"], index)
+        stage, (letter, low, high, dots) = match["stage"], self._parts(base)
+        high = f"({stage})" if stage else high
+        if self.latex:
+            lows = ",".join(part for part in (low, index) if part)
+            written = rf"\{'d' * dots}ot{{{letter}}}" if dots else letter
+            written += (f"^{{{high}}}" if high else "") + (f"_{{{lows}}}" if lows else "")
+        else:
+            marks = "\u0307" * dots if dots < 2 else "\u0308"
+            written = letter + marks + high.translate(_HIGH).replace("(", "⁽").replace(")", "⁾")
+            written += (f"_{low}" if low and not low.isdigit() else low.translate(_LOW)) + index.translate(_LOW)
         if lag:
             return f"{written}(t - {_WORD.sub(lambda match: self._letter(match[0]), lag)})"
         if match["side"]:
             return written + (f"^{{{match['side']}}}" if self.latex else match["side"].translate(_HIGH))
         return written + (f"({match['end']})" if match["end"] else "")
-
-    def _written(self, base: str, stage: str | None, index: str) -> str:
-        letter, low, high, dots = self._parts(base)
-        high = f"({stage})" if stage else high
-        if not self.latex:
-            marks = "\u0307" * dots if dots < 2 else "\u0308"
-            written = letter + marks + high.translate(_HIGH).replace("(", "⁽").replace(")", "⁾")
-            return written + (f"_{low}" if low and not low.isdigit() else low.translate(_LOW)) + index.translate(_LOW)
-        letter = rf"\{'d' * dots}ot{{{letter}}}" if dots else letter
-        lows = ",".join(part for part in (low, index) if part)
-        return letter + (f"^{{{high}}}" if high else "") + (f"_{{{lows}}}" if lows else "")
 
     def _parts(self, base: str) -> tuple[str, str, str, int]:
         """Return letter, subscript, superscript and number of dots."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +34,8 @@ from codegen.solving.results.output import with_unit
 from codegen.solving.results.result import Result
 
 if TYPE_CHECKING:
+    from codegen.discretise.model.definitions import Model
+    from codegen.discretise.model.pairwise import PairwiseModel
     from codegen.show.figures.picture import Film, Picture
     from codegen.show.figures.simulation import References
 
@@ -50,29 +51,29 @@ class Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
         super().__init__({"mul_symbol": r" \, "} if has_words else None)
         self.first, self.last = first, last
 
-    def __call__(self, value: Any) -> str:
+    def __call__(self, value: object) -> str:
         """Return the LaTeX of an expression, or the name of its type for other objects."""
         try:
             return str(self.doprint(sympy.sympify(value)))
         except (sympy.SympifyError, TypeError, ValueError, AttributeError):
             return rf"\text{{{type(value).__name__}}}"
 
-    def relation(self, value: Any) -> str:
+    def relation(self, value: object) -> str:
         """Return a relation, or an expression that vanishes, which may be a single symbol."""
         return self(value) if isinstance(value, Boolean) and not isinstance(value, Quantity) else f"{self(value)} = 0"
 
-    def at(self, value: Any, time: str) -> str:
+    def at(self, value: object, time: str) -> str:
         """Return a quantity or expression at a time."""
         return f"{self(value)}({time})" if isinstance(value, Quantity) else f"[{self(value)}]({time})"
 
-    def between(self, written: str, limits: Sequence[Any]) -> str:
+    def between(self, written: str, limits: Sequence[object]) -> str:
         """Return a text between a lower and an upper limit, each of which may be None."""
         low, high = limits
         lower = rf"{self(low)} \le " if low is not None else ""
         upper = rf" \le {self(high)}" if high is not None else ""
         return f"{lower}{written}{upper}"
 
-    def rate(self, state: Any) -> str:
+    def rate(self, state: object) -> str:
         """Return the derivative of a state by time."""
         return rf"\dot{{{self(state)}}}"
 
@@ -94,13 +95,25 @@ _IN_A_ROW = 4
 
 def latex(problem: Problem | Phases) -> str:
     """Return the problem as aligned rows, phase by phase; objects without LaTeX are shown by their type."""
+    quantities = quantities_in(problem)
     if not isinstance(problem, Phases):
-        return _aligned(_rows(_Part.alone(problem)))
-    parts = [_Part.phase(problem, number) for number in range(1, len(problem.phases) + 1)]
-    blocks = [rf"\text{{Phase {part.number}:}}\quad {_aligned(_rows(part))}\\[1ex]" for part in parts]
+        # Time ends at the symbol of the duration, else at T, or t_f if T is taken.
+        duration, is_taken = problem.duration, any(symbol.name == "T" for symbol in quantities)
+        last = in_latex(duration.name) if isinstance(duration, Quantity) else r"t_\mathrm{f}" if is_taken else "T"
+        free = [symbol for symbol in quantities if isinstance(symbol, FreeParameter)]
+        return _aligned(_rows(problem, Printer(quantities, "0", last), 0, free, quantities))
+    blocks, printers, before = list[str](), list[Printer](), set[Quantity]()
+    for number, phase in enumerate(problem.phases, start=1):  # time continues from phase to phase
+        printer = Printer(quantities, f"t_{{{number - 1}}}" if number > 1 else "0", f"t_{{{number}}}")
+        own = quantities_in(phase)
+        free = [symbol for symbol in own if isinstance(symbol, FreeParameter) and symbol not in before]
+        aligned = _aligned(_rows(phase, printer, number, free, quantities))
+        blocks.append(rf"\text{{Phase {number}:}}\quad {aligned}\\[1ex]")
+        printers.append(printer)
+        before |= set(own)
     jumps = [
-        rf"&{part.print_(symbol)} \mapsto {part.print_(value)}\quad\text{{at }} t = {part.print_.last}"
-        for part, jump in zip(parts, problem.jumps, strict=False)
+        rf"&{print_(symbol)} \mapsto {print_(value)}\quad\text{{at }} t = {print_.last}"
+        for print_, jump in zip(printers, problem.jumps, strict=False)
         for symbol, value in jump.items()
     ]
     return "\n".join([*blocks, *([rf"\text{{Jumps:}}\quad {_aligned(jumps)}\\[1ex]"] if jumps else [])])
@@ -116,103 +129,35 @@ def _aligned(rows: Iterator[str] | Sequence[str]) -> str:
     return r"\begin{aligned}" + r" \\ ".join(rows) + r"\end{aligned}"
 
 
-@dataclass(frozen=True)
-class _Part:
-    """A problem or one of several phases, with its printer; a single problem has the number 0.
+def _rows(
+    problem: Problem, print_: Printer, number: int, free: Sequence[FreeParameter], quantities: Sequence[Quantity]
+) -> Iterator[str]:
+    """Yield the rows of a problem or of a phase, whose `number` is not zero.
 
-    `own` are the free parameters that no earlier phase has; `quantities` are those of all phases.
+    `free` are its free parameters that no earlier phase has; `quantities` are the quantities of all phases.
     """
-
-    problem: Problem
-    print_: Printer
-    own: tuple[FreeParameter, ...]
-    number: int = 0
-    quantities: tuple[Quantity, ...] = ()
-
-    @classmethod
-    def alone(cls, problem: Problem) -> _Part:
-        """Return a single problem; its time ends at the symbol of the duration, else at T, or t_f if T is taken."""
-        quantities, duration = quantities_in(problem), problem.duration
-        is_taken = any(symbol.name == "T" for symbol in quantities)
-        last = in_latex(duration.name) if isinstance(duration, Quantity) else r"t_\mathrm{f}" if is_taken else "T"
-        printer = Printer(quantities, "0", last)
-        return cls(problem, printer, _free(quantities), quantities=tuple(quantities))
-
-    @classmethod
-    def phase(cls, problem: Phases, number: int) -> _Part:
-        """Return a phase; time continues from phase to phase."""
-        earlier, phase = problem.phases[: number - 1], problem.phases[number - 1]
-        before = {symbol for part in earlier for symbol in _free(quantities_in(part))}
-        own = tuple(symbol for symbol in _free(quantities_in(phase)) if symbol not in before)
-        first = f"t_{{{number - 1}}}" if number > 1 else "0"
-        whole = quantities_in(problem)
-        return cls(phase, Printer(whole, first, f"t_{{{number}}}"), own, number, tuple(whole))
-
-
-def _free(quantities: Sequence[Quantity]) -> tuple[FreeParameter, ...]:
-    return tuple(symbol for symbol in quantities if isinstance(symbol, FreeParameter))
-
-
-def _rows(part: _Part) -> Iterator[str]:
-    problem, print_ = part.problem, part.print_
     if isinstance(problem, Control):
-        yield from _objective(problem, part)
+
+        def is_zero(value: object) -> bool:
+            return isinstance(value, (int, float)) and value == 0
+
+        is_maximised = not (is_zero(problem.maximise) and is_zero(problem.terminal_maximise))
+        rate = problem.maximise if is_maximised else problem.cost
+        last = problem.terminal_maximise if is_maximised else problem.terminal_cost
+        terms = [] if is_zero(rate) else [rf"\int_{{{print_.first}}}^{{{print_.last}}} \left({print_(rate)}\right) dt"]
+        if not is_zero(last):
+            moves = not isinstance(last, sympy.Expr) or any(isinstance(symbol, Moving) for symbol in last.free_symbols)
+            at_end = rf"\left.\left({print_(last)}\right)\right|_{{t = {print_.last}}}"
+            terms.append(at_end if moves else print_(last))
+        terms += [term for kind in CONDITIONS for term in kind.costs(problem, print_)]
+        if terms:
+            yield (r"\text{maximise}\quad &" if is_maximised else r"\text{minimise}\quad &") + " + ".join(terms)
+        elif not number:
+            yield r"&\text{find a motion}"
     elif isinstance(problem, Connect):
         yield r"&\text{connect particles that start at given points with their targets}"
     else:
         yield r"&\text{follow the motion}"
-    yield from _motion(problem, print_)
-    duration = print_(problem.duration)
-    if duration != print_.last:
-        yield f"{print_.last} &= " + (f"{print_.first} + {duration}" if part.number > 1 else duration)
-    if getattr(problem, "bodies", 1) != 1:
-        yield rf"&\text{{for each of }} {print_(problem.bodies)} \text{{ bodies}}"  # type: ignore[attr-defined]
-    for mapping, time in ((problem.start, print_.first), (getattr(problem, "end", {}), print_.last)):
-        yield from (f"{print_.at(key, time)} &= {print_(value)}" for key, value in _items(mapping))
-    if isinstance(problem, Control):
-        for symbol, value in _items(problem.history):
-            yield rf"{print_.at(symbol, 't')} &= {print_(value)}\quad\text{{for }} t \le 0"
-        yield from (row for kind in CONDITIONS for row in kind.displayed(problem, print_))
-        bounds = dict(_items(problem.bounds))
-        for symbol in part.own:
-            low, high = bounds.pop(symbol, (symbol.lower, symbol.upper))
-            # A duration is not negative.
-            low = 0 if low is None and symbol == problem.duration and not problem.periodic else low
-            yield rf"&{print_.between(print_(symbol), (low, high))}\quad\text{{(free)}}"
-        yield from (f"&{print_.between(print_(symbol), pair)}" for symbol, pair in bounds.items())
-    if part.number <= 1:
-        # Quantities with units: parameters with their values, others with the unit in brackets.
-        units = []
-        for symbol in part.quantities:
-            if hasattr(symbol, "unit"):
-                unit = rf"\text{{{written_unit(symbol.unit) or '1'}}}"
-                is_parameter = isinstance(symbol, Parameter)
-                units.append(print_(symbol) + (rf" = {symbol.value:g}\,{unit}" if is_parameter else rf"\;[{unit}]"))
-        for first in range(0, len(units), _IN_A_ROW):
-            yield (r"\text{units}\quad &" if first == 0 else "&") + r",\quad ".join(units[first : first + _IN_A_ROW])
-
-
-def _objective(problem: Control, part: _Part) -> Iterator[str]:
-    print_ = part.print_
-
-    def is_zero(value: Any) -> bool:
-        return isinstance(value, (int, float)) and value == 0
-
-    is_maximised = not (is_zero(problem.maximise) and is_zero(problem.terminal_maximise))
-    rate = problem.maximise if is_maximised else problem.cost
-    last = problem.terminal_maximise if is_maximised else problem.terminal_cost
-    terms = [] if is_zero(rate) else [rf"\int_{{{print_.first}}}^{{{print_.last}}} \left({print_(rate)}\right) dt"]
-    if not is_zero(last):
-        moves = not isinstance(last, sympy.Expr) or any(isinstance(symbol, Moving) for symbol in last.free_symbols)
-        terms += [rf"\left.\left({print_(last)}\right)\right|_{{t = {print_.last}}}" if moves else print_(last)]
-    terms += [term for kind in CONDITIONS for term in kind.costs(problem, print_)]
-    if terms:
-        yield (r"\text{maximise}\quad &" if is_maximised else r"\text{minimise}\quad &") + " + ".join(terms)
-    elif not part.number:
-        yield r"&\text{find a motion}"
-
-
-def _motion(problem: Problem, print_: Printer) -> Iterator[str]:
     if problem.lagrangian is not None:
         yield f"L &= {print_(problem.lagrangian)}"
     if isinstance(problem.hamiltonian, Pairwise):
@@ -226,9 +171,37 @@ def _motion(problem: Problem, print_: Printer) -> Iterator[str]:
         values = [print_(value) for value in problem.force.values()]
         letter = "Q" if any(f"f_{{{name}}}" in value for name in named for value in values) else "f"
         yield from (f"{letter}_{{{name}}} &= {value}" for name, value in zip(named, values, strict=True))
+    duration = print_(problem.duration)
+    if duration != print_.last:
+        yield f"{print_.last} &= " + (f"{print_.first} + {duration}" if number > 1 else duration)
+    if getattr(problem, "bodies", 1) != 1:
+        yield rf"&\text{{for each of }} {print_(problem.bodies)} \text{{ bodies}}"  # type: ignore[attr-defined]
+    for mapping, time in ((problem.start, print_.first), (getattr(problem, "end", {}), print_.last)):
+        yield from (f"{print_.at(key, time)} &= {print_(value)}" for key, value in _items(mapping))
+    if isinstance(problem, Control):
+        for symbol, value in _items(problem.history):
+            yield rf"{print_.at(symbol, 't')} &= {print_(value)}\quad\text{{for }} t \le 0"
+        yield from (row for kind in CONDITIONS for row in kind.displayed(problem, print_))
+        bounds = dict(_items(problem.bounds))
+        for symbol in free:
+            low, high = bounds.pop(symbol, (symbol.lower, symbol.upper))
+            # A duration is not negative.
+            low = 0 if low is None and symbol == problem.duration and not problem.periodic else low
+            yield rf"&{print_.between(print_(symbol), (low, high))}\quad\text{{(free)}}"
+        yield from (f"&{print_.between(print_(symbol), pair)}" for symbol, pair in bounds.items())
+    if number <= 1:
+        # Quantities with units: parameters with their values, others with the unit in brackets.
+        units = []
+        for symbol in quantities:
+            if hasattr(symbol, "unit"):
+                unit = rf"\text{{{written_unit(symbol.unit) or '1'}}}"
+                is_parameter = isinstance(symbol, Parameter)
+                units.append(print_(symbol) + (rf" = {symbol.value:g}\,{unit}" if is_parameter else rf"\;[{unit}]"))
+        for first in range(0, len(units), _IN_A_ROW):
+            yield (r"\text{units}\quad &" if first == 0 else "&") + r",\quad ".join(units[first : first + _IN_A_ROW])
 
 
-def _items(mapping: Any) -> Sequence[tuple[Any, Any]]:
+def _items(mapping: object) -> Sequence[tuple[Any, Any]]:
     return list(mapping.items()) if isinstance(mapping, Mapping) else []
 
 
@@ -281,7 +254,7 @@ def picture(result: Result, style: str = "page") -> Picture:
     from codegen.show.figures.picture import Picture
 
     background = _background(result)
-    module: Any = background.module
+    module = background.module
     if module is None:  # a result from a pickle
         module = with_values(loading.load(background.path or ""), result.parameters)
     is_file = background.source is not None and not isinstance(background.source, ProblemObject)
@@ -307,7 +280,7 @@ def _background(result: Result) -> Background:
     return result.background
 
 
-def _model(background: Background) -> Any:
+def _model(background: Background) -> Model | PairwiseModel | None:
     return None if background.source is None else load_problem(background.source, background.arguments)
 
 

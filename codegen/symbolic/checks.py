@@ -7,7 +7,6 @@ import random
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
-from typing import Any
 
 import numpy as np
 import sympy
@@ -41,7 +40,7 @@ _WIDE = 100
 """Decimal exponent of factors that are moved into the exponent of an exponential."""
 
 
-def checked(value: Any, what: str) -> sympy.Expr:
+def checked(value: object, what: str) -> sympy.Expr:
     """Return a sympified scalar; ExpressionError names `what` if it is no finite real scalar of known functions."""
     if hasattr(value, "data") and callable(value) and hasattr(value.data, "shape"):
         call = f"{value.data.shape.name}({', '.join(value.data.shape.inputs)})"
@@ -76,20 +75,20 @@ def with_exponents_together(expression: sympy.Expr) -> sympy.Expr:
     """
     if not any(abs(sympy.log(abs(c), 10).evalf()) > _WIDE for c in expression.atoms(sympy.Float) if not c.is_zero):
         return expression
-    return expression.replace(lambda part: part.is_Mul and bool(part.atoms(sympy.exp)), _joined)
 
+    def joined(product: sympy.Expr) -> sympy.Expr:
+        """Return a product with its decimal factor inside the exponent of an exponential, if one is a direct factor."""
+        factor, rest = product.as_coeff_Mul()
+        powers = [f for f in sympy.Mul.make_args(rest) if isinstance(f, sympy.exp)]
+        if not powers or not factor.is_Float or abs(sympy.log(abs(factor), 10).evalf()) <= _WIDE:
+            return product
+        exponent = sympy.log(abs(factor)).evalf(30)
+        short = sympy.Rational(str(exponent.n(14)))
+        same = abs(sympy.exp(short).evalf(30) / abs(factor) - 1) < sympy.Float(abs(exponent)) * sys.float_info.epsilon
+        power = sympy.exp((short if same else sympy.Rational(str(exponent))) + tidied(powers[0].args[0]))
+        return sympy.sign(factor) * power * (rest / powers[0])
 
-def _joined(product: sympy.Expr) -> sympy.Expr:
-    """Return a product with its decimal factor inside the exponent of an exponential, if one is a direct factor."""
-    factor, rest = product.as_coeff_Mul()
-    powers = [f for f in sympy.Mul.make_args(rest) if isinstance(f, sympy.exp)]
-    if not powers or not factor.is_Float or abs(sympy.log(abs(factor), 10).evalf()) <= _WIDE:
-        return product
-    exponent = sympy.log(abs(factor)).evalf(30)
-    short = sympy.Rational(str(exponent.n(14)))
-    same = abs(sympy.exp(short).evalf(30) / abs(factor) - 1) < sympy.Float(abs(exponent)) * sys.float_info.epsilon
-    joined = sympy.exp((short if same else sympy.Rational(str(exponent))) + tidied(powers[0].args[0]))
-    return sympy.sign(factor) * joined * (rest / powers[0])
+    return expression.replace(lambda part: part.is_Mul and bool(part.atoms(sympy.exp)), joined)
 
 
 def tidied(expression: sympy.Expr) -> sympy.Expr:
@@ -115,7 +114,7 @@ def multiplied_out(expression: sympy.Expr) -> int:
 
 def longer_than(limit: int, terms: Sequence[sympy.Expr]) -> bool:
     """Return True if some expressions together have more operations than the limit; counting ends there."""
-    most = 5 * (limit + len(terms))  # parts; an operation has at most two symbols, a sign and a number beside it
+    most = 5 * (limit + len(terms))  # parts; an operation has at most two symbols, a sign and a number
     parts = (part for term in terms for part in sympy.preorder_traversal(term))
     if sum(1 for _ in islice(parts, most + 1)) > most:
         return True

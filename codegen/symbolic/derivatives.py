@@ -22,7 +22,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import count
-from typing import Any
 
 import mpmath
 import numpy as np
@@ -57,8 +56,73 @@ class Adjoints:
 
 
 def accumulate(graph: Graph, value: int, unknowns: Sequence[int]) -> Adjoints:
-    """Return first and second derivatives of a value by the unknowns and by all nodes between them and the value."""
-    return _Sweep(graph, value, unknowns).run()
+    """Return first and second derivatives of a value by the unknowns and by all nodes between them and the value.
+
+    The reverse sweep collects the contributions to each node or pair as the terms of a sum.
+    """
+    wanted, affine = set(unknowns), set(unknowns)
+    varying = [node for node in graph.reachable([value]) if graph.varies[node]]
+    for number in varying:  # nodes that are linear in the unknowns, with coefficients free of unknowns
+        part = graph.nodes[number]
+        inside = [a for a in arguments(part) if graph.varies[a]]
+        is_linear = isinstance(part, Sum) or (
+            isinstance(part, Product) and [dict(part.factors)[a] for a in inside] == [ONE]
+        )
+        if is_linear and affine.issuperset(inside):
+            affine.add(number)
+    # Sums and differences of unknowns, such as midpoints and velocities, come last: they are few, and each of
+    # them would multiply the number of pairs by the number of its unknowns.
+    order = sorted(varying, key=lambda node: (node not in affine, node), reverse=True)
+    rank = {node: -index for index, node in enumerate(order)}
+    first: dict[int, Terms] = {value: [(graph.number(ONE), ONE)]}
+    second: dict[int, dict[int, Terms]] = {}
+    zero, adjoints = graph.number(ONE - ONE), Adjoints()
+
+    def add(a: int, b: int, node: int, factor: Fraction) -> None:
+        if rank[a] < rank[b]:
+            a, b = b, a
+        second.setdefault(a, {}).setdefault(b, []).append((node, factor))
+
+    for node in order:
+        adjoint = adjoints.first[node] = graph.sum(first.pop(node, []))
+        row = {other: graph.sum(terms) for other, terms in second.pop(node, {}).items()}
+        row = {other: curvature for other, curvature in row.items() if curvature != zero}
+        adjoints.second |= {(node, other): curvature for other, curvature in row.items()}
+        if node in wanted:
+            continue
+        # Pass the derivatives by the node on to its arguments.
+        by_arguments, curvatures = slopes_of_node(graph, node), _curvatures(graph, node)
+        for argument, slope, factor in by_arguments:
+            first.setdefault(argument, []).append((_times(graph, adjoint, slope), factor))
+        for a, b, curvature in curvatures:
+            if curvature != zero:
+                add(a, b, graph.times(adjoint, curvature), ONE)
+        for other, curvature in row.items():
+            for i, (a, slope, factor) in enumerate(by_arguments):
+                passed = _times(graph, curvature, slope)
+                if other != node:
+                    add(a, other, passed, factor * 2 if a == other else factor)
+                    continue
+                for b, second_slope, second_factor in by_arguments[: i + 1]:
+                    add(a, b, _times(graph, passed, second_slope), factor * second_factor)
+    return adjoints
+
+
+def _times(graph: Graph, node: int, slope: int | None) -> int:
+    return node if slope is None else graph.times(node, slope)
+
+
+def _curvatures(graph: Graph, number: int) -> list[tuple[int, int, int]]:
+    """Return the second derivatives of a node by pairs of its arguments, each pair once."""
+    node, varies = graph.nodes[number], graph.varies
+    if isinstance(node, Sum):
+        return []
+    if isinstance(node, Product):
+        varying = [factor for factor, _ in node.factors if varies[factor]]
+        return [(a, b, _lowered(graph, node, a, b)) for i, a in enumerate(varying) for b in varying[: i + 1]]
+    call = graph.call_at(number)
+    indices = [(i, a) for i, a in enumerate(call.arguments) if varies[a]]
+    return [(a, b, graph.derivative(call, i, j)) for n, (i, a) in enumerate(indices) for j, b in indices[: n + 1]]
 
 
 def slopes(graph: Graph, value: int, unknowns: Sequence[int]) -> dict[int, int]:
@@ -69,84 +133,18 @@ def slopes(graph: Graph, value: int, unknowns: Sequence[int]) -> dict[int, int]:
     for node in order:
         if node in wanted or not depending.isdisjoint(arguments(graph.nodes[node])):
             depending.add(node)
-    sweep, adjoints = _Sweep(graph, value, unknowns), dict[int, int]()
+    contributions: dict[int, Terms] = {value: [(graph.number(ONE), ONE)]}
+    adjoints: dict[int, int] = {}
     for node in reversed(order):
         if node not in depending:
             continue
-        adjoint = adjoints[node] = graph.sum(sweep.first.pop(node, []))
+        adjoint = adjoints[node] = graph.sum(contributions.pop(node, []))
         if node in wanted:
             continue
         for argument, slope, factor in slopes_of_node(graph, node):
             if argument in depending:
-                sweep.first.setdefault(argument, []).append((sweep.times(adjoint, slope), factor))
+                contributions.setdefault(argument, []).append((_times(graph, adjoint, slope), factor))
     return {node: adjoint for node, adjoint in adjoints.items() if node in wanted}
-
-
-class _Sweep:
-    """One reverse sweep, which collects the contributions to each node or pair as the terms of a sum."""
-
-    def __init__(self, graph: Graph, value: int, unknowns: Sequence[int]) -> None:
-        self.graph = graph
-        self.unknowns = set(unknowns)
-        varying = [node for node in graph.reachable([value]) if graph.varies[node]]
-        affine = _affine(graph, varying, self.unknowns)
-        # Sums and differences of unknowns, such as midpoints and velocities, come last: they are few, and each of
-        # them would multiply the number of pairs by the number of its unknowns.
-        self.order = sorted(varying, key=lambda node: (node not in affine, node), reverse=True)
-        self.rank = {node: -index for index, node in enumerate(self.order)}
-        self.first: dict[int, Terms] = {value: [(graph.number(ONE), ONE)]}
-        self.second: dict[int, dict[int, Terms]] = {}
-        self.zero = graph.number(ONE - ONE)
-
-    def run(self) -> Adjoints:
-        adjoints = Adjoints()
-        for node in self.order:
-            adjoint = adjoints.first[node] = self.graph.sum(self.first.pop(node, []))
-            row = {other: self.graph.sum(terms) for other, terms in self.second.pop(node, {}).items()}
-            row = {other: curvature for other, curvature in row.items() if curvature != self.zero}
-            adjoints.second |= {(node, other): curvature for other, curvature in row.items()}
-            if node not in self.unknowns:
-                self._push(node, adjoint, row)
-        return adjoints
-
-    def _push(self, node: int, adjoint: int, row: dict[int, int]) -> None:
-        """Pass the derivatives by a node on to its arguments."""
-        slopes, curvatures = slopes_of_node(self.graph, node), self._curvatures(node)
-        for argument, slope, factor in slopes:
-            self.first.setdefault(argument, []).append((self.times(adjoint, slope), factor))
-        for a, b, curvature in curvatures:
-            self._add(a, b, self.graph.times(adjoint, curvature), ONE)
-        for other, curvature in row.items():
-            for i, (a, slope, factor) in enumerate(slopes):
-                passed = self.times(curvature, slope)
-                if other != node:
-                    self._add(a, other, passed, factor * 2 if a == other else factor)
-                    continue
-                for b, second_slope, second_factor in slopes[: i + 1]:
-                    self._add(a, b, self.times(passed, second_slope), factor * second_factor)
-
-    def _add(self, a: int, b: int, node: int, factor: Fraction) -> None:
-        if self.rank[a] < self.rank[b]:
-            a, b = b, a
-        self.second.setdefault(a, {}).setdefault(b, []).append((node, factor))
-
-    def times(self, node: int, slope: int | None) -> int:
-        return node if slope is None else self.graph.times(node, slope)
-
-    def _curvatures(self, number: int) -> list[tuple[int, int, int]]:
-        """Return the second derivatives of a node by pairs of its arguments, each pair once."""
-        graph, entries = self.graph, list[tuple[int, int, int]]()
-        node, varies = graph.nodes[number], graph.varies
-        if isinstance(node, Product):
-            varying = [factor for factor, _ in node.factors if varies[factor]]
-            entries = [(a, b, _lowered(graph, node, a, b)) for i, a in enumerate(varying) for b in varying[: i + 1]]
-        elif not isinstance(node, Sum):
-            call = graph.call_at(number)
-            indices = [(i, a) for i, a in enumerate(call.arguments) if varies[a]]
-            entries = [
-                (a, b, graph.derivative(call, i, j)) for n, (i, a) in enumerate(indices) for j, b in indices[: n + 1]
-            ]
-        return [(a, b, curvature) for a, b, curvature in entries if curvature != self.zero]
 
 
 def slopes_of_node(graph: Graph, number: int) -> Slopes:
@@ -169,25 +167,12 @@ def _lowered(graph: Graph, product: Product, *factors: int) -> int:
     return graph.product(exponents.items(), coefficient)
 
 
-def _affine(graph: Graph, varying: Sequence[int], unknowns: set[int]) -> set[int]:
-    """Return the nodes that are linear in the unknowns, with coefficients free of unknowns."""
-    affine = set(unknowns)
-    for number in varying:
-        node = graph.nodes[number]
-        inside = [a for a in arguments(node) if graph.varies[a]]
-        if not affine.issuperset(inside):
-            continue
-        if isinstance(node, Sum) or (isinstance(node, Product) and [dict(node.factors)[a] for a in inside] == [ONE]):
-            affine.add(number)
-    return affine
-
-
 @dataclass(frozen=True)
 class SecondDerivatives:
     """Straight-line programs for a scalar's derivatives.
 
-    The values of `gradient` are the derivatives by all unknowns, then those of further expressions; those of `hessian`
-    are its lower triangle's entries at the `indices` (row, column).
+    The values of `gradient` are the derivatives by all unknowns, then the further expressions. The values of
+    `hessian` are the entries of its lower triangle at the `indices` (row, column).
     """
 
     gradient: StraightLine
@@ -226,7 +211,7 @@ class MixedDerivatives:
 
 
 def mixed_derivatives(scalar: Expr, unknowns: Sequence[Symbol], data: Sequence[Symbol]) -> MixedDerivatives:
-    """Differentiate a scalar by data, and by unknowns and data, leaving out what is identically zero."""
+    """Differentiate a scalar by data, and by unknowns and data, leaving out derivatives that are identically zero."""
     graph, count = Graph([*unknowns, *data]), len(unknowns)
     leaves = range(count + len(data))
     adjoints = accumulate(graph, graph.of(scalar), leaves)
@@ -332,7 +317,8 @@ def hessian_samples(
     inside = {pair: node for pair, node in second.items() if max(pair) < len(variables)}
     absent = vanishing(graph, inside.values())
     entries = {pair: node for pair, node in inside.items() if node not in absent}
-    order, functions = graph.reachable(entries.values()), _Functions()
+    order = graph.reachable(entries.values())
+    functions: dict[Expr, Callable[..., mpmath.mpf]] = {}
     for point in points:
         with mpmath.workdps(_DIGITS):
             try:
@@ -347,20 +333,11 @@ def hessian_samples(
         yield matrix if np.all(np.isfinite(matrix)) else None
 
 
-class _Functions(dict[Expr, Callable[..., Any]]):
-    """The functions of nodes in many digits, by their templates; each is made once."""
-
-    def __missing__(self, template: Expr) -> Callable[..., Any]:
-        arguments = sorted(template.free_symbols, key=lambda symbol: int(symbol.name[1:]))
-        self[template] = sympy.lambdify(arguments, template, modules=[_FUNCTIONS, "mpmath"])
-        return self[template]
-
-
 def _values(
-    graph: Graph, order: Sequence[int], point: Mapping[Symbol, float], functions: Mapping[Expr, Callable[..., Any]]
-) -> dict[int, Any]:
+    graph: Graph, order: Sequence[int], point: Mapping[Symbol, float], functions: dict[Expr, Callable[..., mpmath.mpf]]
+) -> dict[int, mpmath.mpf]:
     """Return the values of nodes in the order of computation; ArithmeticError if a node has no value."""
-    values: dict[int, Any] = {}
+    values: dict[int, mpmath.mpf] = {}
     for number in order:
         node = graph.nodes[number]
         if isinstance(node, Leaf):
@@ -371,5 +348,8 @@ def _values(
         elif isinstance(node, Product):
             values[number] = mpmath.fprod(values[a] ** precise(exponent) for a, exponent in node.factors)
         else:
+            if node.template not in functions:
+                symbols = sorted(node.template.free_symbols, key=lambda symbol: int(symbol.name[1:]))
+                functions[node.template] = sympy.lambdify(symbols, node.template, modules=[_FUNCTIONS, "mpmath"])
             values[number] = functions[node.template](*(values[a] for a in node.arguments))
     return values

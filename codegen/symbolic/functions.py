@@ -10,19 +10,20 @@ looked up when an expression is evaluated. The look-ups in kernels are written i
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass
 from functools import cache
-from typing import Any
 
 import mpmath
 import numpy as np
 import sympy
 from sympy import Expr
+from sympy.printing.pretty.stringpict import prettyForm
+from sympy.printing.printer import Printer
 
 from codegen.errors import ExpressionError
 from codegen.identifiers import in_latex
-from codegen.symbolic.tables import DEGREE, TableData, derivative
+from codegen.symbolic.tables import DEGREE, Number, TableData, derivative
 
 STEMS = ("polygamma", "sinc_derivative")
 """The families; `codegen.runtime.special` has a function for each."""
@@ -40,20 +41,20 @@ class OrderedBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
         """Return the next member of the family."""
         return member(self.stem, self.order + 1)(self.args[0])
 
-    def _eval_evalf(self, precision: int) -> Any:
+    def _eval_evalf(self, precision: int) -> Expr:
         at = self.args[0]._to_mpmath(precision)
         with mpmath.workprec(precision):
             return sympy.Expr._from_mpmath(value(self.stem, self.order, at), precision)
 
-    def _sympystr(self, printer: Any) -> str:
+    def _sympystr(self, printer: Printer) -> str:
         at = printer._print(self.args[0])
         return f"sinc({at})" if self.func == member("sinc_derivative", 0) else f"{self.stem}({self.order}, {at})"
 
-    def _mpmathcode(self, printer: Any) -> str:
+    def _mpmathcode(self, printer: Printer) -> str:
         at = printer._print(self.args[0])
         return f"psi({self.order}, {at})" if self.stem == "polygamma" else f"diff(sinc, {at}, {self.order})"
 
-    def _numpycode(self, printer: Any) -> str:
+    def _numpycode(self, printer: Printer) -> str:
         return f"{self.stem}({self.order}, {printer._print(self.args[0])})"
 
 
@@ -67,10 +68,10 @@ class gamma(sympy.Function):  # type: ignore[misc]
         """Return gamma times digamma."""
         return self * member("polygamma", 0)(self.args[0])
 
-    def _eval_evalf(self, precision: int) -> Any:
+    def _eval_evalf(self, precision: int) -> Expr:
         return sympy.gamma(self.args[0])._eval_evalf(precision)
 
-    def _numpycode(self, printer: Any) -> str:
+    def _numpycode(self, printer: Printer) -> str:
         return f"gamma({printer._print(self.args[0])})"
 
 
@@ -84,59 +85,59 @@ class lgamma(sympy.Function):  # type: ignore[misc]
         """Return digamma."""
         return member("polygamma", 0)(self.args[0])
 
-    def _eval_evalf(self, precision: int) -> Any:
+    def _eval_evalf(self, precision: int) -> Expr:
         return sympy.loggamma(self.args[0])._eval_evalf(precision)
 
-    def _mpmathcode(self, printer: Any) -> str:
+    def _mpmathcode(self, printer: Printer) -> str:
         return f"loggamma({printer._print(self.args[0])})"
 
-    def _numpycode(self, printer: Any) -> str:
+    def _numpycode(self, printer: Printer) -> str:
         return f"gammaln({printer._print(self.args[0])})"
 
 
 @cache
-def member(stem: str, order: int) -> Any:
+def member(stem: str, order: int) -> type[Expr]:
     """Return the member of a family with a number: `polygamma_0`, `sinc_derivative_2`, ..."""
-    return type(sympy.Function)(f"{stem}_{order}", (OrderedBase,), {"stem": stem, "order": order})
+    function: type[Expr] = type(sympy.Function)(f"{stem}_{order}", (OrderedBase,), {"stem": stem, "order": order})
+    return function
 
 
-def by_name(name: str) -> Any:
+def by_name(name: str) -> Callable[..., mpmath.mpf]:
     """Return the function of mpmath for a name of `math`, or for a member of a family."""
     stem, _, order = name.rpartition("_")
     if stem in STEMS:
         return lambda x: value(stem, int(order), x)
-    return getattr(mpmath, {"lgamma": "loggamma"}.get(name, name))
+    function: Callable[..., mpmath.mpf] = getattr(mpmath, {"lgamma": "loggamma"}.get(name, name))
+    return function
 
 
-def _sinc_of_arrays(order: int, x: Any) -> Any:
-    return np.vectorize(lambda number: float(sinc_derivative(order, number)), otypes=[float])(x)
-
-
-NUMPY: list[Any] = [{"sinc_derivative": _sinc_of_arrays}, "scipy", "numpy"]
+_SINC = np.vectorize(lambda order, x: float(sinc_derivative(int(order), x)), otypes=[float])
+NUMPY = [{"sinc_derivative": _SINC}, "scipy", "numpy"]
 """Modules for lambdify with all printable functions."""
 
 
-def value(stem: str, order: int, x: Any) -> Any:
+def value(stem: str, order: int, x: mpmath.mpf) -> mpmath.mpf:
     """Return a member of a family at a number of mpmath, to the digits of that number."""
     return mpmath.psi(order, x) if stem == "polygamma" else sinc_derivative(order, x)
 
 
-def sinc_derivative(order: int, x: Any) -> Any:
+def sinc_derivative(order: int, x: mpmath.mpf | float) -> mpmath.mpf:
     """Return the derivative of sin(x)/x: its series near zero, elsewhere x s_n = sin(x + n pi/2) - n s_(n-1)."""
     with mpmath.extradps(30 + 2 * order):
         x = mpmath.mpf(x)
         if abs(x) < 30:
-            return mpmath.nsum(lambda k: _coefficient(int(k), order) * x ** (2 * int(k) + order % 2), [0, mpmath.inf])
+
+            def term(k: mpmath.mpf) -> mpmath.mpf:
+                """Return the k-th term of the derivative of sum_j (-1)^j x^(2j)/(2j + 1)!."""
+                j = int(k) + (order + 1) // 2
+                coefficient = mpmath.mpf(-1) ** j / ((2 * j + 1) * mpmath.factorial(2 * j - order))
+                return coefficient * x ** (2 * int(k) + order % 2)
+
+            return mpmath.nsum(term, [0, mpmath.inf])
         total = mpmath.sin(x) / x
         for n in range(1, order + 1):
             total = (mpmath.sin(x + n * mpmath.pi / 2) - n * total) / x
         return total
-
-
-def _coefficient(k: int, order: int) -> Any:
-    """Return the coefficient of x^(2k + order % 2) in the derivative of sum_j (-1)^j x^(2j)/(2j + 1)!."""
-    j = k + (order + 1) // 2
-    return mpmath.mpf(-1) ** j / ((2 * j + 1) * mpmath.factorial(2 * j - order))
 
 
 def rewritten(expression: Expr, what: str) -> Expr:
@@ -152,44 +153,31 @@ def rewritten(expression: Expr, what: str) -> Expr:
     for function, form in _FORMS.items():
         if expression.has(function):
             expression = expression.replace(function, form)
-    return expression.replace(_is_signed_root, _signed_root) if expression.has(sympy.sign) else expression
+    if expression.has(sympy.sign):
+        expression = expression.replace(lambda part: bool(part.is_Mul), _signed_root)
+    return expression
 
 
-def refusal(part: Any, what: str) -> ExpressionError:
+def refusal(part: Expr, what: str) -> ExpressionError:
     """Return the error of a function that no generated module can evaluate."""
     name = part.func.__name__
     remedy = _REMEDIES.get(name, "use elementary functions, erf, erfc, sinc, gamma, loggamma or polygamma")
     return ExpressionError(f"{what} uses {_short(part)}, which cannot be printed", remedy)
 
 
-def _short(part: Any) -> str:
+def _short(part: Expr) -> str:
     text = str(sympy.sstr(part, full_prec=False))
     return text if len(text) <= 60 else f"{part.func.__name__}(...)"
 
 
-def _is_signed_root(part: Expr) -> bool:
-    return bool(part.is_Mul) and any(_root_beside(s, part) is not None for s in part.args if isinstance(s, sympy.sign))
-
-
-def _root_beside(sign: Expr, product: Expr) -> Expr | None:
-    """Return a factor |x|^r beside sign(x), if any."""
-    roots = (f for f in product.args if f.is_Pow and f.base == sympy.Abs(sign.args[0]) and f.exp.is_positive)
-    return next(roots, None)
-
-
 def _signed_root(product: Expr) -> Expr:
-    """Return sign(x) |x|^r as x |x|^(r - 1), whose derivatives have no steps."""
-    sign = next(s for s in product.args if isinstance(s, sympy.sign) and _root_beside(s, product) is not None)
-    root = _root_beside(sign, product)
-    assert root is not None
-    x = sign.args[0]
-    return product / sign / root * x * sympy.Abs(x) ** (root.exp - 1)
-
-
-def _polygamma(order: Expr, x: Expr) -> Expr:
-    if not (order.is_Integer and order >= 0):
-        return sympy.Function("polygamma")(order, x)
-    return member("polygamma", int(order))(x)
+    """Return a product with sign(x) |x|^r as x |x|^(r - 1), whose derivatives have no steps."""
+    for sign in (factor for factor in product.args if isinstance(factor, sympy.sign)):
+        x = sign.args[0]
+        for root in product.args:
+            if root.is_Pow and root.base == sympy.Abs(x) and root.exp.is_positive:
+                return product / sign / root * x * sympy.Abs(x) ** (root.exp - 1)
+    return product
 
 
 _FORMS = {
@@ -212,7 +200,9 @@ _FORMS = {
     sympy.beta: lambda x, y: gamma(x) * gamma(y) / gamma(x + y),
     sympy.digamma: lambda x: member("polygamma", 0)(x),
     sympy.trigamma: lambda x: member("polygamma", 1)(x),
-    sympy.polygamma: _polygamma,
+    sympy.polygamma: lambda n, x: (
+        member("polygamma", int(n))(x) if n.is_Integer and n >= 0 else sympy.Function("polygamma")(n, x)
+    ),
     sympy.erf2: lambda x, y: sympy.erf(y) - sympy.erf(x),
 }
 _OPEN = {
@@ -251,18 +241,18 @@ class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
         order = tuple(o + (i == index) for i, o in enumerate(self.order))
         return table_function(self.table, order)(*self.args)
 
-    def _eval_evalf(self, precision: int) -> Any:
+    def _eval_evalf(self, precision: int) -> Expr:
         at = [argument._to_mpmath(precision, allow_ints=False) for argument in self.args]
         with mpmath.workprec(precision):
             return sympy.Expr._from_mpmath(table_value(self.table, self.order, at), precision)
 
-    def _sympystr(self, printer: Any) -> str:
+    def _sympystr(self, printer: Printer) -> str:
         return f"{table_name(self.table, self.order)}({', '.join(map(printer._print, self.args))})"
 
-    def _pretty(self, printer: Any) -> Any:
+    def _pretty(self, printer: Printer) -> prettyForm:
         return printer._print_Function(sympy.Function(table_name(self.table, self.order))(*self.args))
 
-    def _latex(self, printer: Any, exp: str | None = None) -> str:
+    def _latex(self, printer: Printer, exp: str | None = None) -> str:
         by = [i for i, o in zip(self.table.shape.inputs, self.order, strict=True) for _ in range(o)]
         below = f"_{{{','.join(map(in_latex, by))}}}" if by else ""
         power = f"^{{{exp}}}" if exp else ""
@@ -270,13 +260,9 @@ class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
         return rf"{{{in_latex(self.table.shape.name)}}}{below}{power}\left({arguments}\right)"
 
 
-def table_value(table: TableData, order: tuple[int, ...], at: Iterable[Any]) -> Any:
+def table_value(table: TableData, order: tuple[int, ...], at: Iterable[Number]) -> Number:
     """Return a derivative at numbers of mpmath or of Python, or at arrays, real or complex."""
-    return derivative(table, order, list(at), _real)
-
-
-def _real(number: Any) -> Any:
-    return number.real if hasattr(number, "real") else number
+    return derivative(table, order, list(at), lambda number: getattr(number, "real", number))
 
 
 def table_name(table: TableData, order: tuple[int, ...]) -> str:
@@ -286,22 +272,23 @@ def table_name(table: TableData, order: tuple[int, ...]) -> str:
 
 
 @cache
-def table_function(table: TableData, order: tuple[int, ...]) -> Any:
+def table_function(table: TableData, order: tuple[int, ...]) -> type[Expr]:
     """Return the derivative of a table of an order, as a function; equal tables have the same function."""
 
-    def evaluated(*at: Any) -> Any:
+    def evaluated(*at: Number) -> Number:
         return table_value(table, order, at)
 
     # Functions of lambdify are found by the class, whose name no other function may have.
     name = f"table_{table_name(table, (0,) * len(order))}_{'_'.join(map(str, order))}"
     attributes = {"table": table, "order": order, "nargs": len(order), "_imp_": staticmethod(evaluated)}
-    return type(sympy.Function)(name, (TableBase,), attributes)
+    function: type[Expr] = type(sympy.Function)(name, (TableBase,), attributes)
+    return function
 
 
-def tables_of(*holders: Any) -> tuple[TableData, ...]:
+def tables_of(*holders: object) -> tuple[TableData, ...]:
     """Return the tables in expressions, in the order of their names; the expressions may be nested in dataclasses."""
     tables: dict[TableData, None] = {}
-    waiting = list(holders)
+    waiting: list[object] = list(holders)
     while waiting:
         part = waiting.pop()
         if isinstance(part, sympy.Basic):
@@ -313,6 +300,6 @@ def tables_of(*holders: Any) -> tuple[TableData, ...]:
     return tuple(sorted(tables, key=lambda table: table.shape.name))
 
 
-def numbers_of(*holders: Any) -> tuple[float, ...]:
+def numbers_of(*holders: object) -> tuple[float, ...]:
     """Return the numbers of all tables in expressions, one table after the other, as modules keep them."""
     return tuple(number for table in tables_of(*holders) for number in table.numbers)

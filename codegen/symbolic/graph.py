@@ -190,7 +190,17 @@ class Graph:
                 return self.product((node_of(factor), ONE) for factor in part.args)
             if part.is_Pow and part.exp.is_Rational:
                 return self.product([(node_of(part.base), _fraction(part.exp))])
-            template, operands = _template(part)
+            # The function with symbols in place of its arguments, each once.
+            operands: dict[Expr, Symbol] = {}
+
+            def placed(operand: Expr) -> Expr:
+                if operand in (sympy.true, sympy.false):
+                    return operand
+                if isinstance(operand, _LOGICAL):
+                    return operand.func(*map(placed, operand.args))
+                return operands.setdefault(operand, argument(len(operands)))
+
+            template = part.func(*map(placed, part.args))
             return self.call(template, tuple(node_of(operand) for operand in operands))
 
         return node_of(expression)
@@ -233,21 +243,6 @@ def arguments(node: Node) -> tuple[int, ...]:
 
 def _fraction(rational: Expr) -> Fraction:
     return Fraction(int(rational.p), int(rational.q))
-
-
-def _template(expression: Expr) -> tuple[Expr, list[Expr]]:
-    """Return a function with symbols in place of its arguments, and these arguments, each once."""
-    parts: dict[Expr, Symbol] = {}
-
-    def placed(part: Expr) -> Expr:
-        if part in (sympy.true, sympy.false):
-            return part
-        if isinstance(part, _LOGICAL):
-            return part.func(*map(placed, part.args))
-        return parts.setdefault(part, argument(len(parts)))
-
-    template = expression.func(*map(placed, expression.args))
-    return template, list(parts)
 
 
 _LOGICAL = (
@@ -313,7 +308,7 @@ def written_out(graph: Graph, roots: Sequence[int]) -> tuple[Expr, ...]:
 
 
 def _expression(graph: Graph, number: int, written: Mapping[int, Expr]) -> Expr:
-    """Return the expression of a node from those of its arguments."""
+    """Return the expression of a node from the expressions of its arguments."""
     node = graph.nodes[number]
     if isinstance(node, Leaf):
         return node.expression
@@ -364,73 +359,53 @@ def shared(graph: Graph, roots: Sequence[int]) -> tuple[Graph, dict[int, int]]:
                 del parts[power[0]]
                 parts[name] = ONE
         products[name] = dict([power])
-    _Pairs(products, fresh, proportional=False).share()
+    _take_out_pairs(products, fresh, proportional=False, constants={})
     sums = {number: dict(node.terms) for number, node in nodes if isinstance(node, Sum)}
     constants = {number: node.constant for number, node in nodes if isinstance(node, Sum) and node.constant}
-    _Pairs(sums, fresh, proportional=True, constants=constants).share()
-    return _Rebuilt(graph, products, sums, constants).build(roots)
+    _take_out_pairs(sums, fresh, proportional=True, constants=constants)
+    # Build the graph of rewritten products and sums, with numbers in an order of computation.
+    leaves = (node for node, varies in zip(graph.nodes, graph.varies, strict=True) if varies)
+    new = Graph(leaf.expression for leaf in leaves if isinstance(leaf, Leaf))
+    numbers: dict[int, int] = {}
+    waiting = list(reversed(roots))
+    while waiting:
+        number = waiting[-1]
+        group = products.get(number, sums.get(number))
+        parts_of_node = arguments(graph.nodes[number]) if group is None else sorted(group)
+        missing = [part for part in parts_of_node if part not in numbers]
+        if missing and number not in numbers:
+            waiting += reversed(missing)
+            continue
+        waiting.pop()
+        if number in numbers:
+            continue
+        terms = tuple(sorted((numbers[part], weight) for part, weight in (group or {}).items()))
+        if number in products:
+            numbers[number] = new.add(Product(terms))
+        elif number in sums:
+            constant = constants.get(number, ZERO)
+            is_single = len(terms) == 1 and terms[0][1] == 1 and not constant
+            numbers[number] = terms[0][0] if is_single else new.add(Sum(constant, terms))
+        else:
+            node = graph.nodes[number]
+            if isinstance(node, Call):
+                node = Call(node.template, tuple(numbers[a] for a in node.arguments))
+            numbers[number] = new.add(node)
+    return new, numbers
 
 
-class _Pairs:
-    """The groups (sums or products) that contain each pair of parts.
+def _take_out_pairs(
+    groups: dict[int, Parts], fresh: Iterator[int], proportional: bool, constants: Mapping[int, Fraction]
+) -> None:
+    """Take the most frequent pair of parts out of the groups (sums or products), as long as a pair occurs twice.
 
     With `proportional` coefficients pairs are equal up to a factor, so that 2 a + 2 b is twice a + b.
     """
 
-    def __init__(
-        self,
-        groups: dict[int, Parts],
-        fresh: Iterator[int],
-        proportional: bool,
-        constants: dict[int, Fraction] | None = None,
-    ) -> None:
-        self.groups = groups
-        self.fresh = fresh
-        self.proportional = proportional
-        self.constants = constants or {}
-        self.users: dict[Pair, set[int]] = {}
-        for number, parts in groups.items():
-            for (a, weight), (b, other) in combinations(sorted(parts.items()), 2):
-                self.users.setdefault(self._pair(a, weight, b, other), set()).add(number)
-        self.queue = [(-len(users), pair) for pair, users in self.users.items() if len(users) > 1]
-        heapq.heapify(self.queue)
+    def pair_of(a: int, weight: Fraction, b: int, other: Fraction) -> Pair:
+        return (a, b, ONE, other / weight) if proportional else (a, b, weight, other)
 
-    def share(self) -> None:
-        """Take out the most frequent pair, as long as a pair occurs twice."""
-        while self.queue:
-            count, pair = heapq.heappop(self.queue)
-            users = self.users[pair]
-            if len(users) == -count:
-                self._take_out(pair, sorted(users))
-            elif len(users) > 1:  # the count has changed since it was queued
-                heapq.heappush(self.queue, (-len(users), pair))
-
-    def _take_out(self, pair: Pair, users: list[int]) -> None:
-        a, b, weight, other = pair
-        alone = [
-            n for n in users if len(self.groups[n]) == 2 and self.groups[n][a] == weight and n not in self.constants
-        ]
-        name = alone[0] if alone else next(self.fresh)
-        for number in users:
-            if number == name:
-                continue
-            parts = self.groups[number]
-            for former in self._pairs_with((a, b, name), parts):
-                self.users[former].discard(number)
-            scale = parts[a] / weight if self.proportional else ONE
-            del parts[a], parts[b]
-            parts[name] = parts.get(name, ZERO) + scale
-            if not parts[name]:
-                del parts[name]
-            for present in self._pairs_with((name,), parts):
-                users_of_pair = self.users.setdefault(present, set())
-                users_of_pair.add(number)
-                if len(users_of_pair) > 1:
-                    heapq.heappush(self.queue, (-len(users_of_pair), present))
-        self.groups[name] = {a: weight, b: other}
-        self.users[pair].add(name)
-
-    def _pairs_with(self, chosen: Sequence[int], parts: Parts) -> Iterator[Pair]:
+    def pairs_with(chosen: Sequence[int], parts: Parts) -> Iterator[Pair]:
         """Yield the pairs with at least one of the chosen parts, in no order; some pairs twice."""
         for a in chosen:
             if a not in parts:
@@ -438,53 +413,41 @@ class _Pairs:
             weight = parts[a]
             for b, other in parts.items():
                 if a < b:
-                    yield self._pair(a, weight, b, other)
+                    yield pair_of(a, weight, b, other)
                 elif b < a:
-                    yield self._pair(b, other, a, weight)
+                    yield pair_of(b, other, a, weight)
 
-    def _pair(self, a: int, weight: Fraction, b: int, other: Fraction) -> Pair:
-        return (a, b, ONE, other / weight) if self.proportional else (a, b, weight, other)
-
-
-class _Rebuilt:
-    """The graph of rewritten products and sums, with numbers in an order of computation."""
-
-    def __init__(
-        self, graph: Graph, products: dict[int, Parts], sums: dict[int, Parts], constants: dict[int, Fraction]
-    ) -> None:
-        self.old, self.products, self.sums, self.constants = graph, products, sums, constants
-        leaves = (node for node, varies in zip(graph.nodes, graph.varies, strict=True) if varies)
-        self.new = Graph(leaf.expression for leaf in leaves if isinstance(leaf, Leaf))
-        self.numbers: dict[int, int] = {}
-
-    def build(self, roots: Sequence[int]) -> tuple[Graph, dict[int, int]]:
-        waiting = list(reversed(roots))
-        while waiting:
-            missing = [part for part in self._parts(waiting[-1]) if part not in self.numbers]
-            if missing and waiting[-1] not in self.numbers:
-                waiting += reversed(missing)
+    users: dict[Pair, set[int]] = {}  # the groups with each pair
+    for number, parts in groups.items():
+        for (a, weight), (b, other) in combinations(sorted(parts.items()), 2):
+            users.setdefault(pair_of(a, weight, b, other), set()).add(number)
+    queue = [(-len(numbers), pair) for pair, numbers in users.items() if len(numbers) > 1]
+    heapq.heapify(queue)
+    while queue:
+        count, pair = heapq.heappop(queue)
+        if len(users[pair]) != -count:  # the count has changed since it was queued
+            if len(users[pair]) > 1:
+                heapq.heappush(queue, (-len(users[pair]), pair))
+            continue
+        a, b, weight, other = pair
+        numbers = sorted(users[pair])
+        alone = [n for n in numbers if len(groups[n]) == 2 and groups[n][a] == weight and n not in constants]
+        name = alone[0] if alone else next(fresh)
+        for number in numbers:
+            if number == name:
                 continue
-            number = waiting.pop()
-            if number not in self.numbers:
-                self.numbers[number] = self._made(number)
-        return self.new, self.numbers
-
-    def _parts(self, number: int) -> Iterable[int]:
-        if number in self.products or number in self.sums:
-            return sorted((self.products if number in self.products else self.sums)[number])
-        return arguments(self.old.nodes[number])
-
-    def _made(self, number: int) -> int:
-        if number in self.products:
-            return self.new.add(Product(self._renumbered(self.products[number])))
-        if number in self.sums:
-            terms, constant = self._renumbered(self.sums[number]), self.constants.get(number, ZERO)
-            alone = len(terms) == 1 and terms[0][1] == 1 and not constant
-            return terms[0][0] if alone else self.new.add(Sum(constant, terms))
-        node = self.old.nodes[number]
-        if isinstance(node, Call):
-            return self.new.add(Call(node.template, tuple(self.numbers[a] for a in node.arguments)))
-        return self.new.add(node)
-
-    def _renumbered(self, parts: Parts) -> tuple[tuple[int, Fraction], ...]:
-        return tuple(sorted((self.numbers[part], weight) for part, weight in parts.items()))
+            parts = groups[number]
+            for former in pairs_with((a, b, name), parts):
+                users[former].discard(number)
+            scale = parts[a] / weight if proportional else ONE
+            del parts[a], parts[b]
+            parts[name] = parts.get(name, ZERO) + scale
+            if not parts[name]:
+                del parts[name]
+            for present in pairs_with((name,), parts):
+                users_of_pair = users.setdefault(present, set())
+                users_of_pair.add(number)
+                if len(users_of_pair) > 1:
+                    heapq.heappush(queue, (-len(users_of_pair), present))
+        groups[name] = {a: weight, b: other}
+        users[pair].add(name)

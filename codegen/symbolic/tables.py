@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,9 +108,9 @@ class TableData:
 def fitted(shape: Shape, source: str, axes: Sequence[NDArray[np.float64]], values: NDArray[np.float64]) -> TableData:
     """Return the table through values, shape `sizes`, at the breakpoints of its axes.
 
-    Cubic splines have the end conditions "not a knot"; of two inputs they are products of those of one. Sources: de
-    Boor (2001), A practical guide to splines, chapters 4 and 17; Fritsch and Butland (1984), A method for constructing
-    local monotone piecewise cubic interpolants, SIAM J. Sci. Stat. Comput. 5.
+    Cubic splines have the end conditions "not a knot"; splines of two inputs are products of splines of one input.
+    Sources: de Boor (2001), A practical guide to splines, chapters 4 and 17; Fritsch and Butland (1984), A method for
+    constructing local monotone piecewise cubic interpolants, SIAM J. Sci. Stat. Comput. 5.
     """
     heights = [values]
     if shape.width > 1:
@@ -151,63 +152,44 @@ def read_columns(path: Path, names: Sequence[str] = (), optional: Collection[str
     """Read some columns of a file, or all of them; NaN stands for empty cells of `optional` ones.
 
     Raises TableError, naming the file and the line, when the file is missing or no text, lacks a column, has ragged
-    rows, or holds what is no finite number in a column that is read.
+    rows, or has a cell without a finite number in a column that is read.
     """
     if not path.is_file():
         raise TableError(f"{path}: {'is a directory' if path.is_dir() else 'no such file'}", "give a table as text")
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(_rows(file))
+            lines = csv.reader(line.partition("#")[0] for line in file)
+            fields = ((number, [field.strip() for field in row]) for number, row in enumerate(lines, 1))
+            rows = [(number, row) for number, row in fields if any(row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise TableError(f"{path} cannot be read ({error})", "give a table of numbers as text") from error
     if not rows:
         raise TableError(f"{path} is empty", "name the columns in the first line, and give rows of numbers")
     (first, header), body = rows[0], rows[1:]
-    chosen = _indices(path, first, header, names)
-    if len(body) > MOST:
-        raise TableError(f"{path} has {len(body)} rows", f"give at most {MOST}, by means over neighbours for example")
-    empty = {chosen[name] for name in optional}
-    values = [
-        [_number(path, line, row, header, index, index in empty) for index in chosen.values()] for line, row in body
-    ]
-    table = np.array(values).reshape(len(body), len(chosen))
-    return Columns(path, {name: table[:, i] for i, name in enumerate(chosen)}, tuple(line for line, _ in body))
-
-
-def _rows(lines: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
-    """Yield number and fields of every line with fields."""
-    without = (line.partition("#")[0] for line in lines)
-    for number, row in enumerate(csv.reader(without), 1):
-        fields = [field.strip() for field in row]
-        if any(fields):
-            yield number, fields
-
-
-def _indices(path: Path, line: int, header: Sequence[str], names: Sequence[str]) -> dict[str, int]:
     listed = ", ".join(header)[:100]
     for name in header:
         if header.count(name) > 1:
-            raise TableError(f"{path}:{line}: two columns are called {name!r}", "give each another name")
+            raise TableError(f"{path}:{first}: two columns are called {name!r}", "give each another name")
     for name in names:
         if name not in header:
-            raise TableError(f"{path}:{line}: there is no column {name!r}", f"name one of {listed}, or add it")
-    return {name: header.index(name) for name in names or header}
-
-
-def _number(path: Path, line: int, row: Sequence[str], header: Sequence[str], index: int, optional: bool) -> float:
-    if len(row) != len(header):
-        raise TableError(
-            f"{path}:{line}: {len(row)} values for {len(header)} columns", f"give {','.join(header)[:100]} in every row"
-        )
-    if optional and not row[index]:
-        return math.nan
-    try:
-        number = math.nan if "_" in row[index] else float(row[index])
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise TableError(f"{path}:{line}: {header[index]} is {row[index][:30]!r}", "give finite numbers")
-    return number
+            raise TableError(f"{path}:{first}: there is no column {name!r}", f"name one of {listed}, or add it")
+    chosen = {name: header.index(name) for name in names or header}
+    if len(body) > MOST:
+        raise TableError(f"{path} has {len(body)} rows", f"give at most {MOST}, by means over neighbours for example")
+    empty = {chosen[name] for name in optional}
+    table = np.full((len(body), len(chosen)), math.nan)
+    for i, (line, row) in enumerate(body):
+        if len(row) != len(header):
+            finding = f"{path}:{line}: {len(row)} values for {len(header)} columns"
+            raise TableError(finding, f"give {','.join(header)[:100]} in every row")
+        for j, index in enumerate(chosen.values()):
+            if index in empty and not row[index]:
+                continue
+            with suppress(ValueError):
+                table[i, j] = math.nan if "_" in row[index] else float(row[index])
+            if not math.isfinite(table[i, j]):
+                raise TableError(f"{path}:{line}: {header[index]} is {row[index][:30]!r}", "give finite numbers")
+    return Columns(path, {name: table[:, i] for i, name in enumerate(chosen)}, tuple(line for line, _ in body))
 
 
 def read_table(
@@ -216,8 +198,12 @@ def read_table(
     """Read a file and fit the spline of a table; TableError names the unusable line."""
     columns = read_columns(path, [*inputs, output])
     if len(inputs) == 1:
-        axes, values = [columns.values[inputs[0]]], columns.values[output]
-        _require_ascending(columns, inputs[0])
+        axis = columns.values[inputs[0]]
+        axes, values = [axis], columns.values[output]
+        for row in range(1, axis.size):
+            if not axis[row] > axis[row - 1]:
+                what = "twice" if axis[row] == axis[row - 1] else f"after {axis[row - 1]:g}"
+                raise columns.refused(row, f"{inputs[0]} is {axis[row]:g} {what}", "sort the rows, each value once")
     else:
         axes, values = _grid(columns, inputs, output)
     least = _LEAST[kind]
@@ -227,14 +213,6 @@ def read_table(
             raise TableError(finding, f"a {kind} table needs {least} or more; give more, or another kind")
     shape = Shape(name, tuple(inputs), output, kind, outside, tuple(axis.size for axis in axes))
     return fitted(shape, source, axes, values)
-
-
-def _require_ascending(columns: Columns, name: str) -> None:
-    axis = columns.values[name]
-    for row in range(1, axis.size):
-        if not axis[row] > axis[row - 1]:
-            what = "twice" if axis[row] == axis[row - 1] else f"after {axis[row - 1]:g}"
-            raise columns.refused(row, f"{name} is {axis[row]:g} {what}", "sort the rows, each value once")
 
 
 def _grid(
@@ -254,7 +232,7 @@ def _grid(
     if (rows < 0).any():
         i, j = np.argwhere(rows < 0)[0]
         what = " and ".join(f"{name} {axis[k]:g}" for name, axis, k in zip(inputs, axes, (i, j), strict=True))
-        # The line is that of the first row with the same value of the first input.
+        # The first row with the same value of the first input gives the line.
         line = columns.lines[int(rows[i][rows[i] >= 0].min())]
         raise TableError(
             f"{columns.path}:{line}: there is no row with {what}",
@@ -264,6 +242,9 @@ def _grid(
     return axes, columns.values[output][rows]
 
 
+Number: TypeAlias = Any
+"""A number or an array, in any arithmetic: floating-point, complex, or of mpmath."""
+Indices: TypeAlias = NDArray[np.intp]
 DEGREE = 3
 ORDERS: dict[int, tuple[tuple[int, ...], ...]] = {
     1: ((0,), (1,), (2,), (3,)),
@@ -275,7 +256,9 @@ _HERMITE = ((1, 0, -3, 2), (0, 1, -2, 1), (0, 0, 3, -2), (0, 0, -1, 1))
 _BASES: dict[str, tuple[tuple[int, ...], ...]] = {"linear": ((1, -1), (0, 1))}
 
 
-def derivative(table: TableData, order: Sequence[int], at: Sequence[Any], real: Callable[[Any], Any]) -> Any:
+def derivative(
+    table: TableData, order: Sequence[int], at: Sequence[Number], real: Callable[[Number], Number]
+) -> Number:
     """Return the derivative of an `order` by each input, at numbers or arrays; `real` gives the real part."""
     kind, heights = table.shape.kind, table.heights
     if kind == "steps":
@@ -298,7 +281,9 @@ def derivative(table: TableData, order: Sequence[int], at: Sequence[Any], real: 
     return sum(terms[1:], terms[0])
 
 
-def _part(axis: NDArray[np.float64], table: TableData, order: int, x: Any, real: Callable[[Any], Any]) -> Any:
+def _part(
+    axis: NDArray[np.float64], table: TableData, order: int, x: Number, real: Callable[[Number], Number]
+) -> tuple[Indices, list[Number]]:
     """Return the cell of an input, and the differentiated weights of the numbers at its ends."""
     flat, at, factor = np.asarray(real(x), dtype=float), x, None
     if table.shape.outside == "clamp":
@@ -306,7 +291,7 @@ def _part(axis: NDArray[np.float64], table: TableData, order: int, x: Any, real:
         edge = np.where(flat < axis[0], axis[0], axis[-1])
         at = np.where(inside, x, edge) if flat.ndim else (x if inside else x * 0 + float(edge))
         factor = (np.where(inside, 1.0, 0.0) if flat.ndim else int(inside)) if order else None
-    cell: Any = np.clip(np.searchsorted(axis, flat, side="right") - 1, 0, axis.size - 2)
+    cell = np.clip(np.searchsorted(axis, flat, side="right") - 1, 0, axis.size - 2)
     left, length = _plain(axis[cell]), _plain(np.diff(axis)[cell])
     s = (at - left) / length
     weights = [_differentiated(polynomial, order, s) for polynomial in _BASES.get(table.shape.kind, _HERMITE)]
@@ -317,11 +302,11 @@ def _part(axis: NDArray[np.float64], table: TableData, order: int, x: Any, real:
     return cell, weights if factor is None else [weight * factor for weight in weights]
 
 
-def _plain(height: Any) -> Any:
+def _plain(height: Number) -> Number:
     return float(height) if np.ndim(height) == 0 else height
 
 
-def _differentiated(polynomial: Sequence[int], order: int, s: Any) -> Any:
+def _differentiated(polynomial: Sequence[int], order: int, s: Number) -> Number:
     """Return the derivative of a polynomial."""
     coefficients = list(polynomial)
     for _ in range(order):
@@ -390,7 +375,7 @@ def read_measurements(path: Path, source: str, layout: Layout) -> MeasurementDat
     return _checked_measurements(columns, source, layout)
 
 
-def given_measurements(given: Mapping[str, Any], layout: Layout) -> MeasurementData:
+def given_measurements(given: Mapping[str, object], layout: Layout) -> MeasurementData:
     """Return measurements from columns by name, each of shape (n,), with NaN for missing values."""
     source = "the columns given"
     deviations = [sigma for sigma in layout.sigmas if isinstance(sigma, str)]

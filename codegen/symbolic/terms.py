@@ -19,13 +19,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
-from typing import Any
 
 import numpy as np
 import sympy
 from sympy import Add, Dummy, Expr, Symbol
 from sympy.codegen.cfunctions import log1p
 from sympy.core.random import seed
+from sympy.printing.printer import Printer
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class x_minus_log1p(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
     nargs = 2
 
-    def _eval_evalf(self, precision: int) -> Any:
+    def _eval_evalf(self, precision: int) -> Expr:
         x, log = self.args
         return (x - log).evalf(sympy.core.evalf.prec_to_dps(precision) + 30)
 
@@ -98,7 +98,7 @@ class log1p_minus_ratio(sympy.Function):  # type: ignore[misc]
 
     nargs = 2
 
-    def _eval_evalf(self, precision: int) -> Any:
+    def _eval_evalf(self, precision: int) -> Expr:
         x, log = self.args
         return (log - x / (1 + x)).evalf(sympy.core.evalf.prec_to_dps(precision) + 30)
 
@@ -184,7 +184,10 @@ class Invariants:
                     rest, short = [*rest, *numbers], [term for term in short if term not in numbers]
                 if not short:
                     return sympy.Add(*map(replaced, rest))
-                content, primitive = _directed(sympy.Add(*short))
+                content, primitive = sympy.Add(*short).primitive()
+                # Without a constant term the sign is part of the content.
+                if primitive.as_coeff_Add()[0] == 0 and primitive.could_extract_minus_sign():
+                    content, primitive = -content, -primitive
                 return content * named(primitive) + sum(map(replaced, rest), sympy.S.Zero)
             return part.func(*map(replaced, part.args))
 
@@ -211,7 +214,15 @@ class Invariants:
 
     def distances(self) -> tuple[int, ...]:
         """Return the indices of squared distances: nonnegative scalars that vanish where both particles meet."""
-        return tuple(k for k in self._vanishing() if _is_square(self.polynomials[k], self.moving))
+        found = []
+        for k in self._vanishing():
+            # A polynomial of degree two that is a sum of squares; other ones have both signs.
+            own = [symbol for symbol in self.moving if symbol in self.polynomials[k].free_symbols]
+            if own and sympy.Poly(self.polynomials[k], *own).total_degree() == 2:
+                eigenvalues = np.linalg.eigvalsh(np.array(sympy.hessian(self.polynomials[k], own), float))
+                if eigenvalues.min() >= -1e-12 * eigenvalues.max():
+                    found.append(k)
+        return tuple(found)
 
     def _vanishing(self) -> tuple[int, ...]:
         """Return the indices of scalars that vanish where both particles meet, such as a difference of coordinates."""
@@ -230,8 +241,8 @@ class Invariants:
         """Return the limit of the term where both particles meet, or None, and True if the gradient has that limit.
 
         The limit is taken in the squared distance s from above. The gradient of s has the size of sqrt(s): the
-        gradient of the term tends to that of the limit if f_s sqrt(s) tends to zero. A difference has two signs: its
-        value and slope at zero are taken.
+        gradient of the term tends to the gradient of the limit if f_s sqrt(s) tends to zero. A difference has two
+        signs: its value and slope at zero are taken.
         """
         indices = self._vanishing()
         if len(indices) > 1:
@@ -254,29 +265,12 @@ class Invariants:
         return limit.xreplace({symbol: value for value, symbol in same.items()}), bool(pull == 0)
 
 
-def _is_square(polynomial: Expr, moving: Sequence[Symbol]) -> bool:
-    """Return True if a polynomial is of degree two and a sum of squares; other ones have both signs."""
-    own = [symbol for symbol in moving if symbol in polynomial.free_symbols]
-    if not own or sympy.Poly(polynomial, *own).total_degree() != 2:
-        return False
-    eigenvalues = np.linalg.eigvalsh(np.array(sympy.hessian(polynomial, own), float))
-    return bool(eigenvalues.min() >= -1e-12 * eigenvalues.max())
-
-
 def _is_quadratic(term: Expr, moving: set[Symbol]) -> bool:
     """Return True if a term is a polynomial of degree at most two in moving symbols, with numbers as coefficients."""
     if not term.is_polynomial(*moving) or term.free_symbols - moving:
         return False
     own = sorted(term.free_symbols & moving, key=str)
     return not own or int(sympy.Poly(term, *own).total_degree()) <= 2
-
-
-def _directed(polynomial: Expr) -> tuple[Expr, Expr]:
-    """Return content and primitive part; without a constant term the sign is part of the content."""
-    content, primitive = polynomial.primitive()
-    if primitive.as_coeff_Add()[0] == 0 and primitive.could_extract_minus_sign():
-        return -content, -primitive
-    return content, primitive
 
 
 class EachBodyBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
@@ -299,7 +293,7 @@ class EachBodyBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
         """Return zero: derivatives by a body's number do not exist."""
         return sympy.S.Zero
 
-    def _sympystr(self, printer: Any) -> str:
+    def _sympystr(self, printer: Printer) -> str:
         return f"each_body({', '.join(map(printer._print, self.args[1:]))})"
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
-from typing import Any
+from functools import cache
 
 import mpmath
 import sympy
@@ -37,7 +37,10 @@ _ARGUMENT = argument(0)
 
 
 class Residues:
-    """One random evaluation of the nodes of a graph; ZeroDivisionError at a pole."""
+    """One random evaluation of the nodes of a graph; ZeroDivisionError at a pole.
+
+    `uncertain` are the nodes of each level with a function whose laws are missing: a nonzero value proves nothing.
+    """
 
     def __init__(self, graph: Graph, seed: int) -> None:
         levels = range(len(PRIMES))
@@ -45,7 +48,7 @@ class Residues:
         self.generator = random.Random(seed)
         self.values: list[dict[int, int]] = [{} for _ in levels]
         self.uncertain: list[set[int]] = [set() for _ in levels]
-        self._opaque: dict[tuple[Any, ...], int] = {}
+        self._opaque: dict[tuple[object, ...], int] = {}
         self._radicands: list[set[int]] = [set() for _ in levels]
         self._fractions: dict[tuple[Fraction, int], int] = {}
         self._imaginary = [int(sqrt_mod(prime - 1, prime)) for prime in PRIMES]
@@ -67,10 +70,6 @@ class Residues:
                 self.uncertain[level].add(number)
         return values
 
-    def is_certain(self, root: int) -> bool:
-        """Return True if a nonzero value proves that the expression is not zero: no law of a function is missing."""
-        return root not in self.uncertain[0]
-
     def _value(self, number: int, node: Node, level: int) -> int:
         prime, values = PRIMES[level], self.values[level]
         if isinstance(node, Sum):
@@ -83,9 +82,16 @@ class Residues:
             for factor, exponent in node.factors:
                 result = result * self._power(number, values[factor], exponent, level) % prime
             return result
-        if isinstance(node, Leaf):
-            return self._leaf(number, node.expression, level)
-        return self._call(number, node, level)
+        if isinstance(node, Call):
+            return self._call(number, node, level)
+        expression = node.expression
+        if expression.is_Float:
+            return self._fraction(Fraction(*map(int, sympy.Rational(expression).as_numer_denom())), level)
+        if expression == sympy.E and level + 1 < len(PRIMES):
+            return self._steps[0][level]
+        if not (expression.is_Symbol or expression == sympy.pi):
+            self.uncertain[level].add(number)
+        return self._drawn(("leaf", expression), level, self._in_subgroup)
 
     def _fraction(self, value: Fraction, level: int) -> int:
         if value.denominator == 1:
@@ -94,15 +100,6 @@ class Residues:
         if key not in self._fractions:
             self._fractions[key] = value.numerator * _inverse(value.denominator, PRIMES[level]) % PRIMES[level]
         return self._fractions[key]
-
-    def _leaf(self, number: int, expression: sympy.Expr, level: int) -> int:
-        if expression.is_Float:
-            return self._fraction(Fraction(*map(int, sympy.Rational(expression).as_numer_denom())), level)
-        if expression == sympy.E and level + 1 < len(PRIMES):
-            return self._steps[0][level]
-        if not (expression.is_Symbol or expression == sympy.pi):
-            self.uncertain[level].add(number)
-        return self._drawn(("leaf", expression), level, self._in_subgroup)
 
     def _call(self, number: int, call: Call, level: int) -> int:
         prime, function, arguments = PRIMES[level], call.template.func, call.template.args
@@ -114,24 +111,20 @@ class Residues:
             circular, value = _EXPONENTIAL[function]
             power = pow(self._steps[circular][level], exponent, prime)
             return value(power, _inverse(power, prime), self._imaginary[level], prime) % prime
-        if call.template == sympy.Pow(_ARGUMENT, argument(1)) and level + 1 < len(PRIMES):
-            return self._symbolic_power(number, call, level)
-        self.uncertain[level].add(number)
         values = tuple(self.values[level][a] for a in call.arguments)
+        if call.template == sympy.Pow(_ARGUMENT, argument(1)) and level + 1 < len(PRIMES):
+            # The laws of powers hold if the base is a power of the elements of symbols.
+            exponent = call.arguments[1]
+            if pow(values[0], PRIMES[level + 1], prime) == 1:
+                if exponent in self.uncertain[level + 1]:
+                    self.uncertain[level].add(number)
+                return pow(values[0], self.evaluate([exponent], level + 1)[exponent], prime)
+            self.uncertain[level].add(number)
+            return self._drawn(("power", *values), level)
+        self.uncertain[level].add(number)
         if call.template == log1p(_ARGUMENT):
             return self._drawn((sympy.log(_ARGUMENT), (values[0] + 1) % prime), level)
         return self._drawn((call.template, *values), level)
-
-    def _symbolic_power(self, number: int, call: Call, level: int) -> int:
-        """Return base^exponent; the laws of powers hold if the base is a power of the elements of symbols."""
-        base, exponent = call.arguments
-        value = self.values[level][base]
-        if pow(value, PRIMES[level + 1], PRIMES[level]) == 1:
-            if exponent in self.uncertain[level + 1]:
-                self.uncertain[level].add(number)
-            return pow(value, self.evaluate([exponent], level + 1)[exponent], PRIMES[level])
-        self.uncertain[level].add(number)
-        return self._drawn(("power", value, self.values[level][exponent]), level)
 
     def _power(self, number: int, value: int, exponent: Fraction, level: int) -> int:
         prime = PRIMES[level]
@@ -143,7 +136,7 @@ class Residues:
             if exponent < 0:
                 raise ZeroDivisionError
             return 0
-        # Roots of several radicands may depend on each other, as those of x, y and x y do.
+        # Roots of several radicands may depend on each other, for example the roots of x, y and x y.
         self._radicands[level].add(value)
         if len(self._radicands[level]) > 1:
             self.uncertain[level].add(number)
@@ -167,7 +160,7 @@ class Residues:
         self.uncertain[level].add(number)
         return self._drawn(("root", value, degree), level)
 
-    def _drawn(self, key: tuple[Any, ...], level: int, draw: Callable[[int], int] | None = None) -> int:
+    def _drawn(self, key: tuple[object, ...], level: int, draw: Callable[[int], int] | None = None) -> int:
         """Return the random element of a key."""
         key = (level, *key)
         if key not in self._opaque:
@@ -188,7 +181,7 @@ def _inverse(value: int, prime: int) -> int:
     return pow(value, -1, prime)
 
 
-_EXPONENTIAL: dict[Any, tuple[int, Callable[[int, int, int, int], int]]] = {
+_EXPONENTIAL: dict[type[Expr], tuple[int, Callable[[int, int, int, int], int]]] = {
     sympy.exp: (0, lambda e, f, i, p: e),
     expm1: (0, lambda e, f, i, p: e - 1),
     sympy.sinh: (0, lambda e, f, i, p: (e - f) * _inverse(2, p)),
@@ -240,13 +233,8 @@ def vanishing(graph: Graph, roots: Iterable[int]) -> set[int]:
     """Return the nodes whose values are proved to be zero for all values of their symbols."""
     scaled = {root: graph.scaled(root) for root in roots}
     structural = {root for root, (factor, core) in scaled.items() if core is None and factor == 0}
-    exact, doubtful = _by_residues(graph, {root for root, (_, core) in scaled.items() if core is not None})
-    return structural | exact | _by_digits(graph, sorted(doubtful))
-
-
-def _by_residues(graph: Graph, roots: set[int]) -> tuple[set[int], set[int]]:
-    """Return the nodes that vanish in exact arithmetic, and the nodes with functions whose laws are missing."""
-    zeros, doubtful, evaluations = set(roots), set[int](), 0
+    # Exact arithmetic in finite fields; nodes with functions whose laws are missing are doubtful.
+    zeros, doubtful, evaluations = {root for root, (_, core) in scaled.items() if core is not None}, set[int](), 0
     for seed in range(_ATTEMPTS):
         field = Residues(graph, seed + 1)
         try:
@@ -254,11 +242,13 @@ def _by_residues(graph: Graph, roots: set[int]) -> tuple[set[int], set[int]]:
         except ZeroDivisionError:  # a pole by chance, or everywhere
             continue
         evaluations += 1
-        doubtful |= {root for root in zeros if values[root] and not field.is_certain(root)}
+        doubtful |= {root for root in zeros if values[root] and root in field.uncertain[0]}
         zeros = {root for root in zeros if not values[root]}
         if evaluations == _DRAWS or not zeros:
-            return zeros, doubtful
-    return set(), doubtful
+            break
+    else:
+        zeros = set()
+    return structural | zeros | _by_digits(graph, sorted(doubtful))
 
 
 def _by_digits(graph: Graph, roots: Sequence[int]) -> set[int]:
@@ -292,13 +282,12 @@ def _verdicts(graph: Graph, roots: Sequence[int], generator: random.Random, tria
     order, verdicts = graph.reachable(roots), dict[int, int]()
     symbols = [node.expression for node in map(graph.nodes.__getitem__, order) if isinstance(node, Leaf)]
     point = {symbol: _drawn(generator, trial) for symbol in symbols if symbol.is_Symbol}
-    former: dict[int, Any] = {}
+    former: dict[int, mpmath.mpf] = {}
     for digits in _DIGITS:
         waiting = [root for root in roots if root not in verdicts]
-        evaluation = _Evaluation(graph, point, digits)
         try:
             with mpmath.workdps(digits):
-                values = evaluation.values(graph.reachable(waiting))
+                values, absorbed = _evaluated(graph, graph.reachable(waiting), point, digits)
         except (ArithmeticError, ValueError, TypeError):  # no value at the point
             return verdicts
         for root in waiting if former else ():
@@ -306,7 +295,7 @@ def _verdicts(graph: Graph, roots: Sequence[int], generator: random.Random, tria
             if abs(new - old) < _STABLE * abs(new):
                 verdicts[root] = -1
             elif abs(new) <= _SHRUNK * abs(old):
-                verdicts[root] = 0 if root in evaluation.absorbed else 1
+                verdicts[root] = 0 if root in absorbed else 1
         if len(verdicts) == len(roots):
             return verdicts
         former = {root: values[root] for root in waiting}
@@ -320,56 +309,52 @@ def _drawn(generator: random.Random, trial: int) -> float:
     return generator.choice((-1, 1) if trial % 3 == 1 else (1,)) * 10 ** generator.uniform(-8, 8 if trial > 6 else 2)
 
 
-class _Evaluation:
-    """Values of nodes at a point.
+def _evaluated(
+    graph: Graph, order: Sequence[int], point: Mapping[Expr, float], digits: int
+) -> tuple[dict[int, mpmath.mpf], set[int]]:
+    """Return the values of nodes in the order of computation, and the nodes whose values lack digits.
 
-    `absorbed` are the nodes that lost a term beside larger ones, or the difference of a saturated function from 1.
+    Such a node lost a term next to larger ones, or the difference of a saturated function from 1. ValueError if a value
+    is not real, or if its computation would take too long.
     """
-
-    def __init__(self, graph: Graph, point: Mapping[Expr, float], digits: int) -> None:
-        self.graph, self.point, self.digits = graph, point, digits
-        self.absorbed: set[int] = set()
-        self.functions: dict[Expr, Callable[..., Any]] = {}
-
-    def values(self, order: Sequence[int]) -> dict[int, Any]:
-        """Return values of nodes in the order of computation; ValueError if one is not real or out of reach."""
-        values: dict[int, Any] = {}
-        for number in order:
-            node = self.graph.nodes[number]
-            if isinstance(node, Leaf):
-                if node.expression in self.point:
-                    value = mpmath.mpf(self.point[node.expression])
-                else:
-                    value = mpmath.mpmathify(node.expression.evalf(self.digits + 5))
-            elif isinstance(node, Sum):
-                terms = [precise(node.constant), *(precise(c) * values[a] for a, c in node.terms)]
-                value = mpmath.fsum(terms)
-                sizes = [abs(term) for term in terms if term]
-                if sizes and min(sizes) < max(sizes) * mpmath.mpf(10) ** (10 - self.digits):
-                    self.absorbed.add(number)
-            elif isinstance(node, Product):
-                value = mpmath.fprod(values[a] ** precise(exponent) for a, exponent in node.factors)
+    values: dict[int, mpmath.mpf] = {}
+    absorbed: set[int] = set()
+    for number in order:
+        node = graph.nodes[number]
+        if isinstance(node, Leaf):
+            if node.expression in point:
+                value = mpmath.mpf(point[node.expression])
             else:
-                value = self._called(number, node, [values[a] for a in node.arguments])
-            if not mpmath.isfinite(value) or isinstance(value, mpmath.mpc):
-                raise ValueError("no real value")
-            if any(a in self.absorbed for a in arguments(node)):
-                self.absorbed.add(number)
-            values[number] = value
-        return values
+                value = mpmath.mpmathify(node.expression.evalf(digits + 5))
+        elif isinstance(node, Sum):
+            terms = [precise(node.constant), *(precise(c) * values[a] for a, c in node.terms)]
+            value = mpmath.fsum(terms)
+            sizes = [abs(term) for term in terms if term]
+            if sizes and min(sizes) < max(sizes) * mpmath.mpf(10) ** (10 - digits):
+                absorbed.add(number)
+        elif isinstance(node, Product):
+            value = mpmath.fprod(values[a] ** precise(exponent) for a, exponent in node.factors)
+        else:
+            operands, function = [values[a] for a in node.arguments], node.template.func
+            if function in _GROWING + _SATURATING and abs(operands[0]) > _LARGEST:
+                raise ValueError("out of reach")
+            if function in _SATURATING and abs(operands[0]) > digits / 2:
+                absorbed.add(number)
+            value = _of_mpmath(node.template, len(operands))(*operands)
+        if not mpmath.isfinite(value) or isinstance(value, mpmath.mpc):
+            raise ValueError("no real value")
+        if any(a in absorbed for a in arguments(node)):
+            absorbed.add(number)
+        values[number] = value
+    return values, absorbed
 
-    def _called(self, number: int, call: Call, values: Sequence[Any]) -> Any:
-        function = call.template.func
-        if function in _GROWING + _SATURATING and abs(values[0]) > _LARGEST:
-            raise ValueError("out of reach")
-        if function in _SATURATING and abs(values[0]) > self.digits / 2:
-            self.absorbed.add(number)
-        if call.template not in self.functions:
-            arguments = [argument(i) for i in range(len(call.arguments))]
-            self.functions[call.template] = sympy.lambdify(arguments, call.template, "mpmath")
-        return self.functions[call.template](*values)
+
+@cache
+def _of_mpmath(template: Expr, count: int) -> Callable[..., mpmath.mpf]:
+    """Return the function of a node in the arithmetic of mpmath."""
+    return sympy.lambdify([argument(i) for i in range(count)], template, "mpmath")  # type: ignore[no-any-return]
 
 
-def precise(fraction: Fraction) -> Any:
+def precise(fraction: Fraction) -> mpmath.mpf:
     """Return a fraction as a number of mpmath."""
     return mpmath.mpf(fraction.numerator) / fraction.denominator

@@ -11,9 +11,10 @@ from scipy.linalg import solve_discrete_are
 
 import codegen
 from codegen.mpc import controller as controllers
-from codegen.mpc.acceptance import BestIterate, Candidate, better
+from codegen.mpc.acceptance import BestIterate, better
 from codegen.runtime.search import descent
 from codegen.runtime.search.iterates import search_on, stored
+from codegen.runtime.search.point import Point
 from codegen.runtime.search.scaling import scaled_grid
 
 H = HORIZON / STEPS
@@ -201,7 +202,7 @@ def test_with_a_deadline_a_search_returns_ever_more_often():
 
 def of(cost, residual):
     """A plan that costs so much and violates its equations so much."""
-    return Candidate(np.zeros(1), np.zeros(1), cost, residual, 0.0)
+    return Point(np.zeros(1), np.zeros(1), cost, residual, residual, 0.0, residual)
 
 
 @pytest.mark.parametrize(
@@ -217,6 +218,39 @@ def of(cost, residual):
 )
 def test_which_of_two_plans_is_better(one, other, is_other):
     assert (better(one, other, 1e-4) is other) == is_other
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("deadline", [None, 1e3])
+def test_a_measurement_that_is_not_finite_keeps_the_last_plan(value, deadline):
+    controller = codegen.Controller(carried(), deadline=deadline)
+    controller.step([1.0, 0.0])
+    planned = controller.plan()[2]
+    controller.prepare(H)
+    np.testing.assert_array_equal(controller.step([0.9, value], H), planned[1])
+    last = controller.last
+    assert (last.status, last.fell_back, last.iterations) == ("non-finite", True, 0)
+    assert last.message.startswith(
+        f"non-finite: in the measured state dx is {value}; give finite numbers, for example an estimate; applied is "
+        "the plan before, shifted"
+    )
+    assert np.isfinite(last.residual)
+    np.testing.assert_array_equal(controller.step({"x": value, "dx": value}, 2 * H), planned[2])
+    assert f"x is {value}, dx is {value};" in controller.last.message
+    inputs = controller.step([0.8, -0.2], 3 * H)
+    assert controller.last.status == "solved"
+    other = codegen.Controller(carried())
+    np.testing.assert_allclose(inputs, other.step([0.8, -0.2], 3 * H), atol=1e-6)
+
+
+def test_a_first_measurement_that_is_not_finite_applies_the_plan_from_the_problems_own_start():
+    module = carried()
+    controller, other = codegen.Controller(module), codegen.Controller(module)
+    np.testing.assert_allclose(controller.step([np.nan, 0.0]), module.solve(STEPS).u[0], rtol=1e-12)
+    assert controller.last.status == "non-finite"
+    assert "applied is the plan from the problem's own start" in controller.last.message
+    np.testing.assert_array_equal(controller.step([0.9, 0.0]), other.step([0.9, 0.0]))
+    assert controller.last.status == "solved"
 
 
 @pytest.mark.parametrize("status", ["infeasible", "stalled", "non-finite"])

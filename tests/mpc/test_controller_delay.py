@@ -152,9 +152,21 @@ def test_a_refused_step_sends_nothing_on_its_way():
     for controller in controllers:
         controller.step([1.0, 0.0])
     with pytest.raises(NumericsError):
-        controllers[0].step([1.0, np.nan], H)
+        controllers[0].step([1.0], H)
     one, other = (controller.step([0.9, -0.2], H) for controller in controllers)
     np.testing.assert_array_equal(one, other)
+
+
+def test_a_measurement_that_is_not_finite_needs_no_prediction():
+    controller = codegen.Controller(carried(), delay=1)
+    controller.step([1.0, 0.0])
+    planned = controller.plan()[2]
+    np.testing.assert_array_equal(controller.step([np.nan, 0.0], H), planned[1])
+    assert (controller.last.status, controller.last.fell_back) == ("non-finite", True)
+    inputs = controller.step([0.9, -0.2], 2 * H)
+    assert controller.last.status == "solved"
+    controller.reset(planned[1])  # the inputs of the step without a measurement are on their way
+    np.testing.assert_allclose(controller.step([0.9, -0.2], 2 * H), inputs, atol=1e-6)
 
 
 def test_a_loop_has_the_delay_of_its_controller_or_a_longer_one():

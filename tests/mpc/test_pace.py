@@ -7,7 +7,7 @@ import pytest
 from horizon_problems import STEPS, exactly, regulator
 
 import codegen
-from codegen.mpc import acceptance
+from codegen.mpc import controller as controllers
 from codegen.mpc.acceptance import MOST, BestIterate, Expectation, Pace
 from codegen.runtime.search import cascade, descent
 from codegen.runtime.search.iterates import search_on
@@ -23,7 +23,7 @@ class Clock:
     def __init__(self, monkeypatch):
         self.now, self.slowness, self._generator = 0.0, 1.0, np.random.default_rng(5)
         monkeypatch.setattr(codegen.Controller, "_clock", staticmethod(lambda: self.now))
-        monkeypatch.setattr(acceptance, "evaluate", self.timed(evaluate))
+        monkeypatch.setattr(controllers, "evaluate", self.timed(evaluate))
         begin_beside = self.timed(descent.begin_beside)
         for module in (descent, cascade):
             monkeypatch.setattr(module, "begin_beside", begin_beside)

@@ -15,7 +15,7 @@ from codegen.errors import ArgumentError
 from codegen.show import figures
 from codegen.show.figures import panels
 from codegen.show.figures.labels import relation
-from codegen.show.figures.picture import STYLE, Picture, using, words_of
+from codegen.show.figures.picture import STYLE, Picture, using, words_of, write
 from codegen.show.figures.quantities import Inequality, Quantity
 from codegen.solving import api
 
@@ -171,7 +171,8 @@ def test_numbers_that_are_none(tmp_path, number, everywhere):
     broken = {name: getattr(result, name).copy() for name in names}
     for name in names:
         broken[name][place] = number
-    figures.save(module, replace(result, status="non-finite", cost=float(number), **broken), tmp_path / "a.png")
+    broken_result = replace(result, status="non-finite", cost=float(number), **broken)
+    write(figures.figure(module, broken_result), tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 1000
 
 
@@ -316,12 +317,12 @@ def problem():
 def test_files(tmp_path, suffix, signature):
     module, result = invented(1, 1, 1, "lagrangian")
     drawn = picture(1)
-    figures.save(module, result, tmp_path / f"a.{suffix}", figures.Drawings(drawn, drawn))
+    write(figures.figure(module, result, figures.Drawings(drawn, drawn)), tmp_path / f"a.{suffix}")
     assert (tmp_path / f"a.{suffix}").read_bytes().startswith(signature)
 
 
 def test_pictures_are_reproducible(tmp_path):
     module, result = invented(2, 1, 2, "lagrangian")
     for name in ("a.svg", "b.svg"):
-        figures.save(module, result, tmp_path / name)
+        write(figures.figure(module, result), tmp_path / name)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()

@@ -1,4 +1,4 @@
-"""The registry of executors, and the call that has chunks of work done by one of them.
+"""The registry of executors, and the call that lets an executor do chunks of work.
 
 An executor is one file in this folder and one row of EXECUTORS.
 """
@@ -53,7 +53,7 @@ EXECUTORS = {
 """All executors by name; tests run over this table."""
 
 
-def executor_for(workers: int, cluster: Any = None) -> Executor:
+def executor_for(workers: int, cluster: object = None) -> Executor:
     """Return the executor for a cluster, or for this number of workers on this machine."""
     if cluster is not None:
         running: Any = EXECUTORS["dask"].running
@@ -61,7 +61,7 @@ def executor_for(workers: int, cluster: Any = None) -> Executor:
     return EXECUTORS["serial" if workers == 1 else "processes"].running
 
 
-def connected(cluster: Any) -> AbstractContextManager[Any]:
+def connected(cluster: object) -> AbstractContextManager[object]:
     """Return a context with the client of a cluster, or with None.
 
     Raises ExtraError without dask, ClusterError when no scheduler answers or it has no workers, and ArgumentError for
@@ -71,13 +71,13 @@ def connected(cluster: Any) -> AbstractContextManager[Any]:
         return nullcontext()
     if find_spec("distributed") is None:
         raise ExtraError("a cluster needs dask, which is not installed", "pip install dask distributed xarray zarr")
-    client: AbstractContextManager[Any] = import_module("codegen.batch.executors.dask").connected(cluster)
+    client: AbstractContextManager[object] = import_module("codegen.batch.executors.dask").connected(cluster)
     return client
 
 
 Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]
 """(name, count) -> a context with a function of (parts done, text) that shows progress."""
-Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
+Working: TypeAlias = Callable[[str], AbstractContextManager[object]]
 """(name) -> a context that shows activity during a long step."""
 
 
@@ -92,7 +92,7 @@ class Team:
     """The number of processes or the client of a cluster, the display of progress, and the notes of workers."""
 
     workers: int
-    cluster: Any = None
+    cluster: object = None
     working: Working = nullcontext
     progress: Progress = silent
     notes: dict[str, None] = field(default_factory=dict)
@@ -119,7 +119,7 @@ class Team:
         return tally
 
 
-def team_size(workers: Any, cluster: Any) -> int:
+def team_size(workers: object, cluster: object) -> int:
     """Return the number of worker processes, by default the number of available processors.
 
     Raises NumericsError for an invalid number, ArgumentError for a number with a cluster of other workers.

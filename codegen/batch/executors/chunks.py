@@ -69,7 +69,7 @@ class Tally:
         rest = ((status, count) for status, count in self.counts.items() if status != SOLVED)
         return dict(sorted(rest, key=lambda pair: (-pair[1], pair[0])))
 
-    def as_record(self) -> dict[str, Any]:
+    def as_record(self) -> dict[str, object]:
         """Return the tally as a JSON object; `from_record` reads it."""
         return {"counts": dict(self.counts), "messages": dict(self.messages), "seconds": self.seconds, **self.won}
 
@@ -129,7 +129,7 @@ class Work(Protocol):
     def loaded(self) -> Work:
         """Return the work after the slow preparation of this process, such as loading machine code."""
 
-    def piece(self, number: int) -> Any:
+    def piece(self, number: int) -> object:
         """Return the data of a chunk that a worker needs in addition to the work."""
 
     def solve(self, piece: Any, is_wanted: Callable[[], bool] = ...) -> Done:
@@ -247,7 +247,7 @@ class Journal:
     header: Mapping[str, Any]
     records: tuple[dict[str, Any], ...] = ()
 
-    def add(self, records: Iterable[Mapping[str, Any]]) -> None:
+    def add(self, records: Iterable[Mapping[str, object]]) -> None:
         """Append records of finished parts; raises FileError when the file system refuses."""
         try:
             with self.path.open("a", encoding="utf-8", newline="\n") as file:
@@ -256,7 +256,7 @@ class Journal:
             raise refused(error, self.path) from error
 
 
-def new_journal(path: Path, header: Mapping[str, Any]) -> Journal:
+def new_journal(path: Path, header: Mapping[str, object]) -> Journal:
     """Write a journal without records."""
     write_text(path, json.dumps(header) + "\n")
     return Journal(path, header)

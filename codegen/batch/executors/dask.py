@@ -1,6 +1,6 @@
 """The executor for a cluster of dask; its workers compile modules and store the results of their chunks.
 
-The client keeps a bounded number of chunks in flight. So its memory and that of the scheduler do not grow with the
+The client keeps a bounded number of chunks in flight. So the memory of client and scheduler does not grow with the
 number of cases. The scheduler repeats chunks of lost workers. After the loss of the scheduler the work can be resumed
 from its journal: a chunk that is written twice has the same numbers.
 """
@@ -42,7 +42,7 @@ _RESUME = "what is written stays; begin the cluster again, and give --resume"
 
 
 @contextmanager
-def connected(cluster: Any) -> Iterator[Any]:
+def connected(cluster: object) -> Iterator[Any]:
     """Yield a client of the scheduler at an address; a client and LOCAL are returned as they are.
 
     Raises ClusterError when no scheduler answers or it has no workers, ArgumentError for other values.
@@ -59,7 +59,14 @@ def connected(cluster: Any) -> Iterator[Any]:
         yield cluster
         return
     with _quiet():
-        client = _client(cluster)
+        remedy = "give the address that `dask scheduler` prints, such as tcp://10.0.0.5:8786, or local"
+        if not cluster.strip():
+            raise ArgumentError("--cluster without an address", remedy)
+        try:
+            client = _CLIENT(cluster, timeout=PATIENCE, set_as_default=False)
+        except Exception as error:  # dask raises errors of many types for an invalid address
+            reason = one_line(str(error) or type(error).__name__, 120)
+            raise ClusterError(clause(f"--cluster {cluster}: no scheduler answers ({reason})"), remedy) from None
         try:
             _require_workers(client)
             yield client
@@ -69,7 +76,7 @@ def connected(cluster: Any) -> Iterator[Any]:
 
 
 @contextmanager
-def running(work: Work, workers: int, cluster: Any = LOCAL) -> Iterator[Callable[[Sequence[int]], Solved]]:
+def running(work: Work, workers: int, cluster: object = LOCAL) -> Iterator[Callable[[Sequence[int]], Solved]]:
     """Prepare the workers of a cluster, or start a local one; see `codegen.batch.executors.Executor`."""
     parcel = work.parcel()
     with ExitStack() as stack:
@@ -80,17 +87,6 @@ def running(work: Work, workers: int, cluster: Any = LOCAL) -> Iterator[Callable
             yield crew.solve
         finally:
             crew.end()
-
-
-def _client(address: str) -> Any:
-    remedy = "give the address that `dask scheduler` prints, such as tcp://10.0.0.5:8786, or local"
-    if not address.strip():
-        raise ArgumentError("--cluster without an address", remedy)
-    try:
-        return _CLIENT(address, timeout=PATIENCE, set_as_default=False)
-    except Exception as error:  # dask raises errors of many types for an invalid address
-        reason = one_line(str(error) or type(error).__name__, 120)
-        raise ClusterError(clause(f"--cluster {address}: no scheduler answers ({reason})"), remedy) from None
 
 
 def _require_workers(client: Any) -> None:
@@ -244,7 +240,7 @@ class Solver(WorkerPlugin):
     def __init__(self, parcel: Parcel, is_local: bool) -> None:
         self._parcel, self._is_local = parcel, is_local
 
-    def setup(self, worker: Any) -> None:
+    def setup(self, worker: object) -> None:
         """Prepare without compilation, which would keep the worker from answering."""
         self._lock = threading.Lock()
         self._libraries = ThreadpoolController()
@@ -253,7 +249,7 @@ class Solver(WorkerPlugin):
             # A terminal interrupts all of its processes. The client handles the interrupt and ends the workers.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
-    def __call__(self, piece: Any) -> Done:
+    def __call__(self, piece: object) -> Done:
         """Solve a chunk; notes about this machine come with the first one."""
         with self._lock, self._libraries.limit(limits=1):
             notes: tuple[str, ...] = ()
@@ -263,7 +259,7 @@ class Solver(WorkerPlugin):
             return replace(done, notes=(*notes, *done.notes))
 
 
-def _solve(name: str, piece: Any) -> Done | Exception:
+def _solve(name: str, piece: object) -> Done | Exception:
     """Solve a chunk on a worker; errors are returned as values, because dask treats exceptions as its own failures."""
     try:
         solver: Any = get_worker().plugins[name]

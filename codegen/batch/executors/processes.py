@@ -30,16 +30,6 @@ _SECONDS = 5.0
 """Interval in seconds at which an idle worker checks that its parent process is alive."""
 
 
-@contextmanager
-def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solved]]:
-    """Start the processes, and end them with the block; see `codegen.batch.executors.Executor`."""
-    pool = _Pool(work, workers)
-    try:
-        yield pool.solve
-    finally:
-        pool.end()
-
-
 @dataclass(eq=False)
 class _Worker:
     """A process, the connection to it, and its current chunk."""
@@ -48,30 +38,37 @@ class _Worker:
     connection: Connection[Any, Any]
     chunk: int | None = None
 
+    def order(self, waiting: list[int]) -> None:
+        """Send the next chunk, if one is waiting."""
+        if waiting:
+            self.chunk = waiting.pop()
+            with suppress(OSError):  # `solve` detects a lost worker
+                self.connection.send(self.chunk)
 
-class _Pool:
-    def __init__(self, work: Work, workers: int) -> None:
-        self._context: Any = multiprocessing.get_context(START)
-        self._work = work.loaded() if START == "fork" else work
-        self._workers: list[_Worker] = []
-        for _ in range(workers):
-            self._start_worker()
 
-    def _start_worker(self) -> None:
-        local_end, remote_end = self._context.Pipe()
-        others = [worker.connection for worker in self._workers]
-        arguments = (self._work, remote_end, [local_end, *others])
-        process = self._context.Process(target=_serve, args=arguments, daemon=True)
+@contextmanager
+def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solved]]:
+    """Start the processes, and kill them with the end of the block; see `codegen.batch.executors.Executor`."""
+    context: Any = multiprocessing.get_context(START)
+    if START == "fork":
+        work = work.loaded()
+    crew: list[_Worker] = []
+
+    def start() -> _Worker:
+        local_end, remote_end = context.Pipe()
+        others = [worker.connection for worker in crew]
+        process = context.Process(target=_serve, args=(work, remote_end, [local_end, *others]), daemon=True)
         process.start()
         remote_end.close()
-        self._workers.append(_Worker(process, local_end))
+        crew.append(_Worker(process, local_end))
+        return crew[-1]
 
-    def solve(self, numbers: Sequence[int]) -> Solved:
+    def solve(numbers: Sequence[int]) -> Solved:
         """Send each worker a chunk, and the next one when it has returned a result."""
         waiting, losses = list(reversed(numbers)), dict.fromkeys(numbers, 0)
-        for worker in self._workers:
-            self._order(worker, waiting)
-        while busy := [worker for worker in self._workers if worker.chunk is not None]:
+        for worker in crew:
+            worker.order(waiting)
+        while busy := [worker for worker in crew if worker.chunk is not None]:
             ready = wait([worker.connection for worker in busy])
             for worker in (worker for worker in busy if worker.connection in ready):
                 number = worker.chunk
@@ -87,30 +84,26 @@ class _Pool:
                     losses[number] += 1
                     worker.connection.close()
                     worker.process.join()
-                    self._workers.remove(worker)
-                    self._start_worker()
-                    worker = self._workers[-1]
+                    crew.remove(worker)
+                    worker = start()
                     if losses[number] < TRIES:
                         waiting.append(number)
                     else:
-                        done = self._work.lost(number, f"{TRIES} workers were lost with its chunk; look for memory")
+                        done = work.lost(number, f"{TRIES} workers were lost with its chunk; look for memory")
                 worker.chunk = None
-                self._order(worker, waiting)
+                worker.order(waiting)
                 if done is not None:
                     yield number, done
 
-    def _order(self, worker: _Worker, waiting: list[int]) -> None:
-        if waiting:
-            worker.chunk = waiting.pop()
-            with suppress(OSError):  # `solve` detects a lost worker
-                worker.connection.send(worker.chunk)
-
-    def end(self) -> None:
-        """Kill the processes."""
-        for worker in self._workers:
+    try:
+        for _ in range(workers):
+            start()
+        yield solve
+    finally:
+        for worker in crew:
             worker.connection.close()
             worker.process.kill()
-        for worker in self._workers:
+        for worker in crew:
             worker.process.join()
 
 

@@ -252,7 +252,7 @@ ORDER_LOSS = 0.3
 """An order is worse if it fell by more than this value."""
 MORE_ITERATIONS, MORE_LINES = 1.1, 1.1
 """Iterations and lines are worse if they grew by more than these factors; one more iteration is accepted."""
-_LOAD = "load of the machine when the page was module"
+_LOAD = "load of the machine when the page was made"
 
 
 @dataclass(frozen=True)

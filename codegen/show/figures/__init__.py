@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from codegen.drawing import Scene
 from codegen.show.figures.control import Drawings, control_figure
@@ -30,7 +32,6 @@ __all__ = [
     "figure_of_sweep",
     "label",
     "pareto_figure",
-    "save",
     "save_specimens",
     "save_sweep",
     "simulation_figure",
@@ -46,7 +47,7 @@ def figure(
     unit: str = "",
     style: str = "page",
 ) -> Figure:
-    """Draw a module's result in a style; `unit` is that of the time if the result has none.
+    """Draw a module's result in a style; `unit` is the unit of the time if the result has none.
 
     Raises ArgumentError for an unknown style.
     """
@@ -58,13 +59,6 @@ def figure(
             return finished(control_figure(module, result, drawings, unit))
         assert not isinstance(drawings, Drawings)
         return finished(simulation_figure(result, drawings, unit))
-
-
-def save(
-    module: GeneratedModule, result: Result, path: Path, drawings: Drawings | Scene | None = None, unit: str = ""
-) -> None:
-    """Draw a module's result into a file of a format of matplotlib; `unit` is that of the time."""
-    write(figure(module, result, drawings, unit), path)
 
 
 def save_sweep(data: Dataset, path: Path, pareto: str | None = None, style: str = "page") -> None:
@@ -85,7 +79,7 @@ def figure_of_sweep(data: Dataset, pareto: str | None = None, style: str = "page
         return finished(pareto_figure(data, objectives))
 
 
-def save_specimens(points: Any, names: Sequence[str], share: float, path: Path) -> None:
+def save_specimens(points: NDArray[np.float64], names: Sequence[str], share: float, path: Path) -> None:
     """Draw specimens in two dimensions into a file of a format of matplotlib."""
     with using("page"):
         drawn = specimen_figure(points, names, share)

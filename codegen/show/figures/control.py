@@ -6,31 +6,33 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
-from codegen.show.figures.labels import Units, label, quantity, title
+from codegen.show.figures.labels import in_unit, label, quantity, title
 from codegen.show.figures.picture import (
     AMBER,
     BLUE,
     DARK,
     GREY,
     MOST_BODY_COLOURS,
+    Look,
     body_colours,
     body_map,
     letter_size,
     new_figure,
     present_style,
 )
-from codegen.show.figures.quantities import Inequality, Quantity, inequalities_of_segments, quantities_of_segments
+from codegen.show.figures.quantities import Quantity, inequalities_of_segments, quantities_of_segments
 from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solving.results.estimates import Fit
 from codegen.solving.results.result import Result, Sensitivities
@@ -45,7 +47,7 @@ MOST = 8
 def changes(sensitivities: Sensitivities, values: Mapping[str, Vector]) -> dict[str, float]:
     """Return the first-order changes of the cost as each quantity grows by one percent, the largest first.
 
-    `values` (bodies,) are those of quantities. Quantities that are zero or differ among bodies are left out.
+    `values` (bodies,) are the values of quantities. Quantities that are zero or differ among bodies are left out.
     """
     if sensitivities.reason:
         return {}
@@ -56,7 +58,7 @@ def changes(sensitivities: Sensitivities, values: Mapping[str, Vector]) -> dict[
     return dict(sorted(nonzero.items(), key=lambda pair: -abs(pair[1])))
 
 
-def tornado(axes: Any, shown: Mapping[str, float]) -> None:
+def tornado(axes: Axes, shown: Mapping[str, float]) -> None:
     """Draw bars of the changes of the cost as quantities grow and shrink by one percent."""
     names = list(shown)[:MOST]
     places = np.arange(len(names))
@@ -78,7 +80,7 @@ def tornado(axes: Any, shown: Mapping[str, float]) -> None:
     )  # fmt: skip
 
 
-_POINTS: dict[str, Any] = {
+_POINTS: Look = {
     "linestyle": "none", "marker": "o", "markersize": 3.2, "markerfacecolor": "none", "zorder": 3,
 }  # fmt: skip
 
@@ -125,14 +127,14 @@ def bands(module: ControlModule, result: Result) -> dict[str, Matrix]:
     return {name: estimates.quantile * nodes[:, :, i].T for i, name in enumerate(names)}
 
 
-def points(axes: Any, shown: Measured, count: int) -> None:
+def points(axes: Axes, shown: Measured, count: int) -> None:
     """Draw measurements as points; `count` is the number of bodies."""
     for body, colour in enumerate(body_colours(count, DARK)):
         own = shown.bodies == body
         axes.plot(shown.t[own], shown.values[own], color=colour, **_POINTS)
 
 
-def fit(axes: Any, shown: Measured, count: int) -> None:
+def fit(axes: Axes, shown: Measured, count: int) -> None:
     """Draw measurements as points, and the values of the motion at these times."""
     for body, colour in enumerate(body_colours(count, BLUE)):
         own = shown.bodies == body
@@ -141,7 +143,7 @@ def fit(axes: Any, shown: Measured, count: int) -> None:
     axes.set_ylabel(label(shown.name))
 
 
-def residuals(axes: Any, shown: Measured, count: int) -> None:
+def residuals(axes: Axes, shown: Measured, count: int) -> None:
     """Draw the motion less the measurements over time."""
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     for body, colour in enumerate(body_colours(count, BLUE)):
@@ -166,7 +168,7 @@ class Panel:
     """A panel: its kind, the function that draws it, and True if its abscissa is the time."""
 
     kind: str
-    draw: Callable[[Any], None]
+    draw: Callable[[Axes], None]
     over_time: bool = True
 
 
@@ -193,10 +195,10 @@ class Drawings:
 
 
 def control_figure(module: ControlModule, result: Result, drawings: Drawings | None = None, unit: str = "") -> Figure:
-    """Draw an optimum on one page; `unit` is that of the time.
+    """Draw an optimum on one page; `unit` is the unit of the time.
 
     There is a row for every state, with its momentum and multiplier. Controls, path inequalities and the iterations
-    follow. They stand beside the drawing of a single body if there is room. The drawing of several bodies shows the
+    follow, to the right of the drawing of a single body if there is room. The drawing of several bodies shows the
     initial guess and the optimum.
     """
     groups, conditions = quantities_of_segments(module, result), inequalities_of_segments(module, result)
@@ -205,7 +207,19 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
         groups["multiplier"] = []
     samples, bodies = measured(module, result), int(module.metadata.bodies)
     states = _state_rows(groups, samples, bands(module, result) if samples else {})
-    others = [*_others(groups["control"], conditions, result), *_of_measurements(groups["state"], samples, bodies)]
+    others = [_panel(control) for control in groups["control"][:_MOST_ROWS]]
+    if len(conditions) > _MOST_INEQUALITIES:
+        others.append(Panel("", partial(panels.strip, shown=conditions)))
+    else:
+        others += [Panel("", partial(panels.inequality, shown=one)) for one in conditions]
+    if result.grid is not None:
+        others.append(Panel("", partial(panels.lengths, t=result.t)))
+    if result.log is not None and len(result.log) > 1 and style.has_details:
+        others.append(Panel("", partial(panels.iterations, log=result.log), over_time=False))
+    # Measured expressions that are no states, and the residuals of all measurements.
+    names, drawn = [state.name for state in groups["state"]], samples[:_MOST_ROWS]
+    others += [Panel("", partial(fit, shown=one, count=bodies)) for one in drawn if one.expression not in names]
+    others += [Panel("errors", partial(residuals, shown=one, count=bodies)) for one in drawn]
     if result.sensitivity is not None and (bars := changes(result.sensitivity, quantity_values(module, result))):
         others.append(Panel("", lambda axes: tornado(axes, bars), over_time=False))
     others.sort(key=lambda panel: not panel.over_time)
@@ -218,23 +232,26 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     height = max(1.2, 2.1 - 0.09 * count) * count + 0.6
     size = width, 0.9 + height + (0.0 if style.is_slide else band_height)
     figure = new_figure(*size, ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05))
-    upper: Any = None
-    lower: Any = figure
-    if drawings is not None and style.is_slide:
-        upper, lower = cast("Any", figure.subfigures(1, 2, width_ratios=[0.45, 0.55]))
-    elif drawings is not None:
-        upper, lower = cast("Any", figure.subfigures(2, 1, height_ratios=[band_height, height]))
+    upper: FigureBase = figure
+    lower: FigureBase = figure
+    if drawings is not None:
+        split = (
+            figure.subfigures(1, 2, width_ratios=[0.45, 0.55])
+            if style.is_slide
+            else figure.subfigures(2, 1, height_ratios=[band_height, height])
+        )
+        upper, lower = cast("tuple[SubFigure, SubFigure]", split)
     metadata = module.metadata
     inner_name = ("waypoint" if metadata.waypoints else "inner time") if metadata.inner_times else ""
     inner = result.t[list(time_grid(module, result.steps, result.grid).inner)] if inner_name else ()
     switches = result.t[result.steps : -1 : result.steps]
     time = Time(
-        Units.of(result, unit).time, float(result.t[0]), float(result.t[-1]), tuple(map(float, switches)),
-        tuple(map(float, inner)),
+        in_unit("time", result.units.get("t", unit)), float(result.t[0]), float(result.t[-1]),
+        tuple(map(float, switches)), tuple(map(float, inner)),
     )  # fmt: skip
     outcome = "optimum" if result.solved else "last iterate"
     if drawings is not None and beside:
-        left, right = upper.subfigures(1, 2, width_ratios=[part, 1.0 - part])
+        left, right = cast("tuple[SubFigure, SubFigure]", upper.subfigures(1, 2, width_ratios=[part, 1.0 - part]))
         _draw(left, drawings, outcome)
         _fill(right, [_in_rows(others, max(columns, 1))], time)
     elif drawings is not None:
@@ -288,7 +305,7 @@ def _state_panel(shown: Quantity, samples: Sequence[Measured], bands: Mapping[st
     """Return the panel of a state with its measurements and its confidence band."""
     own = [sample for sample in samples if sample.expression == shown.name]
 
-    def draw(axes: Any) -> None:
+    def draw(axes: Axes) -> None:
         panels.quantity(axes, shown)
         if shown.name in bands:
             count, half = shown.values.shape[1], bands[shown.name]
@@ -301,38 +318,17 @@ def _state_panel(shown: Quantity, samples: Sequence[Measured], bands: Mapping[st
     return Panel(_TITLES[shown.kind], draw)
 
 
-def _of_measurements(states: Sequence[Quantity], samples: Sequence[Measured], bodies: int) -> list[Panel]:
-    """Return panels of measured expressions that are no states, and of the residuals of all measurements."""
-    shown, names = samples[:_MOST_ROWS], [state.name for state in states]
-    fits = [partial(fit, shown=one, count=bodies) for one in shown if one.expression not in names]
-    errors = [partial(residuals, shown=one, count=bodies) for one in shown]
-    return [*(Panel("", draw) for draw in fits), *(Panel("errors", draw) for draw in errors)]
-
-
-def _others(controls: Sequence[Quantity], conditions: Sequence[Inequality], result: Result) -> list[Panel]:
-    """Return panels of controls, path inequalities, the grid and the iterations."""
-    others = [_panel(control) for control in controls[:_MOST_ROWS]]
-    if len(conditions) > _MOST_INEQUALITIES:
-        others.append(Panel("", partial(panels.strip, shown=conditions)))
-    else:
-        others += [Panel("", partial(panels.inequality, shown=one)) for one in conditions]
-    if result.grid is not None:
-        others.append(Panel("", partial(panels.lengths, t=result.t)))
-    if result.log is not None and len(result.log) > 1 and present_style().has_details:
-        others.append(Panel("", partial(panels.iterations, log=result.log), over_time=False))
-    return others
-
-
 def _in_rows(others: Sequence[Panel], columns: int) -> list[Row]:
     padded: Row = [*others, *[None] * (-len(others) % columns)]
     return [padded[first : first + columns] for first in range(0, len(padded), columns)]
 
 
-def _fill(figure: Any, blocks: Sequence[Sequence[Row]], time: Time) -> list[Any]:
+def _fill(figure: FigureBase, blocks: Sequence[Sequence[Row]], time: Time) -> list[Axes]:
     """Draw blocks of rows below each other; a title marks a change of kind, the time stands below each block."""
     rows = [row for block in blocks for row in block]
     grid = figure.add_gridspec(len(rows), len(rows[0]))
-    all_axes, first = [], 0
+    all_axes: list[Axes] = []
+    first = 0
     for block in blocks:
         for i, row in enumerate(block):
             for j, panel in enumerate(row):
@@ -353,8 +349,10 @@ def _fill(figure: Any, blocks: Sequence[Sequence[Row]], time: Time) -> list[Any]
                         time.start - 0.02 * (time.end - time.start), time.end + 0.02 * (time.end - time.start)
                     )
                     axes.tick_params(labelbottom=ends)
-                    panels.switches(axes, time.switches)
-                    panels.inner_times(axes, time.inner)
+                    for t in time.switches:
+                        axes.axvline(t, **panels.SWITCH)
+                    for t in time.inner:
+                        axes.axvline(t, **panels.INNER)
                 all_axes.append(axes)
         first += len(block)
     return all_axes
@@ -375,8 +373,8 @@ def _drawing_size(drawings: Drawings | None, width: float) -> tuple[float, float
     return height + 0.8, min(0.66, max(0.4 * WIDTH / width, (height / ratio + 0.6) / width))
 
 
-def _draw(figure: Any, drawings: Drawings, outcome: str) -> None:
-    """Draw the scene; of several bodies the initial guess beside the solution."""
+def _draw(figure: FigureBase, drawings: Drawings, outcome: str) -> None:
+    """Draw the scene; of several bodies the initial guess and the solution."""
     if shapes.bodies_of(drawings.solution) == 1:
         axes = figure.add_subplot()
         shapes.course(axes, drawings.solution, shapes.extent([drawings.solution]))

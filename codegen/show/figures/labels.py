@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen import identifiers
-from codegen.show.figures.picture import has_title, letter_size, letters_across
+from codegen.show.figures.picture import STYLES, letter_size, present_style
 from codegen.solving.results.result import Result
 
 if TYPE_CHECKING:
@@ -56,8 +55,9 @@ def set_title(figure: Figure, name: str, details: Sequence[str], is_needed: bool
     """Set the label, which descriptions contain, and the wrapped title, if the style has one or it `is_needed`."""
     texts = name.rstrip("."), ", ".join(details)
     figure.set_label(". ".join(texts))
-    if has_title() or is_needed:
-        letters = letters_across(figure)
+    if present_style().has_title or is_needed:
+        # The number of letters that fit side by side.
+        letters = int(10.0 * figure.get_figwidth() * STYLES["page"].letters / present_style().letters)
         lines = (line for text in texts for line in textwrap.wrap(text, letters))
         figure.suptitle("\n".join(lines), fontsize=letter_size(11))
 
@@ -70,7 +70,7 @@ def quantity(name: str, data: Dataset | None = None) -> str:
     end, dot, own = name.partition(".")
     text = f"{label(own)} at the {end}" if dot else label(name)
     unit = json.loads(data.attrs.get("units", "{}")).get(own or name, "") if data is not None else ""
-    return f"{text} ({unit})" if unit else text
+    return in_unit(text, unit)
 
 
 def statuses(data: Dataset) -> NDArray[np.str_]:
@@ -90,27 +90,6 @@ def heading(figure: Figure, data: Dataset, where: str = "") -> None:
     set_title(figure, str(own["title"]), details, is_needed=failed > 0)
 
 
-@dataclass(frozen=True)
-class Units:
-    """Units by names of quantities, as texts; `t` is the time, `energy` the energy. Missing names have no unit."""
-
-    by_name: Mapping[str, str]
-
-    @classmethod
-    def of(cls, result: Result, time: str = "") -> Units:
-        """Return the units of a result; `time` is the unit of the time if the result has none."""
-        return cls({**({"t": time} if time else {}), **result.units})
-
-    @property
-    def time(self) -> str:
-        """Label of an axis of time."""
-        return self.named("time", "t")
-
-    def label(self, name: str) -> str:
-        """Return the label of an axis of a quantity."""
-        return self.named(label(name), name)
-
-    def named(self, text: str, name: str) -> str:
-        """Return a text for a quantity, with its unit."""
-        unit = self.by_name.get(name, "")
-        return f"{text} ({unit})" if unit else text
+def in_unit(text: str, unit: str) -> str:
+    """Return the label of an axis with the unit, if it is known."""
+    return f"{text} ({unit})" if unit else text

@@ -6,11 +6,26 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
-from codegen.show.figures.labels import label, relation
-from codegen.show.figures.picture import AMBER, BLUE, DARK, FORBIDDEN, GREEN, GREY, PINK, RED, body_colours, letter_size
+from codegen.show.figures.labels import in_unit, label, relation
+from codegen.show.figures.picture import (
+    AMBER,
+    BLUE,
+    DARK,
+    FORBIDDEN,
+    GREEN,
+    GREY,
+    PINK,
+    RED,
+    Look,
+    body_colours,
+    letter_size,
+)
 from codegen.show.figures.quantities import Inequality, Quantity
 from codegen.solving.loading import Matrix, Vector
 
@@ -19,14 +34,16 @@ KINDS = {"state": BLUE, "momentum": GREEN, "multiplier": PINK, "control": RED}
 
 _DOTTED = (0, (1, 1.5))
 _DASHED = (0, (5, 3))
-_ACTIVE: dict[str, Any] = {"color": AMBER, "linewidth": 5.5, "alpha": 0.75, "zorder": 1.5}
-_GUESS: dict[str, Any] = {"color": GREY, "linestyle": _DOTTED, "linewidth": 1.3, "zorder": 1.9}
-_SWITCH: dict[str, Any] = {"color": GREY, "linewidth": 0.7, "alpha": 0.6, "zorder": 1.1}
-_INNER: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 1.1}
-_BOUND: dict[str, Any] = {"color": GREY, "linestyle": _DASHED, "linewidth": 1.0, "zorder": 1.2}
+_ACTIVE: Look = {"color": AMBER, "linewidth": 5.5, "alpha": 0.75, "zorder": 1.5}
+_GUESS: Look = {"color": GREY, "linestyle": _DOTTED, "linewidth": 1.3, "zorder": 1.9}
+_BOUND: Look = {"color": GREY, "linestyle": _DASHED, "linewidth": 1.0, "zorder": 1.2}
+SWITCH: Look = {"color": GREY, "linewidth": 0.7, "alpha": 0.6, "zorder": 1.1}
+"""Lines at the switches of phases."""
+INNER: Look = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 1.1}
+"""Lines at the times of point constraints."""
 
 
-def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None:
+def quantity(axes: Axes, shown: Quantity, second: Quantity | None = None) -> None:
     """Draw a quantity of every body over time, with its bounds and, for a single body, its initial guess.
 
     A `second` quantity is drawn dashed in the same panel.
@@ -46,7 +63,7 @@ def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None
             axes.plot(shown.t[[0, -1]], values[[0, -1]], "o", color=colour, markersize=3.5)
     _highlight(axes, shown.t, shown.values, shown.active())
     name = label(shown.name) if second is None else f"{label(shown.name)}, {label(second.name)}"
-    axes.set_ylabel(f"{name} ({shown.unit})" if shown.unit else name)
+    axes.set_ylabel(in_unit(name, shown.unit))
     drawn = shown.values if second is None else np.vstack([shown.values, second.values])
     if shown.kind == "momentum" and single:
         say_if_conserved(axes, drawn)
@@ -55,7 +72,7 @@ def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None
     _bounds(axes, shown)
 
 
-def inequality(axes: Any, shown: Inequality) -> None:
+def inequality(axes: Axes, shown: Inequality) -> None:
     """Draw the distance of a path inequality from equality over time; negative values are forbidden."""
     single = shown.distance.shape[1] == 1
     for values, colour in zip(shown.distance.T, body_colours(shown.distance.shape[1], BLUE), strict=True):
@@ -70,7 +87,7 @@ def inequality(axes: Any, shown: Inequality) -> None:
     axes.axhspan(axes.get_ylim()[0], 0.0, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
 
 
-def strip(axes: Any, shown: Sequence[Inequality]) -> None:
+def strip(axes: Axes, shown: Sequence[Inequality]) -> None:
     """Draw the times at which many path inequalities are active, for any body."""
     for row, one in enumerate(shown):
         where = one.active().any(axis=1)
@@ -80,17 +97,17 @@ def strip(axes: Any, shown: Sequence[Inequality]) -> None:
     axes.set_title("path inequalities that are active", loc="left", fontsize=letter_size(8.5))
 
 
-def iterations(axes: Any, log: Matrix) -> None:
+def iterations(axes: Axes, log: Matrix) -> None:
     """Draw the errors of the iterates, and the barrier parameter, if there is one."""
     numbers = np.arange(len(log))
-    columns: list[tuple[str, int, str, Any]] = [("residual", 1, BLUE, "-"), ("stationarity", 2, RED, "-")]
-    columns += [("barrier", 5, GREY, _DOTTED)] if log.shape[1] > 5 else []
-    for name, column, colour, dashes in columns:
+    columns: list[tuple[str, int, Look]] = [("residual", 1, {"color": BLUE}), ("stationarity", 2, {"color": RED})]
+    columns += [("barrier", 5, {"color": GREY, "linestyle": _DOTTED})] if log.shape[1] > 5 else []
+    for name, column, look in columns:
         values = np.where((log[:, column] > 0.0) & np.isfinite(log[:, column]), log[:, column], np.nan)
-        axes.semilogy(numbers, values, color=colour, linestyle=dashes, marker=".", markersize=4, label=name)
+        axes.semilogy(numbers, values, marker=".", markersize=4, label=name, **look)
     axes.set_xlabel("iteration")
     axes.set_ylabel("max-norm")
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
     axes.legend(  # above the panel, where no curve can be
         loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, fontsize=letter_size(8), columnspacing=1.0,
         handlelength=1.5,
@@ -103,7 +120,7 @@ def handles(
     outcome: str,
     phases: int = 1,
     inner_times: str = "",
-) -> list[Any]:
+) -> list[Artist]:
     """Return the entries of the figure's legend; `outcome` names the curves of a single body.
 
     `inner_times` names the times of point constraints, if there are any.
@@ -112,7 +129,7 @@ def handles(
     bounded = any(np.isfinite(q.lower).any() or np.isfinite(q.upper).any() for q in quantities) or bool(inequalities)
     limited: list[Quantity | Inequality] = [*quantities, *inequalities]
     active = "active or violated" if any(one.is_violated() for one in limited) else "active"
-    out: list[Any] = []
+    out: list[Artist] = []
     if bodies == 1 and any(q.guess is not None for q in quantities):
         out += [Line2D([], [], label=outcome, color=DARK), Line2D([], [], label="initial guess", **_GUESS)]
     elif 1 < bodies <= 7:
@@ -120,12 +137,12 @@ def handles(
         out += [Line2D([], [], color=colours[i], label=f"body {i}") for i in range(bodies)]
     if bounded:
         out += [Line2D([], [], label="bound", **_BOUND), Patch(color=FORBIDDEN, label="forbidden")]
-    out += [Line2D([], [], label="next phase", **_SWITCH)] if phases > 1 else []
-    out += [Line2D([], [], label=inner_times, **_INNER)] if inner_times else []
+    out += [Line2D([], [], label="next phase", **SWITCH)] if phases > 1 else []
+    out += [Line2D([], [], label=inner_times, **INNER)] if inner_times else []
     return out + ([Line2D([], [], label=active, **_ACTIVE)] if any(one.active().any() for one in limited) else [])
 
 
-def _line(axes: Any, shown: Quantity, values: Vector, **style: Any) -> None:
+def _line(axes: Axes, shown: Quantity, values: Vector, **style: Any) -> None:
     """Draw a polygon through the nodes with gaps at jumps, or a step for every interval."""
     if shown.on_intervals:
         axes.stairs(values, shown.t, baseline=None, **style)
@@ -135,19 +152,7 @@ def _line(axes: Any, shown: Quantity, values: Vector, **style: Any) -> None:
         axes.plot(t, part, **style)
 
 
-def switches(axes: Any, times: Sequence[float]) -> None:
-    """Mark the switches of phases."""
-    for t in times:
-        axes.axvline(t, **_SWITCH)
-
-
-def inner_times(axes: Any, times: Sequence[float]) -> None:
-    """Mark the times of point constraints."""
-    for t in times:
-        axes.axvline(t, **_INNER)
-
-
-def _highlight(axes: Any, t: Vector, values: Matrix, where: np.ndarray) -> None:
+def _highlight(axes: Axes, t: Vector, values: Matrix, where: np.ndarray) -> None:
     """Draw a broad line behind the parts of curves that lie on a limit."""
     for column, active in zip(values.T, where.T, strict=True):
         if not active.any():
@@ -160,7 +165,7 @@ def _highlight(axes: Any, t: Vector, values: Matrix, where: np.ndarray) -> None:
             axes.hlines(column[active], t[:-1][active], t[1:][active], **_ACTIVE)
 
 
-def _bounds(axes: Any, shown: Quantity) -> None:
+def _bounds(axes: Axes, shown: Quantity) -> None:
     """Draw bounds near the curves as dashed lines with a shaded side; name distant bounds above the panel."""
     finite = shown.values[np.isfinite(shown.values)]
     if finite.size == 0:
@@ -174,7 +179,14 @@ def _bounds(axes: Any, shown: Quantity) -> None:
                 edge = low if side < 0 else high
                 if side * (bound - edge) > -0.04 * (high - low):
                     low, high = (bound - 0.08 * (high - low), high) if side < 0 else (low, bound + 0.08 * (high - low))
-                _draw_bound(axes, shown.t, bounds, float(bound))
+                if bounds.ndim == 1:
+                    axes.axhline(float(bound), **_BOUND)
+                    continue
+                # A dashed line where some body has this bound.
+                where = (_on_intervals(bounds, shown.t) == bound).any(axis=1)
+                changes = np.flatnonzero(np.diff(where, prepend=False, append=False))
+                level = np.full(changes.size // 2, float(bound))
+                axes.hlines(level, shown.t[changes[::2]], shown.t[changes[1::2]], **_BOUND)
             else:
                 far.append(f"{sign} {bound:.4g}")
     axes.set_ylim(low, high)
@@ -193,22 +205,12 @@ def _bounds(axes: Any, shown: Quantity) -> None:
         axes.set_title(f"out of view: {', '.join(far[:2])}", loc="right", fontsize=letter_size(7.5), color=GREY)
 
 
-def _draw_bound(axes: Any, t: Vector, bounds: Vector | Matrix, bound: float) -> None:
-    """Draw a dashed line where some body has this bound."""
-    if bounds.ndim == 1:
-        axes.axhline(bound, **_BOUND)
-        return
-    where = (_on_intervals(bounds, t) == bound).any(axis=1)
-    changes = np.flatnonzero(np.diff(where, prepend=False, append=False))
-    axes.hlines(np.full(changes.size // 2, bound), t[changes[::2]], t[changes[1::2]], **_BOUND)
-
-
 def _on_intervals(bounds: Matrix, t: Vector) -> Matrix:
-    """Return bounds on intervals; the bounds of a node are those of the interval before."""
+    """Return bounds on intervals; a node has the bounds of the interval before."""
     return bounds[1:] if len(bounds) == t.size else bounds
 
 
-def widen_if_flat(axes: Any, values: np.ndarray) -> bool:
+def widen_if_flat(axes: Axes, values: np.ndarray) -> bool:
     """Widen the axis of a constant, so that rounding errors are not magnified; return True for a constant."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
@@ -220,7 +222,7 @@ def widen_if_flat(axes: Any, values: np.ndarray) -> bool:
     return is_flat
 
 
-def say_if_conserved(axes: Any, momenta: np.ndarray) -> None:
+def say_if_conserved(axes: Axes, momenta: np.ndarray) -> None:
     """Write above the panel of a conserved momentum to what accuracy it is conserved."""
     if widen_if_flat(axes, momenta) and np.isfinite(momenta).all():
         axes.set_title(conserved_to(float(np.ptp(momenta))), loc="right")
@@ -231,7 +233,7 @@ def conserved_to(spread: float) -> str:
     return f"conserved to {spread:.0e}" if spread > 0.0 else "conserved exactly"
 
 
-def lengths(axes: Any, t: Vector) -> None:
+def lengths(axes: Axes, t: Vector) -> None:
     """Draw the lengths of the intervals of a time grid."""
     axes.step(t, np.append(np.diff(t), t[-1] - t[-2]), where="post", color=DARK, linewidth=1.0)
     axes.set_yscale("log")

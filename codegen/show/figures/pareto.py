@@ -10,7 +10,7 @@ import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
 from codegen.show.figures.labels import heading, label, quantity, statuses
-from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, body_map, new_figure
+from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, Look, body_map, new_figure
+from codegen.show.figures.sweep import is_wide
 
 if TYPE_CHECKING:
-    from xarray import Dataset
+    from xarray import DataArray, Dataset
 
 
 Numbers = NDArray[np.float64]
@@ -119,7 +120,7 @@ def _known(data: Dataset) -> dict[str, Callable[[], Numbers]]:
     return known
 
 
-def _reduced(array: Any, rows: str, word: str) -> Numbers:
+def _reduced(array: DataArray, rows: str, word: str) -> Numbers:
     """Return the number of each trajectory that a word names; controls at stages count by their means."""
     if "stage" in array.dims:
         array = array.mean("stage")
@@ -129,18 +130,16 @@ def _reduced(array: Any, rows: str, word: str) -> Numbers:
     return np.asarray(reduced.values, dtype=float)
 
 
-def _last(array: Any) -> Numbers:
+def _last(array: DataArray) -> Numbers:
     """Return the last finite values: arrays of fewer steps end in NaN."""
     values = np.asarray(array.values, dtype=float)
     number = np.maximum(1, np.isfinite(values).sum(axis=-1)) - 1
     return np.asarray(np.take_along_axis(values, number[..., None], axis=-1)[..., 0])
 
 
-_WIDE = 100.0
-"""Ratio of positive values above which their axis is logarithmic."""
 _EDGE = 0.02
 """Relative distance of failed cases from the edge of the panel."""
-_FAILED: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5.5, "zorder": 3.0}
+_FAILED: Look = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5.5, "zorder": 3.0}
 _WORDS = {"start": "at the start", "end": "at the end", "max": "at its largest", "min": "at its smallest"}
 
 
@@ -166,7 +165,15 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
     )  # fmt: skip
     front = front[np.argsort(one[front], kind="stable")]
     axes.plot(one[front], other[front], "-", color=DARK, linewidth=1.0, zorder=2.2)
-    name = _first_varied(data, objectives)
+    # The first numeric quantity that varies among cases and is no objective.
+    chosen = {objective.name for objective in objectives}
+    numeric = (
+        (str(name), coordinate)
+        for name, coordinate in data.coords.items()
+        if coordinate.dims and coordinate.dims[0] in data["status"].dims and coordinate.dtype.kind in "fiub"
+    )
+    varying = (name for name, own in numeric if name not in chosen and own.size > 1 and np.ptp(own.values) > 0.0)
+    name = next(varying, None)
     if name is None:
         axes.plot(one[front], other[front], "-o", color=BLUE, markersize=size, linewidth=1.0, zorder=2.5, label="front")
     else:
@@ -177,57 +184,34 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
         axes.scatter(one[front], other[front], s=size**2, c=colours, zorder=2.5, linewidths=0.0)
         figure.colorbar(shades, ax=axes, label=quantity(name), aspect=30).outline.set_visible(False)
     if not solved.all():
-        _failed(axes, one[~solved], other[~solved])
+        # Failed cases at the edge of the axis of a varied objective; their number is in the legend.
+        x, y = one[~solved], other[~solved]
+        has_x, has_y, text = np.isfinite(x).all(), np.isfinite(y).all(), f"{x.size} failed"
+        at_foot, at_side = np.full(x.size, _EDGE), np.full(y.size, _EDGE)
+        if has_x and has_y:
+            axes.plot(x, y, **_FAILED)
+        elif has_x:
+            axes.plot(x, at_foot, **_FAILED, transform=axes.get_xaxis_transform(), clip_on=False)
+        elif has_y:
+            axes.plot(at_side, y, **_FAILED, transform=axes.get_yaxis_transform(), clip_on=False)
+        is_shown = bool(has_x or has_y)
+        look = _FAILED if is_shown else {**_FAILED, "marker": ""}
+        axes.plot([], [], **look, label=text if is_shown else f"{text}: no objectives")
     for objective, values, is_first in ((objectives[0], one, True), (objectives[1], other, False)):
         # The name of the objective with its better direction, and the scale.
-        named = _named(objective.name) + (" (larger is better)" if objective.is_large else "")
-        (axes.set_xlabel if is_first else axes.set_ylabel)(named)
-        shown = values[np.isfinite(values)]
-        if shown.size > 1 and shown.min() > 0.0 and shown.max() > _WIDE * shown.min():
+        word, dot, own = objective.name.partition(".")
+        if word == "d_cost":
+            text = f"derivative of the cost by {quantity(own)}"
+        elif dot:
+            text = f"{label(own)} {_WORDS[word]}"
+        else:
+            text = word if word in ("cost", "duration") else label(word)
+        text += " (larger is better)" if objective.is_large else ""
+        (axes.set_xlabel if is_first else axes.set_ylabel)(text)
+        if is_wide(values):
             (axes.set_xscale if is_first else axes.set_yscale)("log")
     handles, names = axes.get_legend_handles_labels()
     entries = [(handle, name) for handle, name in zip(handles, names) if name != "dominated" or behind.size]
     figure.legend(*zip(*entries), loc="outside lower center", ncols=len(entries))
     heading(figure, data)
     return figure
-
-
-def _first_varied(data: Dataset, objectives: tuple[Objective, Objective]) -> str | None:
-    """Return the first numeric quantity that varies among cases and is no objective."""
-    shown = {objective.name for objective in objectives}
-    for name, coordinate in data.coords.items():
-        along = coordinate.dims and coordinate.dims[0] in data["status"].dims
-        if (
-            along
-            and name not in shown
-            and coordinate.dtype.kind in "fiub"
-            and coordinate.size > 1
-            and np.ptp(coordinate.values) > 0.0
-        ):
-            return str(name)
-    return None
-
-
-def _failed(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    """Draw failed cases at the edge of the axis of a varied objective; their number is in the legend."""
-    has_x, has_y, look = np.isfinite(x).all(), np.isfinite(y).all(), {**_FAILED}
-    at_foot, at_side = np.full(x.size, _EDGE), np.full(y.size, _EDGE)
-    if has_x and has_y:
-        axes.plot(x, y, **look)
-    elif has_x:
-        axes.plot(x, at_foot, **look, transform=axes.get_xaxis_transform(), clip_on=False)
-    elif has_y:
-        axes.plot(at_side, y, **look, transform=axes.get_yaxis_transform(), clip_on=False)
-    is_seen = bool(has_x or has_y)
-    name = f"{x.size} failed" if is_seen else f"{x.size} failed: no objectives"
-    axes.plot([], [], **(look if is_seen else {**look, "marker": ""}), label=name)
-
-
-def _named(name: str) -> str:
-    """Return the label of an objective."""
-    word, dot, own = name.partition(".")
-    if word == "d_cost":
-        return f"derivative of the cost by {quantity(own)}"
-    if dot:
-        return f"{label(own)} {_WORDS[word]}"
-    return name if name in ("cost", "duration") else label(name)

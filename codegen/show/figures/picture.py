@@ -11,19 +11,23 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import LayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import StepPatch
 
 from codegen.errors import ArgumentError
 from codegen.files import replacing
 
-if TYPE_CHECKING:
-    pass
+Look: TypeAlias = dict[str, Any]
+"""Keyword arguments of matplotlib by name, such as a colour and a line width."""
+Colour: TypeAlias = str | tuple[float, float, float, float]
 
 STYLE: dict[Any, Any] = {
     "font.size": 9.5,
@@ -98,7 +102,7 @@ def present_style() -> Style:
     return _used.get()
 
 
-def new_figure(width: float, height: float, layout: Any = "constrained") -> Figure:
+def new_figure(width: float, height: float, layout: LayoutEngine | None = None) -> Figure:
     """Return an empty figure, of a size in inches on a page, scaled to the present style.
 
     A slide is as wide as the style has it, or wider for a high figure, with an aspect ratio of 16:9.
@@ -108,7 +112,7 @@ def new_figure(width: float, height: float, layout: Any = "constrained") -> Figu
     if style.is_slide:
         width = max(width, 16.0 / 9.0 * height)
         height = 9.0 / 16.0 * width
-    return Figure(figsize=(width, height), layout=layout)
+    return Figure(figsize=(width, height), layout=layout or "constrained")
 
 
 def finished(figure: Figure) -> Figure:
@@ -122,19 +126,9 @@ def finished(figure: Figure) -> Figure:
     return figure
 
 
-def has_title() -> bool:
-    """Return True if figures of the style in use have a title."""
-    return _used.get().has_title
-
-
 def letter_size(size: float) -> float:
     """Return a letter size in points on a page, scaled to the present style."""
     return size * _used.get().letters / STYLES["page"].letters
-
-
-def letters_across(figure: Figure) -> int:
-    """Return the number of letters of a title that fit side by side in a figure."""
-    return int(10.0 * figure.get_figwidth() * STYLES["page"].letters / _used.get().letters)
 
 
 _MOST_PANELS = 16
@@ -149,7 +143,7 @@ def words_of(figure: Figure) -> str:
     return ". ".join(part for part in (title, f"Shown: {shown}{more}" if shown else "") if part) + "."
 
 
-def _panel(axes: Any) -> str:
+def _panel(axes: Axes) -> str:
     """Return the quantity of a panel with its range and abscissa; for a drawing its title and legend."""
     name, over = _plain(axes.get_ylabel()), _plain(axes.get_xlabel())
     titles = [_plain(axes.get_title(loc=side)) for side in ("left", "center", "right")]
@@ -169,7 +163,7 @@ def _panel(axes: Any) -> str:
     return " ".join(filter(None, words))
 
 
-def _entries(axes: Any) -> list[str]:
+def _entries(axes: Axes) -> list[str]:
     legend = axes.get_legend() or next(iter(axes.figure.legends), None)
     return [_plain(text.get_text()) for text in legend.get_texts()] if legend is not None else []
 
@@ -190,7 +184,7 @@ _DESCRIPTIONS = {".png": "Description", ".pdf": "Subject", ".svg": "Description"
 def write(figure: Figure, path: Path, style: str = "page") -> None:
     """Write a figure, with a description in words, to a file of a format of matplotlib."""
     kind = path.suffix.lower()
-    metadata: dict[str, Any] = {_DESCRIPTIONS[kind]: words_of(figure)} if kind in _DESCRIPTIONS else {}
+    metadata: dict[str, str | None] = {_DESCRIPTIONS[kind]: words_of(figure)} if kind in _DESCRIPTIONS else {}
     with using(style):
         figure.savefig(path, metadata=metadata | ({"Date": None} if kind == ".svg" else {}))
 
@@ -291,16 +285,16 @@ MOST_BODY_COLOURS = 7
 """Number of bodies with their own colours; more bodies are graded."""
 
 
-def body_colours(bodies: int, single: str) -> list[Any]:
+def body_colours(bodies: int, single: str) -> list[Colour]:
     """Return a colour for every body; a single body has the colour `single`."""
     if bodies == 1:
         return [single]
     if bodies <= MOST_BODY_COLOURS:
-        return [BLUE, GREEN, PINK, AMBER, SKY, DARK, GREY][:bodies]
+        named: list[Colour] = [BLUE, GREEN, PINK, AMBER, SKY, DARK, GREY]
+        return named[:bodies]
     return [body_map()(index / (bodies - 1)) for index in range(bodies)]
 
 
-def body_map() -> Any:
+def body_map() -> Colormap:
     """Return the colour map of many bodies, without its palest end."""
-    whole = matplotlib.colormaps["viridis"]
-    return matplotlib.colors.ListedColormap(whole([0.92 * i / 255 for i in range(256)]))
+    return ListedColormap(matplotlib.colormaps["viridis"]([0.92 * i / 255 for i in range(256)]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -97,8 +96,15 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
     coordinates, form = tuple(metadata.coordinates), metadata.form
     momenta = tuple(metadata.rates) if form == Form.HAMILTONIAN else tuple(f"p_{q}" for q in coordinates)
     momenta = () if form == Form.FIRST_ORDER else momenta
-    lower, upper = _bounds(module, guess)
     assert guess.u is not None
+    # Lower and upper bounds of (q, p, u), infinite without bounds.
+    upper = [np.full_like(table, np.inf) for table in (guess.q, guess.p, guess.u)]
+    lower = [-table for table in upper]
+    if metadata.inequalities:
+        grid = time_grid(module, guess.steps, guess.grid)
+        with np.errstate(all="ignore"):  # durations and momenta of infinite unknowns are not used
+            unpacked = [module.unpack(grid, bounds) for bounds in module.variable_bounds(grid)]
+        lower, upper = (list(own[1:4]) for own in unpacked)
     groups: dict[str, tuple[tuple[str, ...], Matrix, Matrix, int]] = {
         "state": (coordinates, result.q, guess.q, 0),
         "momentum": (momenta, result.p, guess.p, 1),
@@ -140,18 +146,18 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
 def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
     """Return the path inequalities of a result as they were discretised, one for every condition of the author."""
     metadata = module.metadata
-    generated: Any = module  # with names that only some modules have
-    if result.unknowns is None or not hasattr(generated, "SLACKS"):
+    names = vars(module)  # only some modules have slacks
+    if result.unknowns is None or "SLACKS" not in names:
         return []
     grid = time_grid(module, result.steps, result.grid)
-    _, intervals = generated.views(grid, result.unknowns)
-    _, residuals = generated.views(grid, generated.evaluate(grid, result.unknowns).gradient)
+    _, intervals = module.views(grid, result.unknowns)
+    _, residuals = module.views(grid, module.evaluate(grid, result.unknowns).gradient)
     columns: dict[Meaning, list[tuple[Vector, Matrix]]] = {}
     first = len(metadata.node)
     for phase, meanings in enumerate(metadata.slack_meanings):
         rows = slice(phase * result.steps, (phase + 1) * result.steps)
         by_meaning: dict[Meaning, list[tuple[float, Matrix]]] = {}
-        for slack, multiplier in zip(generated.SLACKS - first, generated.SLACK_MULTIPLIERS - first, strict=True):
+        for slack, multiplier in zip(names["SLACKS"] - first, names["SLACK_MULTIPLIERS"] - first, strict=True):
             meaning = meanings.get(metadata.interval[slack])
             if meaning is None or meaning.kind.place != Place.INTERVAL:
                 continue  # a condition of another phase
@@ -172,17 +178,6 @@ def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
             values = np.concatenate([values, np.full_like(others[:1], np.nan), others])
         out.append(Inequality(meaning.subject, t, values, meaning.segment))
     return out
-
-
-def _bounds(module: ControlModule, like: Result) -> tuple[list[Matrix], list[Matrix]]:
-    """Return lower and upper bounds of (q, p, u), infinite without bounds."""
-    if not module.metadata.inequalities:
-        tables = [np.full_like(table, np.inf) for table in (like.q, like.p, like.u)]
-        return [-table for table in tables], tables
-    grid = time_grid(module, like.steps, like.grid)
-    with np.errstate(all="ignore"):  # durations and momenta of infinite unknowns are not used
-        lower, upper = (module.unpack(grid, bounds) for bounds in module.variable_bounds(grid))
-    return [lower[1], lower[2], lower[3]], [upper[1], upper[2], upper[3]]
 
 
 def _finite(table: Matrix) -> Matrix:
@@ -243,9 +238,32 @@ def quantities_of_segments(module: ControlModule, result: Result) -> dict[str, l
     if segments is None or cut is None:
         return quantities(module, result)
     joined: dict[str, list[Quantity]] = {}
+    duration = float(cut.t[-1] - cut.t[0])
+
+    def rows(tables: list[Matrix], is_meeting: bool) -> Matrix:
+        """Return the rows of all segments, which share nodes, but no intervals."""
+        return np.concatenate([table[int(is_meeting and i > 0) :] for i, table in enumerate(tables)])
+
     for kind, group in quantities(module, cut).items():
         names, columns = segments.columns([quantity.name for quantity in group])
-        joined[kind] = [_joined(name, [group[i] for i in own], cut) for name, own in zip(names, columns.T, strict=True)]
+        joined[kind] = []
+        for name, own in zip(names, columns.T, strict=True):
+            parts = [group[i] for i in own]
+            first, guesses = parts[0], [part.guess for part in parts if part.guess is not None]
+            at_nodes = first.t.size == cut.t.size
+            is_meeting = at_nodes and not first.on_intervals
+            joined[kind].append(
+                Quantity(
+                    name,
+                    kind,
+                    rows([part.t + i * duration for i, part in enumerate(parts)], at_nodes),
+                    rows([part.values for part in parts], is_meeting),
+                    first.lower,
+                    first.upper,
+                    rows(guesses, is_meeting) if guesses else None,
+                    unit=cut.units.get(name, ""),
+                )
+            )
     return joined
 
 
@@ -269,24 +287,3 @@ def first_guess_of_segments(module: ControlModule, result: Result) -> Result:
     if result.by_segments is None:
         return first_guess(module, result)
     return put_together(first_guess(module, result.by_segments), module.metadata)
-
-
-def _joined(name: str, parts: list[Quantity], cut: Result) -> Quantity:
-    """Return one quantity for those of its segments, which share nodes, but no intervals."""
-    first, duration = parts[0], float(cut.t[-1] - cut.t[0])
-    at_nodes = first.t.size == cut.t.size
-
-    def rows(tables: list[Matrix], meet: bool) -> Matrix:
-        return np.concatenate([table[int(meet and i > 0) :] for i, table in enumerate(tables)])
-
-    guesses = [part.guess for part in parts if part.guess is not None]
-    return Quantity(
-        name,
-        first.kind,
-        np.concatenate([part.t[int(at_nodes and i > 0) :] + i * duration for i, part in enumerate(parts)]),
-        rows([part.values for part in parts], at_nodes and not first.on_intervals),
-        first.lower,
-        first.upper,
-        rows(guesses, at_nodes and not first.on_intervals) if guesses else None,
-        unit=cut.units.get(name, ""),
-    )

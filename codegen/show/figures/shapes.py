@@ -14,6 +14,8 @@ from typing import Any, TypeAlias
 import matplotlib
 import numpy as np
 from matplotlib import patches
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -22,7 +24,19 @@ from PIL import Image
 
 from codegen.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, SKY, STYLE, body_colours, letter_size, present_style
+from codegen.show.figures.picture import (
+    BLUE,
+    CRIMSON,
+    DARK,
+    GREY,
+    SKY,
+    STYLE,
+    Colour,
+    Look,
+    body_colours,
+    letter_size,
+    present_style,
+)
 
 SHOTS, MANY_SHOTS = 9, 7
 """Number of instants in a picture of one body, and of the arrows of several bodies."""
@@ -60,7 +74,7 @@ def extent(scenes: Sequence[Scene]) -> Extent:
     return left - wide, right + wide, bottom - high, top + high
 
 
-def prepare(axes: Any, room: Extent) -> None:
+def prepare(axes: Axes, room: Extent) -> None:
     """Set equal scales on both axes, and fixed limits."""
     axes.set_xlim(room[0], room[1])
     axes.set_ylim(room[2], room[3])
@@ -70,7 +84,7 @@ def prepare(axes: Any, room: Extent) -> None:
         spine.set_visible(False)
 
 
-def instant(scene: Scene, index: int, room: Extent, *, moving: bool, alpha: float = 1.0) -> Iterator[Any]:
+def instant(scene: Scene, index: int, room: Extent, *, moving: bool, alpha: float = 1.0) -> Iterator[Artist]:
     """Yield the artists of moving or of fixed items at one of the scene's times; trails end there."""
     for item in scene.items:
         if is_moving(item) is moving:
@@ -78,7 +92,7 @@ def instant(scene: Scene, index: int, room: Extent, *, moving: bool, alpha: floa
                 yield from _artists(item, body, index, room, colour, alpha)
 
 
-def course(axes: Any, scene: Scene, room: Extent, instants: int = SHOTS) -> None:
+def course(axes: Axes, scene: Scene, room: Extent, instants: int = SHOTS) -> None:
     """Draw the motion in one picture: trails, and a few instants, the last one in full colour.
 
     Of several bodies only arrows are repeated; black squares mark the ends of trails.
@@ -89,8 +103,16 @@ def course(axes: Any, scene: Scene, room: Extent, instants: int = SHOTS) -> None
     for artist in instant(scene, last, room, moving=False):
         axes.add_artist(artist)
     for item in filter(is_moving, scene.items):
+        if isinstance(item, Trail):
+            own = shots[-1:]
+        elif count > 1 and isinstance(item, Mass):
+            own = shots[:0]  # the ends of its trail are marked
+        elif count > 1 and not isinstance(item, Arrow):
+            own = shots[[0, -1]]
+        else:
+            own = shots
         for body, colour in enumerate(_colours(scene, item)):
-            for shot in _shots(item, count, shots):
+            for shot in own.tolist():
                 alpha = 1.0 if shot == last or count > 1 else _FAINT + 0.3 * shot / last
                 for artist in _artists(item, body, shot, room, colour, alpha):
                     axes.add_artist(artist)
@@ -101,7 +123,7 @@ def course(axes: Any, scene: Scene, room: Extent, instants: int = SHOTS) -> None
     legend(axes, scene, ends=True)
 
 
-def _colours(scene: Scene, item: Item) -> list[Any]:
+def _colours(scene: Scene, item: Item) -> list[Colour]:
     """Return a colour for each body of an item; for a single body the first trail differs from the others."""
     count = bodies_of(scene)
     if not is_moving(item):
@@ -113,20 +135,9 @@ def _colours(scene: Scene, item: Item) -> list[Any]:
     return body_colours(count, single)[: max(len(array) for _, array in item.expressions())]
 
 
-def _shots(item: Item, bodies: int, shots: np.ndarray) -> list[int]:
-    """Return the instants at which an item is shown."""
-    if isinstance(item, Trail):
-        return [int(shots[-1])]
-    if bodies > 1 and isinstance(item, Mass):
-        return []  # the ends of its trail are marked
-    if bodies > 1 and not isinstance(item, Arrow):
-        return [int(shots[0]), int(shots[-1])]
-    return [int(shot) for shot in shots]
-
-
-def legend(axes: Any, scene: Scene, *, ends: bool) -> None:
+def legend(axes: Axes, scene: Scene, *, ends: bool) -> None:
     """Add a legend of labelled items below the axes and, with `ends`, of the marks at the ends of trails."""
-    handles: dict[str, Any] = {}
+    handles: dict[str, Artist] = {}
     for item in scene.items:
         if item.label:
             handles.setdefault(item.label, _handle(item, _colours(scene, item)[0]))
@@ -135,11 +146,11 @@ def legend(axes: Any, scene: Scene, *, ends: bool) -> None:
         handles["end"] = Line2D([], [], color="black", marker="s", markersize=5, linestyle="")
     if handles:
         columns = 3 if present_style().is_slide else 5  # a slide gives less than half of its width to the drawing
-        location = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.06), "ncols": columns, "columnspacing": 1.4}
+        location: Look = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.06), "ncols": columns, "columnspacing": 1.4}
         axes.legend(list(handles.values()), list(handles), fontsize=letter_size(8.5), **location)
 
 
-def _handle(item: Item, colour: Any) -> Any:
+def _handle(item: Item, colour: Colour) -> Artist:
     if isinstance(item, Arrow):
         return Line2D([], [], color=CRIMSON, marker=r"$\rightarrow$", markersize=11, linestyle="")
     if isinstance(item, Circle):
@@ -153,12 +164,13 @@ def _handle(item: Item, colour: Any) -> Any:
     return patches.Patch(facecolor=_PALE, edgecolor=DARK)
 
 
-def _artists(item: Item, body: int, index: int, room: Extent, colour: Any, alpha: float) -> Iterator[Any]:
+def _artists(item: Item, body: int, index: int, room: Extent, colour: Colour, alpha: float) -> Iterator[Artist]:
     """Yield the artists of an item of one body at one time, none if a number is not finite."""
 
     def at(array: np.ndarray) -> float:
         return float(array[min(body, len(array) - 1), min(index, array.shape[1] - 1)])
 
+    style: Look
     if isinstance(item, Trail):
         x, y = (array[min(body, len(array) - 1), : index + 1] for array in item.point)
         yield Line2D(x, y, color=colour, linewidth=1.5, zorder=2)
@@ -258,14 +270,6 @@ def save(scene: Scene, title: str, path: Path, progress: Progress = lambda frame
         write(progress(frames(scene, title), count), count, path)
 
 
-def require_ffmpeg(path: Path) -> str:
-    """Return the path of ffmpeg; raises ArgumentError if it is missing."""
-    program = shutil.which("ffmpeg")
-    if program is None:
-        raise ArgumentError(f"{path} needs the program ffmpeg", "install ffmpeg, or let the file end in .gif")
-    return program
-
-
 def frames(scene: Scene, title: str) -> Iterator[Frame]:
     """Draw a frame for every `FINE`-th time of a scene; fixed items are drawn once."""
     room = extent([scene])
@@ -277,7 +281,7 @@ def frames(scene: Scene, title: str) -> Iterator[Frame]:
     width, height = (2 * round(side * _DPI / 2) / _DPI for side in (width, height))
     figure = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
     canvas: Any = FigureCanvasAgg(figure)
-    axes: Any = figure.add_subplot()
+    axes = figure.add_subplot()
     prepare(axes, room)
     for artist in instant(scene, 0, room, moving=False):
         axes.add_artist(artist)
@@ -318,7 +322,9 @@ def _write_gif(pictures: Iterable[Frame], count: int, path: Path) -> None:
 
 
 def _write_mp4(pictures: Iterable[Frame], count: int, path: Path) -> None:
-    program, remaining = require_ffmpeg(path), iter(pictures)
+    program, remaining = shutil.which("ffmpeg"), iter(pictures)
+    if program is None:
+        raise ArgumentError(f"{path} needs the program ffmpeg", "install ffmpeg, or let the file end in .gif")
     picture = next(remaining)
     height, width, _ = picture.shape
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(RATE), "-i", "-"]

@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, FigureBase, SubFigure
 from matplotlib.patches import Circle
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
-from codegen.show.figures.labels import Units, label, set_title, title
-from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, DARK, GREY, RED, letter_size, new_figure
-from codegen.solving.loading import ConnectModule, Matrix, Vector
+from codegen.show.figures.labels import in_unit, label, set_title, title
+from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, DARK, GREY, RED, Look, letter_size, new_figure
+from codegen.solving.loading import ConnectModule
 from codegen.solving.results.result import Result
 
 _MOST_COORDINATES = 12
@@ -32,18 +33,40 @@ _ROUNDING = 1e-12
 
 
 def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = "") -> Figure:
-    """Draw every coordinate over time with its phase portrait, the drawing, and the energy; `unit` is that of the time.
+    """Draw every coordinate over time with its phase portrait, the drawing, and the energy.
 
-    Without inputs and damping the change of the energy is shown, which is the error of the scheme.
+    `unit` is the unit of the time. Without inputs and damping the change of the energy is shown, which is the error of
+    the scheme.
     """
     assert result.energy is not None, "a simulation has energies"
-    names, units = result.names["q"], Units.of(result, unit)
+    names, units, momenta = result.names["q"], {"t": unit, **result.units}, result.names["p"]
     shown = min(len(names), _MOST_COORDINATES)
     columns = 1 if shown <= _MOST_IN_A_COLUMN else 2
     rows = math.ceil(shown / columns)
     row = max(1.5, 2.7 - 0.35 * rows)
     height = rows * row + _ENERGY
-    figure, curves = _parts(drawing, 10.0 if columns == 1 else 14.0, height)
+    # A wide drawing is above the curves, others at their left.
+    width = 10.0 if columns == 1 else 14.0
+    curves: FigureBase
+    if drawing is None:
+        figure = curves = new_figure(width, height + 0.8)
+    else:
+        room = shapes.extent([drawing])
+        ratio = (room[3] - room[2]) / (room[1] - room[0])
+        if ratio < 0.5:
+            band = min(2.0, max(0.9, ratio * (width - 0.6))) + 0.4
+            figure = new_figure(width, height + band + 0.8)
+            split = figure.subfigures(2, 1, height_ratios=[band, height])
+        else:
+            high = max(height, 4.5)
+            left = min(0.5 * width, max(0.25 * width, high / ratio))
+            figure = new_figure(width + left, high + 0.8)
+            split = figure.subfigures(1, 2, width_ratios=[left, width])
+        part, curves = cast("tuple[SubFigure, SubFigure]", split)
+        # More instants of a fast oscillation would suggest a slow one.
+        axes = part.add_subplot()
+        shapes.course(axes, drawing, room, instants=2)
+        axes.set_anchor("C")
     grid = curves.add_gridspec(rows + 1, 3 * columns, height_ratios=[row] * rows + [_ENERGY])
     stride = max(1, -(-result.t.size // _MOST_POINTS))
     for i in range(shown):
@@ -54,67 +77,40 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
         axes.plot(t[0], q[0], "o", color=AMBER, markersize=5, label="start")
         axes.margins(x=0.01)
         panels.widen_if_flat(axes, q)
-        axes.set_ylabel(units.label(names[i]))
+        axes.set_ylabel(in_unit(label(names[i]), units.get(names[i], "")))
         if i == 0:  # the legend stands above the panel, where no curve can be
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), handletextpad=0.1, borderaxespad=0.0)
         is_lowest = line == rows - 1 or i == shown - 1
-        axes.set_xlabel(units.time if is_lowest else "")
+        axes.set_xlabel(in_unit("time", units["t"]) if is_lowest else "")
         axes.tick_params(labelbottom=is_lowest)
         portrait = curves.add_subplot(grid[line, 3 * column + 2])
         portrait.plot(q, p, color=BLUE, linewidth=0.8 if q.size <= 2000 else 0.5, alpha=0.6)
         if q.size <= _MOST_DOTS:
             portrait.plot(q, p, ".", color=BLUE, markersize=2.5)
         portrait.plot(q[0], p[0], "o", color=AMBER, markersize=5)
-        portrait.set_xlabel(units.label(names[i]))
-        portrait.set_ylabel(units.label(result.names["p"][i]))
+        portrait.set_xlabel(in_unit(label(names[i]), units.get(names[i], "")))
+        portrait.set_ylabel(in_unit(label(momenta[i]), units.get(momenta[i], "")))
         portrait.margins(0.08)
         panels.say_if_conserved(portrait, p)
-    _energy(curves.add_subplot(grid[rows, :]), result, stride, units)
-    more = len(names) - shown
-    title(figure, result, [f"{more} further coordinates not shown"] if more > 0 else [])
-    if drawing is not None:
-        figure.draw_without_rendering()  # axes of equal scales need a second pass of the layout
-    return figure
-
-
-def _parts(drawing: Scene | None, width: float, height: float) -> tuple[Figure, Any]:
-    """Return the figure and its part for curves; a wide drawing is above the curves, others at their left."""
-    if drawing is None:
-        figure = new_figure(width, height + 0.8)
-        return figure, figure
-    room = shapes.extent([drawing])
-    ratio = (room[3] - room[2]) / (room[1] - room[0])
-    if ratio < 0.5:
-        band = min(2.0, max(0.9, ratio * (width - 0.6))) + 0.4
-        figure = new_figure(width, height + band + 0.8)
-        above, curves = cast("Any", figure.subfigures(2, 1, height_ratios=[band, height]))
-    else:
-        high = max(height, 4.5)
-        left = min(0.5 * width, max(0.25 * width, high / ratio))
-        figure = new_figure(width + left, high + 0.8)
-        above, curves = cast("Any", figure.subfigures(1, 2, width_ratios=[left, width]))
-    # More instants of a fast oscillation would suggest a slow one.
-    axes = above.add_subplot()
-    shapes.course(axes, drawing, room, instants=2)
-    axes.set_anchor("C")
-    return figure, curves
-
-
-def _energy(axes: Any, result: Result, stride: int, units: Units) -> None:
-    """Draw the change of a conserved energy, or an energy that changes."""
-    assert result.energy is not None
-    energy, t = result.energy, result.t[::stride]
+    # The change of a conserved energy, or an energy that changes.
+    axes, energy, t = curves.add_subplot(grid[rows, :]), result.energy, result.t[::stride]
     is_conserved = "energy_drift" in result.summary
     axes.plot(t, (energy - energy[0] if is_conserved else energy)[::stride], color=RED, linewidth=1.2)
-    axes.set_xlabel(units.time)
-    axes.set_ylabel(units.named("change of energy" if is_conserved else "energy", "energy"))
+    axes.set_xlabel(in_unit("time", units["t"]))
+    axes.set_ylabel(in_unit("change of energy" if is_conserved else "energy", units.get("energy", "")))
     axes.margins(x=0.01)
     finite = energy[np.isfinite(energy)]
     size = float(np.abs(finite).max(initial=0.0))
     drift = float(np.ptp(finite)) if finite.size else 0.0
     if is_conserved and finite.size == energy.size and drift <= _ROUNDING * size:
-        axes.set_ylim(-1e-9 * size, 1e-9 * size) if size else None
+        if size:
+            axes.set_ylim(-1e-9 * size, 1e-9 * size)
         axes.set_title(panels.conserved_to(drift), loc="right")
+    more = len(names) - shown
+    title(figure, result, [f"{more} further coordinates not shown"] if more > 0 else [])
+    if drawing is not None:
+        figure.draw_without_rendering()  # axes of equal scales need a second pass of the layout
+    return figure
 
 
 def connect_figure(module: ConnectModule, result: Result) -> Figure:
@@ -145,7 +141,7 @@ MOST_NAMED = 80
 """Largest number of specimens with names."""
 
 
-def specimen_figure(points: Any, names: Sequence[str], share: float) -> Figure:
+def specimen_figure(points: NDArray[np.float64], names: Sequence[str], share: float) -> Figure:
     """Draw points (m, 2) with names; both axes have the scale of geodesic distance."""
     figure = new_figure(7.0, 6.0)
     axes = figure.add_subplot()
@@ -168,68 +164,16 @@ References: TypeAlias = Mapping[str, Callable[[float], float]]
 _MILLI = 1e3
 _COLUMNS = (1, 1, 2, 3, 4, 3, 3, 4, 4)
 """Number of columns by the number of inputs."""
-_REFERENCE: dict[str, Any] = {"color": GREY, "linestyle": (0, (4, 2)), "linewidth": 1.1, "zorder": 1.8}
-_CROSS: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5, "zorder": 3.0}
+_REFERENCE: Look = {"color": GREY, "linestyle": (0, (4, 2)), "linewidth": 1.1, "zorder": 1.8}
+_CROSS: Look = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5, "zorder": 3.0}
 
 
-class ClosedLoopData(Protocol):
-    """The data of `codegen.ClosedLoop` that the figure shows."""
-
-    @property
-    def title(self) -> str:
-        """Title of the problem."""
-
-    @property
-    def names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Names of states and of inputs."""
-
-    @property
-    def deadline(self) -> float | None:
-        """Deadline in seconds."""
-
-    @property
-    def message(self) -> str:
-        """Reason of an early end."""
-
-    @property
-    def times(self) -> Vector:
-        """(M + 1,)."""
-
-    @property
-    def states(self) -> Matrix:
-        """(M + 1, states)."""
-
-    @property
-    def measured(self) -> Matrix:
-        """(M, states)."""
-
-    @property
-    def inputs(self) -> Matrix:
-        """(M, controls)."""
-
-    @property
-    def statuses(self) -> NDArray[np.str_]:
-        """(M,)."""
-
-    @property
-    def latencies(self) -> Vector:
-        """(M,), in seconds."""
-
-    @property
-    def in_time(self) -> NDArray[np.bool_]:
-        """(M,), True if the deadline was kept."""
-
-    @property
-    def fell_back(self) -> NDArray[np.bool_]:
-        """(M,), True if the start of the search was applied."""
-
-
-def closed_loop_figure(loop: ClosedLoopData, references: References) -> Figure:
-    """Draw states with measurements, inputs, and latencies with the deadline.
+def closed_loop_figure(loop: Any, references: References) -> Figure:
+    """Draw states with measurements, inputs, and latencies with the deadline of a `codegen.ClosedLoop`.
 
     Crosses mark inputs of an earlier plan, and missed deadlines.
     """
-    states, inputs = loop.names[0][:MOST_STATES], loop.names[1][:MOST_INPUTS]
+    states, inputs = loop.state_names[:MOST_STATES], loop.input_names[:MOST_INPUTS]
     columns = 2 if len(states) <= 4 else 3
     parts = math.lcm(columns, _COLUMNS[len(inputs)])
     rows = [*_rows("state", len(states), columns, parts), *_rows("input", len(inputs), _COLUMNS[len(inputs)], parts)]
@@ -249,9 +193,24 @@ def closed_loop_figure(loop: ClosedLoopData, references: References) -> Figure:
             if i == 0:
                 _legend_above(axes)
         _finish(axes, loop, name, references)
-    if loop.latencies.size:
-        _latencies(all_axes["latency"], loop)
-    shown = zip((states, inputs), loop.names, ("states", "inputs"), strict=True)
+    if loop.latencies.size:  # in milliseconds on a logarithmic scale
+        axes, times, latencies, late = all_axes["latency"], loop.times[:-1], _MILLI * loop.latencies, ~loop.in_time
+        axes.set_yscale("log")
+        axes.plot(times, latencies, ".", color=GREY, markersize=3)
+        if late.any():
+            axes.plot(times[late], latencies[late], **_CROSS, label="missed")
+        for percent, name, colour in ((50.0, "median", BLUE), (99.9, "99.9 %", AMBER)):
+            axes.axhline(float(np.percentile(latencies, percent)), color=colour, linewidth=1.2, label=name)
+        if loop.deadline is not None:
+            axes.axhline(_MILLI * loop.deadline, color=CRIMSON, linewidth=1.0, linestyle=(0, (5, 3)), label="deadline")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.set_xlabel("time")
+        axes.set_ylabel("latency (ms)")
+        axes.margins(x=0)
+        _legend_above(axes)
+    shown = ((states, loop.state_names, "states"), (inputs, loop.input_names, "inputs"))
     notes = [f"{len(b) - len(a)} further {what} not shown" for a, b, what in shown if a != b]
     outcome = [f"{n} {status}" for status, n in Counter(loop.statuses.tolist()).most_common()]
     if loop.deadline is not None:
@@ -268,7 +227,7 @@ def _rows(kind: str, count: int, columns: int, parts: int) -> list[Any]:
     return [[name for name in row for _ in range(parts // columns)] for row in rows]
 
 
-def _finish(axes: Any, loop: ClosedLoopData, name: str, references: References) -> None:
+def _finish(axes: Axes, loop: Any, name: str, references: References) -> None:
     if name in references:
         fine = np.linspace(loop.times[0], loop.times[-1], max(400, 2 * loop.times.size))
         axes.plot(fine, [references[name](t) for t in fine.tolist()], **_REFERENCE)
@@ -276,26 +235,6 @@ def _finish(axes: Any, loop: ClosedLoopData, name: str, references: References) 
     axes.margins(x=0)
 
 
-def _latencies(axes: Any, loop: ClosedLoopData) -> None:
-    """Draw latencies in milliseconds on a logarithmic scale."""
-    times, latencies, late = loop.times[:-1], _MILLI * loop.latencies, ~loop.in_time
-    axes.set_yscale("log")
-    axes.plot(times, latencies, ".", color=GREY, markersize=3)
-    if late.any():
-        axes.plot(times[late], latencies[late], **_CROSS, label="missed")
-    for percent, name, colour in ((50.0, "median", BLUE), (99.9, "99.9 %", AMBER)):
-        axes.axhline(float(np.percentile(latencies, percent)), color=colour, linewidth=1.2, label=name)
-    if loop.deadline is not None:
-        axes.axhline(_MILLI * loop.deadline, color=CRIMSON, linewidth=1.0, linestyle=(0, (5, 3)), label="deadline")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.set_xlabel("time")
-    axes.set_ylabel("latency (ms)")
-    axes.margins(x=0)
-    _legend_above(axes)
-
-
-def _legend_above(axes: Any) -> None:
+def _legend_above(axes: Axes) -> None:
     """Put the legend above the panel, where no point can be."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, fontsize=letter_size(8), columnspacing=1.0)

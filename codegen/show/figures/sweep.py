@@ -2,7 +2,7 @@
 
 Many trajectories in a panel are graded by a quantity, or shown as quantiles over time.
 
-With sensitivities, first-order predictions of mean and standard deviation stand beside those of the samples. They use
+With sensitivities, mean and standard deviation of the samples are compared with first-order predictions. They use
 the derivatives of the case that is nearest to the mean of the varied quantities. Variances of independent samples add
 up; covariances of the columns of a table are included. Source: JCGM 100 (2008), Guide to the expression of uncertainty
 in measurement, section 5.
@@ -13,16 +13,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import QuadMesh
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.patheffects import withStroke
-from matplotlib.ticker import LogLocator, MaxNLocator
+from matplotlib.patheffects import AbstractPathEffect, withStroke
+from matplotlib.ticker import Locator, LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from codegen.show.figures.labels import heading, label, quantity, statuses
@@ -34,6 +37,7 @@ from codegen.show.figures.picture import (
     DARK,
     GREY,
     PINK,
+    Look,
     body_colours,
     body_map,
     letter_size,
@@ -43,6 +47,10 @@ from codegen.show.figures.picture import (
 if TYPE_CHECKING:
     from xarray import Dataset
 
+Numbers: TypeAlias = NDArray[np.float64]
+Scalar = TypeVar("Scalar", bound=np.generic)
+Places: TypeAlias = tuple[Numbers, NDArray[np.intp], list[str]]
+"""Positions of the values of a dimension, their order, and their names if they are words."""
 NORMAL_90 = 1.6448536269514722
 """Half width of the central 90 % of a normal distribution in standard deviations."""
 
@@ -52,15 +60,16 @@ class Prediction:
     """A first-order prediction from the derivatives of the case `centre`; `by` indexes the varied quantities among
     them.
 
-    `offset` (m,) is the mean of m quantities less their values in that case, `covariance` (m, m) that of their samples.
+    `offset` (m,) is the mean of m quantities less their values in that case. `covariance` (m, m) is the covariance of
+    their samples.
     """
 
     centre: int
     by: list[int]
-    offset: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    offset: Numbers
+    covariance: Numbers
 
-    def of(self, data: Dataset, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def of(self, data: Dataset, name: str) -> tuple[Numbers, Numbers]:
         """Return mean and standard deviation (...) of a variable (case, ...) that has derivatives."""
         centre = np.asarray(data[name].isel(case=self.centre).values, dtype=float)
         slopes = np.asarray(data[f"d_{name}"].isel(case=self.centre).values, dtype=float)[self.by]
@@ -111,17 +120,15 @@ def groups_of(data: Dataset) -> tuple[list[tuple[str, str]], list[str]]:
     return drawn, [column for name, column in (*states, *controls) if (name, column) not in drawn]
 
 
-def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.intp]]:
+def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[Numbers, Numbers, NDArray[np.intp]]:
     """Return times and values (cases, times) of at most `most` solved cases, and the indices of these cases."""
     name, column = group
     solved = np.flatnonzero(statuses(data).ravel() == "solved")
     solved = solved[:: max(1, -(-solved.size // most))]
     dim = str(data["status"].dims[0])
     part = data[["t", name]].isel({dim: solved})
-    t, values = (
-        part["t"].values,
-        part[name].isel({_COLUMNS[name][0]: data[_COLUMNS[name][0]].values.tolist().index(column)}),
-    )
+    columns = data[_COLUMNS[name][0]].values.tolist()
+    t, values = part["t"].values, part[name].isel({_COLUMNS[name][0]: columns.index(column)})
     if "stage" in values.dims:
         values = values.mean("stage")
     table = np.asarray(values.transpose(dim, ...).values, dtype=float)
@@ -131,7 +138,7 @@ def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[NDArray[A
 
 
 def graded(
-    panels: Mapping[str, Any], groups: Sequence[tuple[str, str]], data: Dataset, dim: str, places: NDArray[np.float64]
+    panels: Mapping[str, Axes], groups: Sequence[tuple[str, str]], data: Dataset, dim: str, places: Numbers
 ) -> ScalarMappable:
     """Draw trajectories over time in the colours of their cases; return the mappable of the colour bar."""
     solved = places[statuses(data).ravel() == "solved"]
@@ -146,13 +153,13 @@ def graded(
     return shades
 
 
-def _over_time(axes: Any, what: str, group: tuple[str, str]) -> None:
+def _over_time(axes: Axes, what: str, group: tuple[str, str]) -> None:
     axes.set_xlabel(what)
     axes.set_ylabel(label(group[1]))
     axes.margins(x=0)
 
 
-def fan(axes: Any, data: Dataset, group: tuple[str, str], linear: Prediction | None = None) -> None:
+def fan(axes: Axes, data: Dataset, group: tuple[str, str], linear: Prediction | None = None) -> None:
     """Draw the median and bands of quantiles of a quantity over time, and the prediction of the widest band."""
     t, values, _ = _curves(data, group, MOST_CASES)
     colour = KINDS[_COLUMNS[group[0]][1]]
@@ -168,9 +175,12 @@ def fan(axes: Any, data: Dataset, group: tuple[str, str], linear: Prediction | N
         axes.fill_between(times[seen], *edges, color=colour, alpha=strength, linewidth=0)
     axes.plot(times[seen], np.nanmedian(values[:, seen], axis=0), color=colour)
     _over_time(axes, "time" if same else "time in parts of the duration", group)
-    handles: list[Any] = [Patch(color=colour, alpha=a, label=f"{100 * (h - low):.0f} %") for low, h, a in BANDS]
+    handles: list[Artist] = [Patch(color=colour, alpha=a, label=f"{100 * (h - low):.0f} %") for low, h, a in BANDS]
     if linear is not None and f"d_{group[0]}" in data:
-        mean, deviation = (_column(table, data, group) for table in linear.of(data, group[0]))
+        index = data[_COLUMNS[group[0]][0]].values.tolist().index(group[1])
+        columns = (table[..., index] for table in linear.of(data, group[0]))
+        # Stages count by their means.
+        mean, deviation = (own if own.ndim == 1 else own.mean(axis=1) for own in columns)
         for sign in (-1.0, 1.0):
             edge = mean + sign * NORMAL_90 * deviation
             axes.plot(times[seen], edge[seen], color=DARK, linestyle="--", linewidth=1.0)
@@ -178,19 +188,8 @@ def fan(axes: Any, data: Dataset, group: tuple[str, str], linear: Prediction | N
     axes.legend(handles=handles, loc="best", ncols=2, handlelength=1.2)
 
 
-def _column(table: NDArray[np.float64], data: Dataset, group: tuple[str, str]) -> NDArray[np.float64]:
-    """Return one column (times,) of the array of a case; stages count by their means."""
-    columns = data[_COLUMNS[group[0]][0]].values.tolist()
-    own = table[..., columns.index(group[1])]
-    return own if own.ndim == 1 else own.mean(axis=1)
-
-
 def histogram(
-    axes: Any,
-    name: str,
-    values: NDArray[np.float64],
-    is_wide: bool,
-    linear: tuple[float, float] = (np.nan, np.nan),
+    axes: Axes, name: str, values: Numbers, is_wide: bool, linear: tuple[float, float] = (np.nan, np.nan)
 ) -> None:
     """Draw a histogram with the median and the quantiles of 5 and 95 %.
 
@@ -203,7 +202,7 @@ def histogram(
         axes.text(0.5, 0.5, "no case is solved", transform=axes.transAxes, ha="center", color=DARK)
         return
     number = int(np.clip(np.sqrt(finite.size), 5, 60))
-    bins: Any = np.geomspace(finite.min(), finite.max(), number + 1) if is_wide else number
+    bins = np.geomspace(finite.min(), finite.max(), number + 1).tolist() if is_wide else number
     axes.hist(finite, bins, color=BLUE, alpha=0.45)
     if is_wide:
         axes.set_xscale("log")
@@ -229,8 +228,8 @@ def histogram(
 _MOST_MEASURES, _MOST_NAMES = 4, 12
 _WIDE = 100.0
 """Ratio of positive values above which their axis is logarithmic."""
-FAILED: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 4.5, "zorder": 3.0}
-JUMP: dict[str, Any] = {
+FAILED: Look = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 4.5, "zorder": 3.0}
+JUMP: Look = {
     "color": PINK, "marker": "o", "linestyle": "none", "markersize": 7, "markerfacecolor": "none", "zorder": 2.9,
     "markeredgewidth": 1.6,
 }  # fmt: skip
@@ -249,7 +248,7 @@ def _has_cost(data: Dataset) -> bool:
     return bool(np.isfinite(data["cost"].values).any()) or "q" not in data
 
 
-def measures_of(data: Dataset) -> dict[str, NDArray[np.float64]]:
+def measures_of(data: Dataset) -> dict[str, Numbers]:
     """Return numbers of each case by their labels: the cost, or the final state."""
     if _has_cost(data):
         return {"cost": data["cost"].values}
@@ -271,13 +270,7 @@ def has_jump(data: Dataset) -> NDArray[np.bool_]:
     return np.asarray(data["jump"].values == 1) if "jump" in data else np.zeros(data["status"].shape, bool)
 
 
-def scale(axes: Any, values: NDArray[np.float64]) -> None:
-    """Use a logarithmic axis for values of a wide range."""
-    if is_wide(values):
-        axes.set_yscale("log")
-
-
-def is_wide(values: NDArray[np.float64]) -> bool:
+def is_wide(values: Numbers) -> bool:
     """Return True if values need a logarithmic axis."""
     finite = values[np.isfinite(values)]
     return finite.size > 1 and bool(finite.min() > 0.0) and bool(finite.max() > _WIDE * finite.min())
@@ -289,26 +282,7 @@ _DASH = 8.0
 """Length of a dash in line widths."""
 
 
-def _coincide(one: NDArray[np.float64], other: NDArray[np.float64], close: float) -> bool:
-    both = np.isfinite(one) & np.isfinite(other)
-    number = int(both.sum())
-    return number > 1 and int((np.abs(one[both] - other[both]) <= close).sum()) >= _MOST * number
-
-
-def looks_of(groups: Sequence[Sequence[int]]) -> dict[int, dict[str, Any]]:
-    """Return the style of each line: plain, or alternating dashes and marks if lines coincide."""
-    styles: dict[int, dict[str, Any]] = {}
-    for group in groups:
-        number = len(group)
-        for turn, line in enumerate(group):
-            # A pattern starts with its dash, so a later line starts near the end of its pattern.
-            begin = (_DASH * (number - turn)) % (_DASH * number)
-            dashes = (begin, (_DASH, _DASH * (number - 1)))
-            styles[line] = {"linestyle": dashes, "markevery": (turn, number)} if number > 1 else {}
-    return styles
-
-
-def legend(axes: Any) -> None:
+def legend(axes: Axes) -> None:
     """Add a legend in which dashed lines are solid."""
     for handle in axes.legend(loc="best").get_lines():
         if handle.get_linestyle() not in ("None", "none", " ", ""):
@@ -319,18 +293,18 @@ _APART, _LONG, _LETTERS = 1.4, 6.0, 7.5
 """Least distance of a label from other lines, least length of its line, in letter heights; size of letters."""
 
 
-def contours(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64], shown: NDArray[Any], norm: Normalize) -> None:
+def contours(axes: Axes, x: Numbers, y: Numbers, shown: Numbers, norm: Normalize) -> None:
     """Draw contours of a table (y, x) at round values, with labels where there is room."""
     least, most = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     if min(shown.shape) <= 2 or not np.isfinite(shown).any() or not least < most:
         return
     factors = (1.0,) if most > 1e3 * least else (1.0, 2.0, 5.0)
-    locator: Any = LogLocator(subs=factors) if isinstance(norm, LogNorm) else MaxNLocator(8)
+    locator: Locator = LogLocator(subs=factors) if isinstance(norm, LogNorm) else MaxNLocator(8)
     levels = np.asarray(locator.tick_values(least, most), dtype=float)
     levels = levels[(levels > least) & (levels < most)]
     if not levels.size:
         return
-    halo = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
+    halo: list[AbstractPathEffect] = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
     lines = axes.contour(x, y, np.ma.masked_invalid(shown), levels, colors=DARK, linewidths=0.7)
     lines.set_path_effects(halo)
     positions = list(_label_positions(axes, lines.allsegs))
@@ -339,7 +313,7 @@ def contours(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64], shown: N
             text.set_path_effects(halo)
 
 
-def _label_positions(axes: Any, segments: Sequence[Sequence[NDArray[np.float64]]]) -> Iterator[tuple[float, float]]:
+def _label_positions(axes: Axes, segments: Sequence[Sequence[Numbers]]) -> Iterator[tuple[float, float]]:
     """Yield for each level the position, in data, with the largest free space, if the space suffices for a label.
 
     `segments` are the lines of each level as points (n, 2). The size of the panel is that before the final layout,
@@ -347,7 +321,7 @@ def _label_positions(axes: Any, segments: Sequence[Sequence[NDArray[np.float64]]
     """
     letter = letter_size(_LETTERS) * axes.figure.dpi / 72.0
 
-    def dense(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    def dense(line: Numbers) -> Numbers:
         """Return points (n, 2) along a line, half a letter apart."""
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
         distances = np.linspace(0.0, along[-1], max(2, int(2.0 * along[-1] / letter)))
@@ -356,7 +330,7 @@ def _label_positions(axes: Any, segments: Sequence[Sequence[NDArray[np.float64]]
     on_page = [[dense(axes.transData.transform(line)) for line in lines if len(line) > 1] for lines in segments]
     box = axes.bbox
     frame = [(box.x0, box.y0), (box.x1, box.y0), (box.x1, box.y1), (box.x0, box.y1), (box.x0, box.y0)]
-    occupied: list[NDArray[np.float64]] = [dense(np.array(frame))]
+    occupied: list[Numbers] = [dense(np.array(frame))]
     for level, lines in enumerate(on_page):
         others = np.concatenate([*occupied, *(line for k, rest in enumerate(on_page) if k != level for line in rest)])
         # The ends of a label also need space.
@@ -399,7 +373,7 @@ def sweep_figure(data: Dataset) -> Figure:
     return figure
 
 
-def _axis_places(data: Dataset, dim: str) -> tuple[NDArray[np.float64], NDArray[np.intp], list[str]]:
+def _axis_places(data: Dataset, dim: str) -> tuple[Numbers, NDArray[np.intp], list[str]]:
     """Return the positions of the values of a dimension, their order, and their names if they are words."""
     values = data[dim].values if dim in data.coords else np.arange(data.sizes[dim])
     if np.asarray(values).dtype.kind not in "fiub":
@@ -439,7 +413,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     return figure
 
 
-def _rows(table: NDArray[Any], data: Dataset, dims: Sequence[str]) -> NDArray[Any]:
+def _rows(table: NDArray[Scalar], data: Dataset, dims: Sequence[str]) -> NDArray[Scalar]:
     """Return a table over the cases as (values of the second dimension, of the first one)."""
     own = [str(dim) for dim in data["status"].dims]
     kept = np.moveaxis(table, own.index(dims[0]), -1)
@@ -447,9 +421,9 @@ def _rows(table: NDArray[Any], data: Dataset, dims: Sequence[str]) -> NDArray[An
 
 
 def _measure(
-    axes: Any,
-    x: NDArray[np.float64],
-    rows: NDArray[np.float64],
+    axes: Axes,
+    x: Numbers,
+    rows: Numbers,
     failed: NDArray[np.bool_],
     jumps: NDArray[np.bool_],
     data: Dataset,
@@ -457,7 +431,8 @@ def _measure(
     is_of_words: bool,
 ) -> None:
     """Draw lines of one measure, with failed cases in a row for each line, and jumps."""
-    scale(axes, rows)
+    if is_wide(rows):
+        axes.set_yscale("log")
     marker = "o" if is_of_words else "." if x.size <= 60 else ""
     values = [] if by is None else _named(data, by)
     # Find groups of coinciding lines (lines, n).
@@ -468,12 +443,22 @@ def _measure(
     close = _SAME * float(np.ptp(finite)) if finite.size else 0.0
     same: list[list[int]] = []
     for line in range(len(rows)):
-        own = next((group for group in same if _coincide(heights[line], heights[group[0]], close)), None)
-        if own is None:
-            same.append([line])
+        for group in same:
+            both = np.isfinite(heights[line]) & np.isfinite(heights[group[0]])
+            distances = np.abs(heights[line][both] - heights[group[0]][both])
+            if distances.size > 1 and int((distances <= close).sum()) >= _MOST * distances.size:
+                group.append(line)
+                break
         else:
-            own.append(line)
-    looks = looks_of(same)
+            same.append([line])
+    # Coinciding lines alternate dashes and marks. A pattern starts with its dash, so a later line starts near the end
+    # of its pattern.
+    looks: dict[int, Look] = {}
+    for group in same:
+        number = len(group)
+        for turn, line in enumerate(group):
+            dashes = (_DASH * (number - turn)) % (_DASH * number), (_DASH, _DASH * (number - 1))
+            looks[line] = {"linestyle": dashes, "markevery": (turn, number)} if number > 1 else {}
     for i, (row, colour) in enumerate(zip(rows, body_colours(len(rows), BLUE))):
         name = f"{quantity(by)} = {values[i]}" if by is not None and len(rows) > 1 else None
         look = {**looks[i], **({"linestyle": "none"} if is_of_words else {})}
@@ -503,7 +488,7 @@ def _named(data: Dataset, dim: str) -> list[str]:
 def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
     """Draw a heat map with contours over two quantities, for each measure and several values of a third quantity."""
     x, y = _axis_places(data, dims[0]), _axis_places(data, dims[1])
-    chosen: list[Any] = [None]
+    chosen: list[int | None] = [None]
     if len(dims) > 2:
         number = data.sizes[dims[2]]
         chosen = sorted({round(i) for i in np.linspace(0, number - 1, min(number, _MOST_MAPS))})
@@ -515,14 +500,17 @@ def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
     grid = figure.subplots(math.ceil(len(shown) / columns), columns, squeeze=False)
     for axes in grid.ravel()[len(shown) :]:
         axes.set_visible(False)
-    drawn: dict[str, list[Any]] = {}
+    drawn: dict[str, tuple[QuadMesh, list[Axes]]] = {}
     for axes, (part, k, name, values) in zip(grid.ravel(), shown):
-        norm = _norm(np.concatenate([other[3].ravel() for other in shown if other[2] == name]))
+        every = np.concatenate([other[3].ravel() for other in shown if other[2] == name])
+        finite = every[np.isfinite(every)]
+        limits = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+        norm = LogNorm(*limits) if is_wide(every) else Normalize(*limits)
         shades = _map(axes, part, dims, (x, y), values, norm)
-        drawn.setdefault(name, [shades]).append(axes)
+        drawn.setdefault(name, (shades, []))[1].append(axes)
         if k is not None:
             axes.set_title(f"{quantity(dims[2])} = {_named(data, dims[2])[k]}")
-    for name, (shades, *panels_of) in drawn.items():
+    for name, (shades, panels_of) in drawn.items():
         figure.colorbar(shades, ax=panels_of, label=name).outline.set_visible(False)
     marks = {name: mark for axes in grid.ravel() for mark, name in zip(*axes.get_legend_handles_labels())}
     if marks:
@@ -534,21 +522,15 @@ def _columns(panels: int) -> int:
     return {0: 1, 4: 2}.get(panels, min(panels, 3))
 
 
-def _norm(values: NDArray[np.float64]) -> Normalize:
-    finite = values[np.isfinite(values)]
-    least, most = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    return LogNorm(least, most) if is_wide(values) else Normalize(least, most)
-
-
 def _map(
-    axes: Any, data: Dataset, dims: Sequence[str], places: Sequence[Any], values: NDArray[np.float64], norm: Normalize
-) -> Any:
+    axes: Axes, data: Dataset, dims: Sequence[str], places: tuple[Places, Places], values: Numbers, norm: Normalize
+) -> QuadMesh:
     """Draw one map; return the mappable of the colour bar."""
     (x, columns, x_words), (y, rows, y_words) = places
     own = [str(dim) for dim in data["status"].dims]
     turned = own.index(dims[1]) > own.index(dims[0])
 
-    def laid(table: NDArray[Any]) -> NDArray[Any]:
+    def laid(table: NDArray[Scalar]) -> NDArray[Scalar]:
         return np.asarray((table.T if turned else table)[np.ix_(rows, columns)])
 
     shown = laid(values)
@@ -594,34 +576,26 @@ def _samples(data: Dataset) -> Figure:
     ]  # fmt: skip
     figure = new_figure(3.6 * columns, 1.0 + 2.9 * len(rows))
     panels = figure.subplot_mosaic(rows)
-    marked, linear = (is_failed(data), has_jump(data)), prediction(data, every)
+    failed, jumps, linear = is_failed(data), has_jump(data), prediction(data, every)
     for i, (name, values) in enumerate(measures.items()):
         mean, deviation = linear.of(data, "cost") if linear is not None else (np.nan, np.nan)
         histogram(panels[f"m{i}"], name, values, is_wide(values), (float(mean), float(deviation)))
         for j, varied_one in enumerate(varied):
-            _scatter(panels[f"s{i},{j}"], data[varied_one].values, values, *marked)
-            panels[f"s{i},{j}"].set_xlabel(quantity(varied_one, data))
-            panels[f"s{i},{j}"].set_ylabel(name)
+            axes, x = panels[f"s{i},{j}"], data[varied_one].values
+            if is_wide(values):
+                axes.set_yscale("log")
+            size = max(1.0, 5.0 * _crowd(x.size))
+            axes.plot(x, values, ".", color=BLUE, markersize=size, alpha=0.5, rasterized=True)
+            if jumps.any():
+                axes.plot(x[jumps], values[jumps], **JUMP, label="jump")
+            if count := int(failed.sum()):
+                look = {**FAILED, "transform": axes.get_xaxis_transform(), "clip_on": False}
+                axes.plot(x[failed], np.full(count, 0.03), **look, label=f"{count} failed")
+            if count or jumps.any():
+                axes.legend(loc="best", labelcolor=GREY)
+            axes.set_xlabel(quantity(varied_one, data))
+            axes.set_ylabel(name)
     for i, group in enumerate(groups):
         fan(panels[f"g{i}"], data, group, linear)
     heading(figure, data, no_room(data, True, [f"the cost over {quantity(name)}" for name in every[_MOST_SCATTERS:]]))
     return figure
-
-
-def _scatter(
-    axes: Any,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    failed: NDArray[np.bool_],
-    jumps: NDArray[np.bool_],
-) -> None:
-    scale(axes, y)
-    axes.plot(x, y, ".", color=BLUE, markersize=max(1.0, 5.0 * _crowd(x.size)), alpha=0.5, rasterized=True)
-    if jumps.any():
-        axes.plot(x[jumps], y[jumps], **JUMP, label="jump")
-    if failed.any():
-        foot = axes.get_xaxis_transform()
-        number = int(failed.sum())
-        axes.plot(x[failed], np.full(number, 0.03), **FAILED, transform=foot, clip_on=False, label=f"{number} failed")
-    if failed.any() or jumps.any():
-        axes.legend(loc="best", labelcolor=GREY)
