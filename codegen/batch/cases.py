@@ -270,7 +270,7 @@ NUMBER = 1000
 """Default number of samples."""
 
 
-METHODS = ("random", "latin", "sobol")
+SAMPLINGS = ("random", "latin", "sobol")
 """Sampling methods."""
 
 
@@ -300,24 +300,24 @@ PLAIN: dict[str, Callable[..., Distribution]] = {"uniform": _uniform, "normal": 
 """Distributions with arguments other than in scipy: uniform(low, high), normal(mean, deviation)."""
 
 
-def samples(distributions: Mapping[str, object], number: int, method: str, seed: int) -> Cases:
-    """Return samples of independent quantities, the same for the same method and seed.
+def samples(distributions: Mapping[str, object], number: int, sampling: str, seed: int) -> Cases:
+    """Return samples of independent quantities, the same for the same sampling method and seed.
 
     A distribution is a text such as `normal(100, 5)`, or a frozen distribution of scipy. Raises ArgumentError for an
-    invalid distribution, method, number or seed.
+    invalid distribution, sampling method, number or seed.
     """
     from scipy.stats import qmc
 
-    require_method(method)
+    require_sampling(sampling)
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= MOST_CASES:
         raise ArgumentError(f"{clause(repr(number))} samples", f"give a number of --cases from 1 to {MOST_CASES}")
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ArgumentError(f"--seed {clause(repr(seed))}", "give a whole number that is not negative")
     frozen = {name: _distribution(name, text) for name, text in distributions.items()}
     rng, dimensions = np.random.default_rng(seed), len(frozen)
-    if method == "random":
+    if sampling == "random":
         points = rng.random((number, dimensions))
-    elif method == "latin":
+    elif sampling == "latin":
         points = np.asarray(qmc.LatinHypercube(dimensions, seed=rng).random(number))
     else:  # the sequence is balanced in powers of two; of a longer one the first are taken
         points = np.asarray(qmc.Sobol(dimensions, seed=rng).random_base2(max(number - 1, 1).bit_length())[:number])
@@ -333,11 +333,10 @@ def samples(distributions: Mapping[str, object], number: int, method: str, seed:
     return as_rows(columns, number)
 
 
-def require_method(method: str) -> None:
+def require_sampling(sampling: str) -> None:
     """Raise ArgumentError for an unknown sampling method."""
-    if method not in METHODS:
-        remedy = f"use {', '.join(METHODS)}; the formulation of a problem is --formulation"
-        raise ArgumentError(f"there is no sampling method {clause(repr(method))}", remedy)
+    if sampling not in SAMPLINGS:
+        raise ArgumentError(f"there is no sampling method {clause(repr(sampling))}", f"use {', '.join(SAMPLINGS)}")
 
 
 def _distribution(name: str, distribution: object) -> Distribution:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.cases import NUMBER, Cases, grid, require_method, table
+from codegen.batch.cases import NUMBER, Cases, grid, require_sampling, table
 from codegen.batch.cases import samples as sampled
 from codegen.batch.executors import team_size
 from codegen.batch.executors.chunks import counted
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 STORES, FILES = (".zarr",), (".nc",)
 OPTIONS = (
-    "driver", "arguments", "scheme", "formulation", "controls", "steps", "every", "tolerance", "max_iterations",
+    "driver", "arguments", "scheme", "method", "controls", "steps", "every", "tolerance", "max_iterations",
     "time_limit", "scaling", "sensitivities", "points",
 )  # fmt: skip
 """Options of a solve that all cases share."""
@@ -63,7 +63,7 @@ def sweep_request(
     zipped: Sequence[Sequence[str]] = (),
     samples: Mapping[str, object] | None = None,
     cases: object = None,
-    method: str = "random",
+    sampling: str = "random",
     seed: int = 0,
     out: Path | str | None = None,
     resume: bool = False,
@@ -83,8 +83,6 @@ def sweep_request(
             close = difflib.get_close_matches(name, OPTIONS, 1)
             remedy = f"did you mean {close[0]}?" if close else f"use some of {', '.join(OPTIONS)}"
             raise ArgumentError(f"codegen.sweep has no option {clause(name)}", remedy)
-    if "formulation" in options:
-        options["method"] = options.pop("formulation")
     if not isinstance(out, str | PathLike | None):
         raise ArgumentError(f"--out {clause(repr(out))} is no path", 'give one, such as "sweep.zarr"')
     path = None if out is None else Path(out)
@@ -100,7 +98,7 @@ def sweep_request(
             another = "choose another name" + ("" if path.suffix in FILES else ", or --resume to go on with it")
             raise ArgumentError(f"--out {path} is there already", another)
     solve = Request(problem, **options)
-    require_method(method)
+    require_sampling(sampling)
     is_number = isinstance(cases, int) and not isinstance(cases, bool)
     if zipped and not vary:
         raise ArgumentError("--zip without --vary", "name what varies together by --vary")
@@ -116,8 +114,8 @@ def sweep_request(
         all_cases, origin = grid(vary, zipped), "grid"
     elif samples:
         number = cases if isinstance(cases, int) else NUMBER
-        all_cases = sampled(samples, number, method, seed)
-        origin = f"{counted(number, f'{method} sample')}, seed {seed}"
+        all_cases = sampled(samples, number, sampling, seed)
+        origin = f"{counted(number, f'{sampling} sample')}, seed {seed}"
     elif cases is None:
         raise ArgumentError("nothing varies", "give --vary, --sample or --cases, as --vary r1=5.5:6.5:101")
     else:

@@ -62,7 +62,7 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
     cases : path, dict of str to array (n,), or int, optional
         A file of comma-separated values, or columns by name, with a case for each row. With `samples` the number of
         samples, 1000 by default.
-    method : {"random", "latin", "sobol"}
+    sampling : {"random", "latin", "sobol"}
         The sampling method.
     seed : int
         The same seed gives the same samples.
@@ -88,7 +88,7 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
     sensitivities : bool
         Compute derivatives of the cost by all parameters, prescribed values and a given duration that do not vary.
     **options
-        `driver`, `arguments`, `scheme`, `formulation` (the `method` of a solve), `controls`, `steps`, `every`,
+        `driver`, `arguments`, `scheme`, `method`, `controls`, `steps`, `every`,
         `tolerance`, `max_iterations`, `time_limit`, `scaling` and `points`, as for `codegen.solve`.
 
     Returns
@@ -349,8 +349,7 @@ def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str
 
 def _options(request: SweepRequest) -> str:
     """Return the options of the solve that all cases share, as JSON."""
-    fields = {name: "method" if name == "formulation" else name for name in OPTIONS if name != "points"}
-    values = {name: getattr(request.solve, field) for name, field in fields.items()}
+    values = {name: getattr(request.solve, name) for name in OPTIONS if name != "points"}
     return json.dumps({**values, "arguments": dict(request.solve.arguments)}, default=str)
 
 

@@ -103,12 +103,9 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
                     )  # fmt: skip
                     module = loading.load(build.path)
             except CodegenError as error:
-                # In a sweep `--method` is the sampling method.
-                parts = (text.replace("--method", "--formulation") for text in (error.finding, error.remedy))
-                renamed = type(error)(*parts)
-                if isinstance(renamed, ArgumentError):
-                    raise renamed from error
-                errors[key] = renamed
+                if isinstance(error, ArgumentError):
+                    raise
+                errors[key] = error
                 continue
             varied = _checked_quantities(request, cases, module, names)
             derived[key] = module, build

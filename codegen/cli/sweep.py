@@ -13,6 +13,7 @@ from codegen.cli.options import (
     ControlSites,
     Every,
     Json,
+    Method,
     PictureStyle,
     PictureStyles,
     Plot,
@@ -55,7 +56,7 @@ def sweep(
             show_default=False,
         ),
     ] = None,
-    method: Annotated[str, typer.Option(help="Sampling method: random, latin or sobol.")] = "random",
+    sampling: Annotated[str, typer.Option(help="Sampling method: random, latin or sobol.")] = "random",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the samples.")] = 0,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="File for results: .zarr during the sweep, or .nc at the end.")
@@ -85,7 +86,7 @@ def sweep(
     ] = None,
     set_: Set = [],  # noqa: B006
     scheme: Scheme = None,
-    formulation: Annotated[str | None, typer.Option(help="variational, hamiltonian or one-step.")] = None,
+    method: Method = None,
     controls: ControlSites = Controls.INTERVAL,
     driver: Annotated[str, typer.Option(help="As for codegen solve.")] = "newton",
     steps: Steps = None,
@@ -132,9 +133,9 @@ def sweep(
         zipped=[[name.strip() for name in group.split(",")] for group in zip_],
         samples=_once("--sample", [assigned("--sample", item, '"m=normal(100, 5)"') for item in sample]),
         cases=int(cases) if cases is not None and cases.isascii() and cases.isdigit() and len(cases) < 13 else cases,
-        method=method, seed=seed, out=out, resume=resume, keep=names if keep else None, workers=workers,
+        sampling=sampling, seed=seed, out=out, resume=resume, keep=names if keep else None, workers=workers,
         warm_starts=warm_starts, chunk=chunk, cluster=cluster, driver=driver, arguments=parse_arguments(set_, problem),
-        scheme=scheme, formulation=formulation, controls=controls.value, steps=steps, every=every,
+        scheme=scheme, method=method, controls=controls.value, steps=steps, every=every,
         tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
         sensitivities=sensitivities,
     )  # fmt: skip

@@ -113,7 +113,7 @@ class TestNumbers:
         given = {
             "samples": {"m": "normal(100, 5)", "r0": "uniform(4.9, 5.1)"},
             "cases": 40,
-            "method": "sobol",
+            "sampling": "sobol",
             "seed": 7,
         }
         one, other = (codegen.sweep(ORBIT, steps=20, workers=1, **given) for _ in range(2))

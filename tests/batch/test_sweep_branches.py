@@ -108,7 +108,7 @@ def test_a_planted_jump_is_found_in_a_table_in_any_order(hill):
 
 def test_a_planted_jump_is_found_among_samples_of_two_quantities(hill):
     given = {"c": "uniform(-1, 1)", "end.dx": "uniform(0.8, 1.2)"}
-    data = codegen.sweep(hill, samples=given, cases=300, method="latin", workers=1, chunk=300, keep=("q",))
+    data = codegen.sweep(hill, samples=given, cases=300, sampling="latin", workers=1, chunk=300, keep=("q",))
     c = data.c.values
     right = mirrored(hill, {name: data[name].values for name in given})
     wrong = np.abs(data.cost.values / right - 1.0) > 1e-7
@@ -123,7 +123,7 @@ def test_a_planted_jump_is_found_among_samples_of_two_quantities(hill):
 
 
 def test_jumps_among_samples_are_the_same_by_any_executor_and_after_any_end(hill, monkeypatch):
-    words = ("sweep", hill, "--sample", "c=uniform(-1, 1)", "--cases", 120, "--method", "latin", "--chunk", 40)
+    words = ("sweep", hill, "--sample", "c=uniform(-1, 1)", "--cases", 120, "--sampling", "latin", "--chunk", 40)
     assert run(*words, "--workers", 1, "--out", "one.zarr").exit_code == 0
     assert run(*words, "--workers", 2, "--out", "two.zarr").exit_code == 0
     with monkeypatch.context() as patched:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from codegen.batch.cases import METHODS, axis_of, grid, samples, table
+from codegen.batch.cases import SAMPLINGS, axis_of, grid, samples, table
 from codegen.batch.layout import MOST, Chunks, blocks_of, nearest_chain, serpentine
 from codegen.errors import ArgumentError, NumericsError
 
@@ -112,7 +112,7 @@ class TestTables:
 
 
 class TestSamples:
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("method", SAMPLINGS)
     def test_they_follow_their_distributions_and_are_the_same_again(self, method):
         given = {"m": "normal(100, 5)", "r": "uniform(4.9, 5.1)", "k": "lognorm(0.5, scale=2)"}
         cases = samples(given, 1000, method, 7)

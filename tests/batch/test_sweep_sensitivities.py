@@ -178,7 +178,7 @@ def test_a_module_without_them_is_refused(interpreted):
 def test_first_order_spread_is_that_of_samples(swept):
     """Of small deviations the cost is as good as a linear function: squares of slopes times deviations add up."""
     given = {"r1": "normal(6, 0.002)", "m": "normal(100, 0.1)"}
-    data = swept("orbital_transfer", samples=given, cases=64, method="sobol", steps=6)
+    data = swept("orbital_transfer", samples=given, cases=64, sampling="sobol", steps=6)
     slopes = data.d_cost[0].sel(by=["r1", "m"]).values
     expected = np.sqrt(((slopes * [0.002, 0.1]) ** 2).sum())
     assert float(data.cost.std()) == pytest.approx(expected, rel=0.1)
