@@ -239,7 +239,7 @@ class Work:
         varied = self._varied(variant)
         assert varied is not None, "a case that is solved has a module"
         if not DRIVERS[self.driver].generated:  # external drivers call other functions of the module
-            varied.task.touch(varied.module, varied.run.steps)
+            varied.task.warm_up(varied.module, varied.run.steps)
         return solve_case(varied, self._module_values(self.cases.values(np.array([index]))[0]), None)
 
     def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:

@@ -229,7 +229,7 @@ def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: in
         # Load machine code before the timed runs.
         if not driver.generated:
             with quiet_single_thread():
-                task.touch(module, run.steps)
+                task.warm_up(module, run.steps)
         elif machine_code_counts(module) == (0, 0):
             with quiet_single_thread():
                 task.small(module)

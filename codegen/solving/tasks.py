@@ -32,7 +32,7 @@ class Task:
     """
     numbers: Deferred
     """The function (metadata, run) -> number of floating-point numbers that a run stores."""
-    touch: Deferred
+    warm_up: Deferred
     """The function (module, steps) that loads the machine code for drivers of scipy."""
     small: Deferred
     """The function (module) that loads all machine code by solving a small case."""
@@ -50,7 +50,7 @@ def _task(name: str, noun: str, options: str, functions: str) -> Task:
         tuple(functions.split()),
         result=Deferred(f"solving.results.{file}", f"{name}_result"),
         numbers=Deferred(f"solving.results.{file}", f"{name}_numbers"),
-        touch=Deferred("solving.machine_code.compilation", f"{name}_touched"),
+        warm_up=Deferred("solving.machine_code.compilation", f"{name}_warmed_up"),
         small=Deferred("solving.machine_code.compilation", f"{name}_small"),
         outline=Deferred(f"solving.results.{file}", f"{name}_outline"),
     )

@@ -267,7 +267,7 @@ def connect_small(module: Any) -> None:
     module.solve_case(small_case(module))
 
 
-def control_touched(module: Any, steps: int) -> None:
+def control_warmed_up(module: Any, steps: int) -> None:
     """Call all functions that an optimiser evaluates once at the initial guess, which loads their machine code.
 
     The grid has `steps` intervals.
@@ -277,12 +277,12 @@ def control_touched(module: Any, steps: int) -> None:
         evaluate(program.x0)
 
 
-def simulate_touched(module: Any, _steps: int) -> None:
+def simulate_warmed_up(module: Any, _steps: int) -> None:
     """Simulate one step, which loads the machine code that drivers of scipy call."""
     module.solve(steps=1)
 
 
-def connect_touched(_module: Any, _steps: int) -> None:
+def connect_warmed_up(_module: Any, _steps: int) -> None:
     """Do nothing: for particles the first call of a driver, which is not timed, loads the machine code."""
 
 
