@@ -30,22 +30,16 @@ from numpy.typing import NDArray
 
 from codegen.errors import ModuleError, NumericsError, SchemeError
 from codegen.registration.pairs import PointArray
-from codegen.solving.loading import ConnectModule, GeneratedModule, is_connect, load
+from codegen.solving.loading import Case, ConnectModule, GeneratedModule, is_connect, load
 
 _THREADS: ContextVar[int] = ContextVar("threads", default=os.cpu_count() or 1)
 THREADED = 400_000
 """Evaluations of the kernel of a landmark and a point above which several threads are used."""
 
 
-class FlowCase(Protocol):
+class FlowCase(Case, Protocol):
     """The problem of a generated module, the named tuple of `make_case`; start and target have shape (m, d)."""
 
-    start: PointArray
-    target: PointArray
-    sigma: NDArray[np.float64]
-    duration: float
-    own: NDArray[np.float64]
-    parameters: NDArray[np.float64]
     _replace: Callable[..., FlowCase]
 
 

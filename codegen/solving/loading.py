@@ -181,6 +181,20 @@ class ImplicitModule(SimulateModule, Protocol):
     complete: Callable[[StepGrid, Vector, Vector, float], Vector]
 
 
+class Case(Protocol):
+    """The points, the parameters and the time steps of a connect problem, the return value of `make_case`."""
+
+    start: Matrix
+    target: Matrix
+    own: Matrix
+    parameters: Vector
+    sigma: Vector
+    duration: float
+    steps: int
+    tolerance: float
+    max_iterations: int
+
+
 class ConnectModule(Protocol):
     """The functions of a generated module that connects points; a case is the return value of `make_case`.
 
@@ -191,34 +205,34 @@ class ConnectModule(Protocol):
 
     solve: Callable[..., Any]
     solve_case: Callable[..., Any]
-    make_case: Callable[..., Any]
-    first_momenta: Callable[[Any], Any]
-    trajectory: Callable[[Any, Any], tuple[int, Any, Any]]
-    residual: Callable[[Any, Vector], Vector]
-    jacobian: Callable[[Any, Vector], Matrix]
-    path_of: Callable[[Any, Vector], Any]
-    path_cost: Callable[[Any, Any], float]
-    path_errors: Callable[[Any, Any], tuple[Any, Vector]]
-    first_unknowns: Callable[[Any], Vector]
-    all_equations: Callable[[Any, Vector], Vector]
-    all_equations_jacobian: Callable[[Any, Vector], Matrix]
-    end_residual: Callable[[Any, Any, Any], Vector]
-    preconditioner: Callable[[Any], Any]
+    make_case: Callable[..., Case]
+    first_momenta: Callable[[Case], Matrix]
+    trajectory: Callable[[Case, Matrix], tuple[int, Matrix, Matrix]]
+    residual: Callable[[Case, Vector], Vector]
+    jacobian: Callable[[Case, Vector], Matrix]
+    path_of: Callable[[Case, Vector], Matrix]
+    path_cost: Callable[[Case, Matrix], float]
+    path_errors: Callable[[Case, Matrix], tuple[Matrix, Vector]]
+    first_unknowns: Callable[[Case], Vector]
+    all_equations: Callable[[Case, Vector], Vector]
+    all_equations_jacobian: Callable[[Case, Vector], Matrix]
+    end_residual: Callable[[Case, Matrix, Matrix], Vector]
+    preconditioner: Callable[[Case], Matrix]
     Linearised: Callable[..., Any]
     hamiltonian: Callable[..., float]
     hamiltonian_gradient: Callable[..., None]
     momentum_matrix: Callable[..., None]
-    domain_margin: Callable[[Any], float]
-    guessed_path: Callable[..., Any]
-    momenta_of: Callable[..., Any]
+    domain_margin: Callable[[Matrix], float]
+    guessed_path: Callable[..., Matrix]
+    momenta_of: Callable[..., Matrix]
     all_states: Callable[..., tuple[int, int, float]]
-    action_start: Callable[[Any], Vector]
-    action_path: Callable[[Any, Vector], Any]
-    action_cost: Callable[[Any, Vector], float]
-    action_cost_gradient: Callable[[Any, Vector], Vector]
-    action_constraints: Callable[[Any, Vector], Vector]
-    action_jacobian: Callable[[Any, Vector], Matrix]
-    action_hessian: Callable[[Any, Vector, Vector], Matrix]
+    action_start: Callable[[Case], Vector]
+    action_path: Callable[[Case, Vector], Matrix]
+    action_cost: Callable[[Case, Vector], float]
+    action_cost_gradient: Callable[[Case, Vector], Vector]
+    action_constraints: Callable[[Case, Vector], Vector]
+    action_jacobian: Callable[[Case, Vector], Matrix]
+    action_hessian: Callable[[Case, Vector, Vector], Matrix]
     BLOCKS: int
     POINTS: int
 

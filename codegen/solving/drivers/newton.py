@@ -15,7 +15,7 @@ import numpy as np
 
 from codegen.errors import ArgumentError
 from codegen.solving.drivers.shared import quiet_single_thread
-from codegen.solving.loading import ConnectModule, ControlModule, SimulateModule, Vector, is_of_particles
+from codegen.solving.loading import Case, ConnectModule, ControlModule, Matrix, SimulateModule, Vector, is_of_particles
 from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt, max_norm
 
@@ -25,7 +25,7 @@ _MAX_ITERATIONS, _HALVINGS = 60, 10
 """Largest number of Newton steps, and of halvings of each step."""
 
 
-def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tolerance: float) -> tuple[Any, int]:
+def integrated(module: ConnectModule, case: Case, momenta: Vector, code: str, tolerance: float) -> tuple[Any, int]:
     """Return the states at the nodes (N + 1, 2, n, d), and the number of evaluations of the Hamiltonian field.
 
     `momenta` are the initial momenta, and `code` is the name of an integrator of scipy. The states are NaN if scipy
@@ -51,7 +51,7 @@ def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tol
     return path, int(solution.nfev)
 
 
-def adaptive(module: ConnectModule, case: Any, run: Run) -> ConnectAttempt:
+def adaptive(module: ConnectModule, case: Case, run: Run) -> ConnectAttempt:
     """Return the motion of particles whose initial momenta lead to the targets with an adaptive integrator."""
     tolerance = ADAPTIVE_TOLERANCE if run.tolerance is None else run.tolerance
     code = module.metadata.adaptive
@@ -87,7 +87,7 @@ def adaptive(module: ConnectModule, case: Any, run: Run) -> ConnectAttempt:
     return ConnectAttempt(status, message, iterations, path, max(1e-10, tolerance), begin.attempts, generated=True)
 
 
-def _error(module: ConnectModule, case: Any, path: Any) -> float:
+def _error(module: ConnectModule, case: Case, path: Matrix) -> float:
     return max_norm(module.end_residual(path[-1], case.target, case.sigma))
 
 

@@ -25,7 +25,7 @@ from scipy.optimize import Bounds, lsq_linear
 from threadpoolctl import ThreadpoolController
 
 from codegen.errors import ArgumentError
-from codegen.solving.loading import ConnectModule, ControlModule, NonlinearProgram, Vector, time_grid
+from codegen.solving.loading import Case, ConnectModule, ControlModule, Matrix, NonlinearProgram, Vector, time_grid
 from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, max_norm
 
@@ -246,7 +246,7 @@ DENSE_LIMIT = 3000
 
 
 def minimised(
-    module: ConnectModule, run: Run, driver: str, minimise: Callable[[ConnectModule, Any, Vector], Any]
+    module: ConnectModule, run: Run, driver: str, minimise: Callable[[ConnectModule, Case, Vector], Any]
 ) -> ConnectAttempt:
     """Return the motion of particles with the least discrete action, found by an optimiser of scipy.
 
@@ -267,7 +267,7 @@ def minimised(
 
 
 def verdict(
-    module: ConnectModule, driver: str, case: Any, path: Any, iterations: int, tolerance: float, reason: str
+    module: ConnectModule, driver: str, case: Case, path: Matrix, iterations: int, tolerance: float, reason: str
 ) -> ConnectAttempt:
     """Return the attempt of a driver for particles; its status depends on the residual of the path only.
 
@@ -282,7 +282,7 @@ def verdict(
     return ConnectAttempt("stalled", text, iterations, path, tolerance)
 
 
-def largest_error(module: ConnectModule, case: Any, path: Any) -> float:
+def largest_error(module: ConnectModule, case: Case, path: Matrix) -> float:
     """Return the largest residual of a path, in the equations of all steps and in the arrival at the targets."""
     errors, end = module.path_errors(case, path)
     return max(max_norm(errors.ravel()), max_norm(end))

@@ -15,7 +15,7 @@ from codegen.solving.drivers.shared import (
     quiet_single_thread,
     require_small,
 )
-from codegen.solving.loading import ConnectModule, ControlModule, Vector
+from codegen.solving.loading import Case, ConnectModule, ControlModule, Vector
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run
 
 TOLERANCE = 1e-6
@@ -60,7 +60,7 @@ class _Arrived(Exception):
     """The exception that ends a search because the equations hold."""
 
 
-def _action(module: ConnectModule, case: Any, start: Vector) -> Any:
+def _action(module: ConnectModule, case: Case, start: Vector) -> Any:
     """Minimise the discrete action until the equations hold, and return the result of scipy.
 
     The test of SLSQP itself would not end the search, because near the minimum changes of the cost are rounding errors.

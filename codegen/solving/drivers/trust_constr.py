@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 from codegen.solving.drivers.shared import ScaledProblem, claim, minimised, quiet_single_thread
-from codegen.solving.loading import ConnectModule, ControlModule, Vector
+from codegen.solving.loading import Case, ConnectModule, ControlModule, Vector
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run
 
 TOLERANCE = 1e-6
@@ -66,7 +66,7 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
     return minimised(module, run, "trust-constr", _action)
 
 
-def _action(module: ConnectModule, case: Any, start: Vector) -> Any:
+def _action(module: ConnectModule, case: Case, start: Vector) -> Any:
     none = np.zeros(case.steps * case.start.size)
     equations = NonlinearConstraint(
         lambda x: module.action_constraints(case, x),

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from codegen.errors import PointsError
 from codegen.runtime.record import Record
-from codegen.solving.loading import ConnectModule, Matrix, SimulateModule, Vector
+from codegen.solving.loading import Case, ConnectModule, Matrix, SimulateModule, Vector
 from codegen.solving.results.result import (
     ConnectAttempt,
     Outline,
@@ -133,7 +132,7 @@ def connect_result(
     }
     return Result(
         **origin(metadata, driver, run, attempt, seconds), status=status, message=message, cost=cost, residual=residual,
-        t=case.duration / case.steps * np.arange(case.steps + 1), q=path[:, 0].reshape(case.steps + 1, -1),
+        t=case.duration / case.steps * np.arange(case.steps + 1.0), q=path[:, 0].reshape(case.steps + 1, -1),
         p=path[:, 1].reshape(case.steps + 1, -1), energy=energy, names=particle_names(metadata, case.start.shape[0]),
         summary=summary, attempts=attempt.attempts,
     )  # fmt: skip
@@ -159,7 +158,7 @@ def particle_names(metadata: Record, count: int) -> dict[str, tuple[str, ...]]:
     return {key: tuple(f"{name}_{i + 1}" for i in range(count) for name in group) for key, group in groups.items()}
 
 
-def case_of(module: ConnectModule, run: Run) -> Any:
+def case_of(module: ConnectModule, run: Run) -> Case:
     """Return the case of a connect module for the points of a run; raise PointsError for unsuitable points."""
     points = run.points
     if points is None:
@@ -194,7 +193,7 @@ def intersecting_paths(start: Vector, target: Vector) -> list[tuple[int, int]]:
     return pairs
 
 
-def condition_number(module: ConnectModule, case: Any, most: int = 1500) -> float:
+def condition_number(module: ConnectModule, case: Case, most: int = 1500) -> float:
     """Return the condition number of H_pp = d2H/dp2 in the 2-norm at the start; NaN for more than `most` rows."""
     size = case.start.shape[0] * int(module.BLOCKS)
     if size > most:

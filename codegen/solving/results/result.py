@@ -182,7 +182,7 @@ class ConnectAttempt:
     status: str
     message: str
     iterations: int
-    path: Any
+    path: Matrix
     tolerance: float
     attempts: tuple[str, ...] = ()
     tangents: int = 0
