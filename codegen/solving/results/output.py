@@ -7,7 +7,7 @@ import json
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 from codegen.errors import ArgumentError
 from codegen.files import replacing
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from codegen.solving.results.result import Result
 
+JsonObject: TypeAlias = Mapping[str, Any]
+"""An object of JSON: numbers, texts, lists and objects by name."""
 ARCHIVES = (".npz",)
 
 
@@ -98,7 +100,7 @@ def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
     return record
 
 
-def as_json(record: Mapping[str, Any]) -> str:
+def as_json(record: JsonObject) -> str:
     """Return the record as one line of strict JSON; raise ValueError for NaN and infinity."""
     return json.dumps(record, allow_nan=False)
 
@@ -114,7 +116,7 @@ def given(result: Result) -> str:
     return ", ".join(f"{name} = {value}" for name, value in own)
 
 
-def as_table(record: Mapping[str, Any], result: Result) -> Table:
+def as_table(record: JsonObject, result: Result) -> Table:
     """Return the table of a result that the command prints; `record` is the object from `as_record`."""
     from rich import box
     from rich.table import Table
@@ -151,7 +153,7 @@ def as_table(record: Mapping[str, Any], result: Result) -> Table:
     return table
 
 
-def estimates_tables(record: Mapping[str, Any]) -> list[Table]:
+def estimates_tables(record: JsonObject) -> list[Table]:
     """Return the table of free parameters with their accuracy, and the table of their correlations.
 
     `record` is the entry "estimates" of the object for `--json`. The second table is omitted for a single parameter,
@@ -186,7 +188,7 @@ def estimates_tables(record: Mapping[str, Any]) -> list[Table]:
     return [table, beside]
 
 
-def sensitivities_table(record: Mapping[str, Any]) -> Table:
+def sensitivities_table(record: JsonObject) -> Table:
     """Return the table of sensitivities, with a row for each quantity with respect to which derivatives were taken.
 
     The columns are the derivatives of the cost, of free parameters and of the first states at the end. `record` is the
@@ -253,7 +255,7 @@ def _duration(seconds: float | None) -> str:
     return f"{seconds:.3g} s"
 
 
-def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
+def save(result: Result, record: JsonObject, path: Path) -> None:
     """Write all arrays of a result to an .npz archive.
 
     The entry `result` of the archive is `record`, the object for `--json`, as text.
