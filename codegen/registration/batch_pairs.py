@@ -50,7 +50,7 @@ Line = dict[str, str]
 
 @dataclass(frozen=True)
 class Places:
-    """The output folders of a batch: for warped images, displacement fields and reports; None for unwanted outputs."""
+    """The folders of warped images, displacement fields and reports; None for unwanted fields or reports."""
 
     out: Path | None = None
     field: Path | None = None
@@ -132,7 +132,7 @@ def jobs_in_table(table: Path, places: Places, fixed: Path | None) -> list[Job]:
     """Return the jobs of a CSV table with the columns moving and landmarks, and optionally fixed, out, interpolation.
 
     File names are relative to the folder of the table. A semicolon separates two landmark files of one pair. `fixed` is
-    for rows without a fixed image. An interpolation holds for its row only. Raises ArgumentError for invalid lines.
+    for rows without a fixed image. An interpolation holds for its row only. Raises ArgumentError, naming the line.
     """
     jobs = []
     for line, row in _rows(table):
@@ -156,7 +156,7 @@ def jobs_in_table(table: Path, places: Places, fixed: Path | None) -> list[Job]:
 
 
 def _rows(table: Path) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield the lines of the table by their columns, with line numbers."""
+    """Yield the line number and the values, by column, of each row of a CSV table; ArgumentError if it is invalid."""
     try:
         with table.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
@@ -216,7 +216,7 @@ def _digest(path: Path) -> str:
 
 
 def _line(record: Record, digests: Line) -> Line:
-    """Return the summary line for the record of a job; missing numbers are empty texts."""
+    """Return the summary line for the record of a job and the digests; missing numbers are empty texts."""
     values = {**record, **record["summary"]}
     errors = values.get("leave_one_out") or []
     texts: dict[str, object] = {name: values.get(name) for name in COLUMNS}
@@ -306,7 +306,7 @@ class SharedFile:
 
     @classmethod
     def of(cls, path: Path) -> SharedFile:
-        """Return the description of an existing file."""
+        """Return the path and the inode number of an existing file."""
         return cls(path, path.stat().st_ino)
 
     @property
@@ -388,6 +388,7 @@ class BatchWork:
         return hashlib.sha256(b"".join(Path(module.__file__).read_bytes() for module in modules)).hexdigest()
 
     def _tried(self, pair: Pair) -> Tried:
+        """Return the earlier line if the pair is up to date; otherwise register the pair and return a new line."""
         job, earlier = pair.job, pair.earlier
         # `read` is a digest of all input files and of the interpolation; empty if a file is not readable.
         files, read = [_digest(path) for path in job.read], ""

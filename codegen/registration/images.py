@@ -98,7 +98,7 @@ class Spacing:
         return 1e-12 < short <= long < min(1e12, LONGEST * short)
 
     def lengths(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert vectors in units of `side`, shape (n, 2), to lengths in the unit of the spacing, shape (n,)."""
+        """Return the lengths, shape (n,) in `unit`, of vectors in units of `side`, shape (n, 2)."""
         return np.asarray(np.linalg.norm(vectors * self.side, axis=1))
 
 
@@ -188,7 +188,7 @@ def read_image(source: Path | str | bytes, limits: Limits | None = None, name: s
 
 
 def write_image(path: Path, pixels: Pixels, profile: bytes | None = None) -> None:
-    """Write an image in the format of its suffix; on failure an existing file stays unchanged.
+    """Write an image in the format of its suffix; an existing file is unchanged if writing fails.
 
     Parameters
     ----------

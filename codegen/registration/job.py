@@ -65,10 +65,10 @@ _DIRECTIONS = ("moving to fixed", "fixed to moving")
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the registration and the warp of pairs, with the meaning of the arguments of `register` and `warp`.
+    """Options of the registration and the warp of pairs: arguments of `register` and `warp`, and three others.
 
-    `inverse` warps the fixed image to the moving one. `sigma` is in pixels. `flip` first mirrors the moving image left
-    to right. `coarse` interpolates positions from a coarse grid; None means True for more than `LARGE` pixels.
+    `inverse` warps the fixed image to the moving one. `flip` first mirrors the moving image left to right. `coarse`
+    interpolates positions from a coarse grid; None means True for more than `LARGE` pixels. `sigma` is in pixels.
     """
 
     inverse: bool = False
@@ -100,7 +100,7 @@ class Job:
 
     @property
     def read(self) -> tuple[Path, ...]:
-        """All input files, with files of samples that headers name."""
+        """All input files, including files of samples that the headers of images name."""
         fixed = [self.fixed] if self.fixed is not None else []
         samples = [file for path in (self.moving, *fixed) if (file := read_with(path)) is not None]
         return (self.moving, *self.landmarks, *fixed, *samples)
@@ -349,7 +349,7 @@ def _registered(
 
 
 def _strict(value: object) -> Any:
-    """Return a value for strict JSON, with None for NaN and infinity."""
+    """Return the value with None for NaN and infinity, which strict JSON does not allow."""
     if isinstance(value, dict):
         return {name: _strict(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):

@@ -147,7 +147,7 @@ def write_page(path: Path, result: Outcome, pictures: list[Picture], note: str) 
 
 
 def facts(record: Record) -> list[tuple[str, str]]:
-    """Return names and texts of the results; distances in pixels, and in the unit of the file if known."""
+    """Return the names of the results and their texts; distances in pixels, and in the unit of the file if known."""
     summary = record["summary"]
     found = [("landmarks", str(summary["landmarks"]))]
     if "det_min" not in summary:
@@ -193,7 +193,7 @@ def facts(record: Record) -> list[tuple[str, str]]:
 
 
 def number(value: float | None) -> str:
-    """Return a number with four digits, or a dash if it is None or not finite."""
+    """Return the text of a number with four significant digits, or a dash if it is None or not finite."""
     return "–" if value is None or not math.isfinite(value) else f"{value:.4g}"
 
 
@@ -327,10 +327,7 @@ def _as_png(title: str, caption: str, figure: Figure | None) -> Picture:
 
 
 def _determinant_scale(values: Array) -> tuple[Colormap, float]:
-    """Return a colour map for determinants, and the largest ratio r: positive `values` are between 1/r and r.
-
-    Masked values, which are not positive, have a special colour.
-    """
+    """Return a colour map, with a special colour for masked values, and r: positive values lie between 1/r and r."""
     positive = values[values > 0.0]
     reach = max(1.05, float(np.exp(np.abs(np.log(positive)).max()))) if positive.size else 2.0
     return matplotlib.colormaps["RdBu_r"].with_extremes(bad=AMBER), reach

@@ -44,7 +44,7 @@ _REMEDY = "load the page again"
 MOST_CLIENTS = 50
 """Largest number of tabs whose last edit number is remembered."""
 MOST_PIXELS = 1 << 23
-"""Largest number of pixels of a window."""
+"""Largest number of screen pixels of the window that a tab asks for."""
 
 
 def operate(session: Session, message: Message) -> int | None:
@@ -199,7 +199,7 @@ class Tab:
         self.line.send(_packed(header, picture.image))
 
     def drawn(self) -> None:
-        """Send the waiting picture: the tab has drawn the previous one."""
+        """Send the waiting picture, if any, because the tab has drawn the previous picture."""
         self._busy = False
         if self._next is not None:
             following, self._next = self._next, None
@@ -299,6 +299,7 @@ class LiveWork:
         return self._worker.busy or self._slow.busy or self._saving.busy or self._problem is not None
 
     def _edit(self, client: str, tab: Tab, message: Message) -> None:
+        """Apply an edit of a tab, unless it was applied before, and tell the tab that it is done."""
         number = int(message["number"])
         added = None
         if number > self._heard.get(client, 0):
@@ -320,7 +321,7 @@ class LiveWork:
             self.save()
 
     def change(self, act: Callable[[], object], images: bool = False) -> None:
-        """Call `act`, which changes the session (its `images`, too, if True), then show and save the result."""
+        """Call `act`, which changes the session (and images if `images`); show and save the result, or raise its error."""
         act()
         if images:
             self.shown = self.certified = None
@@ -335,10 +336,7 @@ class LiveWork:
         self._told = self.session.work
 
     def draw(self, hasty: bool = False, only: str | None = None) -> None:
-        """Register the present pairs in the background, and show the result in all tabs, or in the tab `only`.
-
-        `hasty` saves time while a point is dragged.
-        """
+        """Register the present pairs in the background, and show the result in all tabs, or in the tab `only`."""
         wanted = Wanted(self.session.task(), hasty, waiting=not self._ready())
         if self._known(wanted) is None:
             only = None
@@ -360,6 +358,7 @@ class LiveWork:
         return shown.registration if shown.wanted.task.revision == wanted.task.revision else None
 
     def _drawn(self, shown: Shown) -> None:
+        """Send the finished pictures to their tabs, and start the certificate of a new registration."""
         task = shown.wanted.task
         if task.moving is not self.session.moving or task.fixed is not self.session.picture("fixed"):
             return  # other images were opened meanwhile

@@ -55,7 +55,7 @@ OBLIQUE = 0.3
 
 
 def picture_from(data: bytes, name: str) -> Picture:
-    """Return the image in the content of a file, within LIMITS; ImageError if it cannot be decoded."""
+    """Return the image in the bytes of a file named `name`; ImageError if it is not readable or exceeds LIMITS."""
     shown = PurePath(name.replace("\\", "/")).name[-NAME_LENGTH:] or "image"
     if len(data) <= LIMITS.bytes and (suffix := _volume_suffix(data)) is not None:
         return _read_slice(data, suffix, shown)
@@ -64,7 +64,7 @@ def picture_from(data: bytes, name: str) -> Picture:
 
 
 def session_of(images: Sequence[Path]) -> Session:
-    """Return a session on one image, a moving and a fixed image, or without images the example; else ArgumentError."""
+    """Return a session on one image, a moving and a fixed image, or by default the example; ArgumentError for more."""
     if not images:
         return example()
     if len(images) > 2:

@@ -49,7 +49,7 @@ from codegen.registration.formats.base import Frames
 T = TypeVar("T")
 HOST = "localhost"
 HOSTS = ("localhost", "127.0.0.1", "[::1]")
-"""Names of this machine. Any other name may be of an attacker and resolve to this machine (DNS rebinding)."""
+"""Names of this machine. Other names that resolve to this machine may belong to attackers (DNS rebinding)."""
 ANCESTORS = ("'self'", "http://localhost:*", "http://127.0.0.1:*")
 """Origins of notebooks on this machine, whose pages may show this page in a frame."""
 KINDS = {
@@ -283,7 +283,7 @@ class Export(OfWork):
     """The handler of downloads, which are computed on request."""
 
     async def post(self, token: str, kind: str) -> None:
-        """Answer with a file; the query argument `part` selects one of two landmark files. 422 if this fails."""
+        """Answer with a file, or 422 with the reason; the query argument `part` selects one of two landmark files."""
         work = self.work(token)
         form, part = self.get_query_argument("form", "csv"), self.get_query_argument("part", "0")
         grid = self.get_query_argument("grid", "") == "1"
@@ -353,10 +353,7 @@ async def _aside(job: Callable[[], T]) -> T:
 
 
 def listen(works: Works, sockets: Sequence[socket.socket], port: int, ancestors: Sequence[str] = ()) -> HTTPServer:
-    """Serve works on `sockets`, bound to `port`, in the current event loop, and return the server.
-
-    Pages of the origins `ancestors` may show the page in a frame.
-    """
+    """Return a running server of works on `sockets`, bound to `port`; pages of the origins `ancestors` may frame it."""
     work = r"/work/([0-9a-f]{32})"
     routes: list[Any] = [
         (rf"/(|{'|'.join(_ASSETS)})", Asset),

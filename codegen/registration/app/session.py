@@ -103,7 +103,7 @@ class Work:
         return next((pair for pair in self.pairs if pair.identity == identity), None)
 
     def with_pair(self, changed: Pair) -> Work:
-        """Return the work with `changed` instead of the pair of the same identity, or added at the end."""
+        """Return the work with `changed`, which replaces the pair of the same identity or is added at the end."""
         if self.find(changed.identity) is None:
             return replace(self, pairs=(*self.pairs, changed))
         return replace(self, pairs=tuple(changed if p.identity == changed.identity else p for p in self.pairs))
@@ -119,7 +119,7 @@ class Work:
         return tuple(pair for pair in self.pairs if pair.active)
 
     def landmarks(self) -> LandmarkPairs:
-        """Return the active pairs, the unnamed ones named by number; LandmarkError if none, or if points coincide."""
+        """Return the active pairs, unnamed pairs named by number; LandmarkError if empty, or if two points coincide."""
         named = [(pair, pair.name or str(k + 1)) for k, pair in enumerate(self.pairs) if pair.active]
         return LandmarkPairs(
             np.array([pair.moving for pair, _ in named], dtype=np.float64).reshape(-1, 2),
@@ -227,7 +227,7 @@ class Picture:
         return pixels if self.reduction == 1 else np.asarray(Image.fromarray(pixels).reduce(self.reduction))
 
     def preview_places(self, step: float = 1.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return x and y, in pixels of the image, of pixels of the preview: about every `step`-th, first and last."""
+        """Return x and y, in pixels of the image, of every `step`-th column and row of the preview, and of the last."""
         height, width = self.preview.shape[:2]
         x, y = (
             np.linspace(0.0, n - 1.0, max(2, round((n - 1) / step) + 1)) if n > 1 else np.zeros(1)
@@ -256,7 +256,7 @@ def _eight_bits(pixels: Pixels) -> NDArray[np.uint8]:
 
 
 def tile(picture: Picture, level: int, column: int, row: int) -> bytes | None:
-    """Return a square part, as PNG, of a copy in `Picture.levels`, by column and row of tiles; None outside."""
+    """Return a tile as PNG, by its column and row in a copy of a picture, `picture.levels[level]`; None outside."""
     if not 0 <= level < len(picture.levels) or min(column, row) < 0:
         return None
     top, left = row * SIDE, column * SIDE
@@ -309,7 +309,7 @@ class History(Generic[State]):
         return self._go(self._past, self._future)
 
     def redo(self) -> bool:
-        """Repeat the step that was undone; False if there is none."""
+        """Repeat the step that was undone last; return False if no step was undone."""
         return self._go(self._future, self._past)
 
     def _go(self, source: list[State], target: list[State]) -> bool:
@@ -384,7 +384,7 @@ class Session:
         """Add a point in one image and return its pair: a new pair, or the pair with the identity `awaiting`.
 
         `awaiting` names a pair whose point in this image is only a prediction. For a new pair, the last registration
-        predicts the point in the other image; without a registration, it has the same relative position there.
+        predicts the point in the other image; without a registration, its relative position is the same there.
         Raises LandmarkError if there are too many pairs.
         """
         place = self._inside(side, place)
@@ -432,7 +432,7 @@ class Session:
         self._change(replace(self.work, pairs=pairs))
 
     def remove(self, *identities: int) -> None:
-        """Delete pairs."""
+        """Delete the pairs with these identities."""
         self._change(self.work.without(identities))
 
     def load(self, landmarks: LandmarkPairs) -> None:
@@ -454,7 +454,7 @@ class Session:
         return changed
 
     def redo(self) -> bool:
-        """Repeat the step that was undone; False if there is none."""
+        """Repeat the step that was undone last; return False if no step was undone."""
         changed = self.history.redo()
         self.revision += changed
         return changed

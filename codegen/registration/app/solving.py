@@ -35,7 +35,7 @@ HASTY_BLOCK = 2
 CHART = 33
 """Number of points along each side of an image whose positions in the other image are sent to the page."""
 HASTY_STEPS, HASTY_STEPS_OF_FIRST_ORDER = (FIRST_STEPS, 2 * FIRST_STEPS), (4 * FIRST_STEPS, 8 * FIRST_STEPS)
-"""Numbers of time steps that are tried in turn while a point is dragged, also for schemes of first order."""
+"""Numbers of time steps that are tried in turn during a drag: for schemes of higher order, and of first order."""
 MOST_LEFT_OUT = 60
 """Largest number of landmarks for leave-one-out errors, because the visitor waits."""
 MOST_JUDGED = 1000
@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Window:
-    """A rectangle of an image: edges in pixels, counted from its outer corner (-0.5, -0.5), and size on the screen."""
+    """A rectangle of an image: edges in pixels from its corner (-0.5, -0.5), width and height in pixels on screen."""
 
     left: float
     top: float
@@ -74,9 +74,9 @@ class Look:
 
 @dataclass(frozen=True)
 class Wanted:
-    """A task and its mode: `hasty` with nearest pixels and few steps, while a point is dragged.
+    """A request to register and draw a task: while a point is dragged, `hasty`, with nearest pixels and few steps.
 
-    `waiting` is True while the solver is not ready: images are shown without registration.
+    `waiting` is True while the solver is not ready; images are then drawn without registration.
     """
 
     task: Task
@@ -147,7 +147,10 @@ def arguments(task: Task) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
-    """Return the registration of a task, with `previous` as warm start; None without active pairs or solver."""
+    """Return the registration of a task, with `previous` as warm start; None without active pairs or solver.
+
+    Raises the errors of `register`.
+    """
     if not wanted.task.work.active or wanted.waiting:
         return None
     landmarks, method = arguments(wanted.task)
@@ -194,7 +197,7 @@ def frame(
 
 
 def sources(window: Window, registration: Registration | None, time: float, block: int = 1) -> tuple[Array, Array]:
-    """Return x and y in the moving image, shape (h, w) each, of the centres of blocks of block² pixels of a window."""
+    """Return x and y in the moving image, shape (h, w) each, of the centres of blocks of `block`² screen pixels."""
     fine_x = _places(window.left, window.right, window.width, block)
     fine_y = _places(window.top, window.bottom, window.height, block)
     coarse_x, coarse_y = (np.linspace(v[0], v[-1], max(2, round(len(v) / COARSE) + 1)) for v in (fine_x, fine_y))
@@ -272,10 +275,7 @@ def grid(picture: Picture, registration: Registration | None, time: float, point
 
 
 def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bool]) -> Certified | None:
-    """Return a coarse map of det J, its extremes on the reduced fixed image, leave-one-out errors, and outliers.
-
-    Returns None as soon as `stale` returns True.
-    """
+    """Return extremes and a map of det J, leave-one-out errors and outliers; None as soon as `stale()` is True."""
     fixed, landmarks = wanted.task.fixed, registration.pairs
     x, y = fixed.preview_places(COARSE)
     areas = registration.arriving(_points(x, y))[1].reshape(len(y), len(x))

@@ -108,10 +108,7 @@ _solvers: dict[str, Future[None]] = {}
 
 
 def prepared(scheme: str) -> Future[None]:
-    """Return the future of the solver of a scheme, whose preparation starts at the first call in this process.
-
-    The future ends when the solver is ready, or with a CodegenError if the solver cannot be derived or compiled.
-    """
+    """Prepare a solver in a thread, once in a process; return a future that ends, or fails, with the preparation."""
     future: Future[None] = Future()
 
     def prepare() -> None:

@@ -53,7 +53,10 @@ Points: TypeAlias = tuple[list[str], list[tuple[float, ...] | None]]
 
 
 def parse(read: Callable[[Source], Points], sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
-    """Return the landmarks of two lists, which `read` reads, matched by label if both have the same, else by order."""
+    """Return the landmarks of the moving and the fixed file, each read by `read`, matched by label or by order.
+
+    PointsError names the file and the point.
+    """
     require_order(sources)
     (labels, moving), (others, fixed) = (read(source) for source in sources)
     if len(moving) != len(fixed):
