@@ -1,9 +1,9 @@
 """The run of a batch of pairs of images, the HTML page of a batch, and its summaries for people and programs.
 
-A batch reads the results of earlier runs, times a first pair, runs chunks of pairs on an executor and writes a summary,
-with one line for every pair. A journal next to the summary receives the line of a pair as soon as all outputs of the
-pair are written. An interruption therefore loses only the pairs in progress. A pair is skipped if an earlier line shows
-that the pair was solved from the same files with the same options, and if its outputs are unchanged.
+A batch reads the results of earlier runs, times a first pair and runs chunks of pairs on an executor. The summary has
+one line for every pair. A journal next to the summary receives the line of a pair as soon as its outputs are written.
+An interruption therefore loses only the pairs in progress. A pair is skipped if an earlier line shows that the pair was
+solved from the same files with the same options, and if its outputs are unchanged.
 """
 
 from __future__ import annotations
@@ -101,8 +101,8 @@ def outcome_of(
     """Register all pairs that are not up to date, write the summary and return the result.
 
     The line of a failed pair has the reason; the other pairs go on. `prepare` builds the solver for a scheme and a
-    dimension. Raises CodegenError for a wrong request, before anything is written, and for problems of every pair: an
-    unusable scheme, a refused write, or a worker that does not see the files.
+    dimension. Raises CodegenError for a wrong request, before anything is written. Problems of every pair are raised,
+    too: an unusable scheme, a refused write, or a worker that does not see the files.
     """
     digest, before = options_digest(request.options), read_summary(request.summary)
     path = journal_of(request.summary)

@@ -321,7 +321,7 @@ class LiveWork:
             self.save()
 
     def change(self, act: Callable[[], object], images: bool = False) -> None:
-        """Call `act`, which changes the session (and images if `images`); show and save the result, or raise its error."""
+        """Call `act`, which changes the session (and images if `images`); show and save the result. `act` may raise."""
         act()
         if images:
             self.shown = self.certified = None

@@ -108,7 +108,7 @@ _solvers: dict[str, Future[None]] = {}
 
 
 def prepared(scheme: str) -> Future[None]:
-    """Prepare a solver in a thread, once in a process; return a future that ends, or fails, with the preparation."""
+    """Return the future of the preparation of a solver, begun at the first call; it may end with a CodegenError."""
     future: Future[None] = Future()
 
     def prepare() -> None:

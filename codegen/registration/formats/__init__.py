@@ -1,7 +1,7 @@
 """Reading and writing of landmark files, in the formats of this package and of other programs.
 
 Each format has a module in this folder and an entry in FORMATS. LandmarkPairs are always in pixels, with the origin at
-the centre of the top-left pixel, x to the right and y down; landmarks of volumes are in the coordinates of their grids.
+the centre of the top-left pixel, x to the right and y down. Landmarks of volumes are in the coordinates of their grids.
 """
 
 from __future__ import annotations

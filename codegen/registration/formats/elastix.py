@@ -1,7 +1,7 @@
 """Point files of elastix, one for each image: `point` or `index`, the number of points, then one point per line.
 
 After `index`, points are indices of pixels. After `point`, they are in the coordinates of the image file: LPS in
-millimetres for volumes, and pixels for PNG, JPEG and plain TIFF files, which have spacing 1 and origin 0 in elastix.
+millimetres for volumes. For PNG, JPEG and plain TIFF files, elastix has spacing 1 and origin 0, that is pixels.
 Without a keyword points are indices, as before elastix 3.5. Sources: elastix manual, section 4.2 (option -def), and
 `TransformixInputPointFileReader` of elastix.
 """
