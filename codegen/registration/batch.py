@@ -1,9 +1,9 @@
-"""The run of a batch, its page, and its summaries for people and programs.
+"""The run of a batch of pairs of images, the HTML page of a batch, and its summaries for people and programs.
 
-A batch reads the results of earlier runs, times a first pair, runs chunks on an executor and writes a summary. A
-journal next to the summary receives the line of every pair as soon as its outputs are complete. An interruption
-therefore loses only the pairs in progress. A pair is skipped if its line shows that it was solved from the same files
-with the same options, and if its outputs are unchanged.
+A batch reads the results of earlier runs, times a first pair and runs chunks of pairs on an executor. The summary has
+one line for every pair. A journal next to the summary receives the line of a pair as soon as its outputs are written.
+An interruption therefore loses only the pairs in progress. A pair is skipped if an earlier line shows that the pair was
+solved from the same files with the same options, and if its outputs are unchanged.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 MOST_OF_A_CHUNK = 64
-"""Most pairs of a chunk."""
+"""Largest number of pairs in a chunk."""
 TRIALS = 3
-"""Pairs that are tried until one is solved, whose time determines the size of chunks."""
+"""Largest number of pairs that are tried, one by one, until a pair is solved. Its time determines the chunk size."""
 SHARES = 4
-"""Fewest chunks of each worker, so that all workers end at about the same time."""
+"""Smallest number of chunks for each worker, so that all workers end at about the same time."""
 BATCH = "batch"
-"""The key of the digest of the options in a journal."""
+"""The key in the header of a journal under which the digest of the options is stored."""
 ANOTHER = "leave --resume out to do all pairs anew, or give the options that it was begun with"
 
 NAME = "index.html"
@@ -62,10 +62,10 @@ _NUMBERS = ("residual", "det_min", "det_max", "round_trip", "leave_one_out")
 
 @dataclass(frozen=True)
 class BatchRequest:
-    """The pairs of a batch, their options, the folders of outputs, the summary, and the workers.
+    """The pairs of a batch, their options, the output folders, the path of the summary, and the workers.
 
-    `resume` requires the same options as in the earlier run. `cluster` is the address of a scheduler of dask, a client,
-    "local", or None.
+    `resume` continues an earlier run, which must have had the same options. `cluster` is the address of a dask
+    scheduler, a dask client, "local" for a dask cluster on this machine, or None to work without dask.
     """
 
     jobs: Sequence[Job]
@@ -79,7 +79,7 @@ class BatchRequest:
 
 @dataclass(frozen=True)
 class Batch:
-    """The result of a batch: a line for every pair, the number of skipped pairs, and the notes of workers."""
+    """The result of a batch: a summary line for every pair, the number of skipped pairs, and the notes of workers."""
 
     lines: tuple[Line, ...]
     unchanged: int
@@ -98,11 +98,11 @@ def outcome_of(
     run_one: Callable[[Job, Options], Outcome] = run,
     prepare: Callable[[str, int], object] = registration_module,
 ) -> Batch:
-    """Register all pairs that are not up to date; a failed pair has a line with the reason and stops no other pair.
+    """Register all pairs that are not up to date, write the summary and return the result.
 
-    `prepare` builds the solver of a scheme and a dimension. Raises CodegenError before anything is written if the
-    request is wrong. Errors that concern every pair are raised, too: an unusable scheme, a file system that refuses, a
-    worker that does not see the files.
+    The line of a failed pair has the reason; the other pairs go on. `prepare` builds the solver for a scheme and a
+    dimension. Raises CodegenError for a wrong request, before anything is written. Problems of every pair are raised,
+    too: an unusable scheme, a refused write, or a worker that does not see the files.
     """
     digest, before = options_digest(request.options), read_summary(request.summary)
     path = journal_of(request.summary)
@@ -130,14 +130,14 @@ def outcome_of(
         tried: dict[int, Tried] = {}
 
         def lines() -> list[Line]:
-            """Return a new or earlier line for every pair that has one."""
+            """Return the new or else the earlier line of every pair; pairs without a line are left out."""
             return [line for p in pairs if (line := tried[p.number].line if p.number in tried else p.earlier)]
 
         def keep(number: int, done: Done) -> None:
-            """Record the lines of a chunk; after the loss of a chunk of several pairs each pair is tried again."""
+            """Record the lines of a chunk; skip a lost chunk of several pairs, which are tried again one by one."""
             if LOST in done.tally.counts and len(done.rows) > 1:
                 return
-            # After an interruption between these lines, the summary, which replaces the journal, has the new lines.
+            # In this order, an interruption between the two statements loses no line: the summary is made from `tried`.
             tried.update({entry.number: entry for entry in done.rows})
             journal.add(entry.line for entry in done.rows if entry.is_new)
 
@@ -146,7 +146,7 @@ def outcome_of(
             return [float(line["seconds"]) for line in solved]
 
         try:
-            # A first pair, then chunks of pairs, then one by one the pairs of lost chunks.
+            # First one pair, then chunks of pairs, and at last the pairs of lost chunks one by one.
             threads = os.cpu_count() or 1 if team.workers == 1 and cluster is None else 1
             shared = SharedFile.of(path)
             work = BatchWork(pairs, request.options, 1, threads, shared, dimensions, run_one=run_one)
@@ -166,16 +166,16 @@ def outcome_of(
             remove_leftovers(path for job in jobs for path in job.written)
         finally:
             write_summary(request.summary, lines())
-            path.unlink(missing_ok=True)  # the summary has all of its lines
+            path.unlink(missing_ok=True)  # the summary has all lines of the journal
         remove_leftovers([request.summary, path])
     unchanged = sum(not entry.is_new for entry in tried.values())
     return Batch(tuple(lines()), unchanged, tuple(team.notes))
 
 
 def write_batch_report(folder: Path, batch: Batch, pages: Iterable[Path | None]) -> Path:
-    """Write the page next to the pages of the pairs, which come in the order of the batch; return its path.
+    """Write the page of the batch into `folder`, with links to `pages`, a path or None for each pair; return its path.
 
-    Failed pairs come first, then pairs by their least determinant.
+    Failed pairs come first, then the other pairs by their least det J.
     """
     rows = []
     for line, page in zip(batch.lines, pages, strict=True):
@@ -197,7 +197,7 @@ def write_batch_report(folder: Path, batch: Batch, pages: Iterable[Path | None])
 
 
 def table(record: Record) -> Table:
-    """Return the record of one pair as a table for the terminal."""
+    """Return a table of the results of one pair for the terminal."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -219,7 +219,7 @@ def table(record: Record) -> Table:
 
 
 def record(batch: Batch, summary: Path) -> dict[str, object]:
-    """Return the JSON object of a batch."""
+    """Return the result of a batch as an object for JSON; `summary` is the path of the summary."""
     failed = [{name: line[name] for name in ("moving", "out", "status", "message")} for line in batch.failed]
     return {
         "problem": "image_registration", "task": "warp", "pairs": len(batch.lines), "unchanged": batch.unchanged,
@@ -229,7 +229,7 @@ def record(batch: Batch, summary: Path) -> dict[str, object]:
 
 
 def overview(batch: Batch, summary: Path) -> str:
-    """Describe a batch in one line."""
+    """Return the result of a batch in one line of text; `summary` is the path of the summary."""
     return f"{_counts(batch)}; see {summary}"
 
 

@@ -1,7 +1,7 @@
-"""The pairs of a batch: which files belong together, the registration of a chunk of pairs, and their summary.
+"""The pairs of a batch: the search for files that belong together, the registration of chunks, and the summary.
 
-Pictures and volumes are found in a folder or in a table. Images and landmarks are passed to workers as paths, and
-workers write the outputs: workers on other machines need the file system of the machine that starts the batch.
+A folder or a table names the images: pictures or volumes. Workers receive images and landmarks as paths, and write the
+outputs. Workers on other machines therefore need the file system of the machine that starts the batch.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from codegen.solving import loading
 
 MOST_PAIRS = 100_000
 _ONE_FILE, _TWO_FILES = (".csv", ".tps"), (".pts", ".mrk.json", ".fcsv")
-"""Suffixes of landmark files for both images, and of files for one image."""
+"""Suffixes of landmark files that hold the points of both images, and of files that hold the points of one image."""
 _TABLE = ("moving", "fixed", "landmarks", "out", "interpolation")
 _OUTPUT_SUFFIXES = {".nhdr": ".nrrd"}
-"""Suffixes of volumes that are not written, and their replacements."""
+"""Suffixes of volumes that can be read but not written, and the suffixes of their outputs."""
 
 SUMMARY = "summary.csv"
 COLUMNS = (
@@ -41,16 +41,16 @@ COLUMNS = (
     "det_min", "det_max", "folded", "round_trip", "leave_one_out", "outliers", "seconds", "options",
     "read", "written",
 )  # fmt: skip
-"""The last three are digests: of options and version, of all input files, and of each output file."""
+"""Columns of the summary. The last three hold digests: of options and version, of all inputs, and of each output."""
 _DIGITS = 32
 
 Line = dict[str, str]
-"""One line of the summary: texts under COLUMNS."""
+"""One line of the summary: a text for each name in COLUMNS."""
 
 
 @dataclass(frozen=True)
 class Places:
-    """The folders of the outputs of a batch; missing folders are made."""
+    """The folders of warped images, displacement fields and reports; None for unwanted fields or reports."""
 
     out: Path | None = None
     field: Path | None = None
@@ -64,9 +64,9 @@ class Places:
         out: Path | None = None,
         interpolation: Interpolation | None = None,
     ) -> Job:
-        """Name the outputs of one pair: after the moving image, or after `out`.
+        """Return the job of one pair, with its outputs named after `out`, or after the moving image if `out` is None.
 
-        Fields of pictures are .npz files, fields of volumes .nii.gz files.
+        Displacement fields of pictures are .npz files, displacement fields of volumes are .nii.gz files.
         """
         if out is None:
             suffix = moving.name[len(_stem(moving)) :]
@@ -77,7 +77,7 @@ class Places:
         return Job(moving, landmarks, out, fixed, field, report, interpolation)
 
     def make(self) -> None:
-        """Make the folders; FileError if the file system refuses."""
+        """Make the missing folders; raises FileError if the file system refuses."""
         for folder in (self.out, self.field, self.report):
             if folder is not None:
                 try:
@@ -94,12 +94,12 @@ def _stem(image: Path) -> str:
 def jobs_in_folder(
     folder: Path, places: Places, fixed: Path | None, landmarks: tuple[Path, ...]
 ) -> tuple[list[Job], list[Path]]:
-    """Pair the images and volumes of a folder with landmark files of the same stem, or all of them with `landmarks`.
+    """Return the jobs for the images of a folder, and the list of images without landmark files.
 
-    `a.png` or `a.nii.gz` belongs to `a.csv`, to `a.tps`, or to `a.moving.pts` with `a.fixed.pts`; instead of `.pts`
-    also `.mrk.json` or `.fcsv`. `fixed` is one image for all pairs, or a folder with images of the same names. The
-    second list has the images without landmarks. Raises ArgumentError if the folder has no pair, or if files cannot be
-    paired uniquely.
+    Every image is paired with `landmarks`, or, if empty, with files of the same stem. `a.png` or `a.nii.gz` belongs to
+    `a.csv`, to `a.tps`, or to `a.moving.pts` with `a.fixed.pts`; `.mrk.json` and `.fcsv` may replace `.pts`. `fixed` is
+    the fixed image of all pairs, or a folder with fixed images of the same names. Raises ArgumentError if the folder
+    has no pair, or if landmark files of two kinds belong to one image.
     """
     suffixes = (*(suffix for group in KINDS.values() for suffix in group), *VOLUMES)
     images = sorted(path for path in folder.iterdir() if path.name.lower().endswith(suffixes) and path.is_file())
@@ -129,11 +129,10 @@ def jobs_in_folder(
 
 
 def jobs_in_table(table: Path, places: Places, fixed: Path | None) -> list[Job]:
-    """Read the pairs of a table with the columns moving and landmarks, and optionally fixed, out and interpolation.
+    """Return the jobs of a CSV table with the columns moving and landmarks, and optionally fixed, out, interpolation.
 
-    Names are relative to the folder of the table. A semicolon separates two landmark files of one pair. An
-    interpolation holds for its pair only, such as nearest for labels. Raises ArgumentError, naming the line, for other
-    tables.
+    File names are relative to the folder of the table. A semicolon separates two landmark files of one pair. `fixed` is
+    for rows without a fixed image. An interpolation holds for its row only. Raises ArgumentError, naming the line.
     """
     jobs = []
     for line, row in _rows(table):
@@ -157,7 +156,7 @@ def jobs_in_table(table: Path, places: Places, fixed: Path | None) -> list[Job]:
 
 
 def _rows(table: Path) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield the lines of the table by their columns, with line numbers."""
+    """Yield the line number and the values, by column, of each row of a CSV table; ArgumentError if it is invalid."""
     try:
         with table.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
@@ -177,7 +176,7 @@ def _rows(table: Path) -> Iterator[tuple[int, dict[str, str]]]:
 
 
 def _distinct(jobs: list[Job]) -> list[Job]:
-    """Refuse pairs with outputs of the same name."""
+    """Return the jobs; raise ArgumentError if two of them would write the same file."""
     seen: dict[Path, Job] = {}
     for job in jobs:
         for path in job.written:
@@ -189,7 +188,7 @@ def _distinct(jobs: list[Job]) -> list[Job]:
 
 
 def require_free(jobs: Iterable[Job], path: Path) -> None:
-    """Refuse a pair whose page has the name of the page of the batch."""
+    """Raise ArgumentError if a job would write `path`, the page of the batch."""
     for job in jobs:
         if path.absolute() in (file.absolute() for file in job.written):
             finding = f"{path} is the page about all pairs, and that of {job.moving}"
@@ -197,12 +196,12 @@ def require_free(jobs: Iterable[Job], path: Path) -> None:
 
 
 def options_digest(options: Options) -> str:
-    """Return the digest of the options and of the version."""
+    """Return a digest of the options and of the version of this package."""
     return hashlib.sha256(repr((__version__, sorted(asdict(options).items()))).encode()).hexdigest()[:_DIGITS]
 
 
 def _output_digests(job: Job) -> dict[str, str]:
-    """Return the digests of all outputs of a job; empty texts for missing files, which no line contains."""
+    """Return the digest of each output file of a job, by kind of output; an empty text for a missing file."""
     samples = {f"{name}-samples": written_with(path) for name, path in (("out", job.out), ("field", job.field)) if path}
     files = {"out": job.out, "field": job.field, "report": job.report, **samples}
     return {kind: _digest(path) for kind, path in files.items() if path is not None}
@@ -217,7 +216,7 @@ def _digest(path: Path) -> str:
 
 
 def _line(record: Record, digests: Line) -> Line:
-    """Convert the record of a job to a line; missing numbers are empty."""
+    """Return the summary line for the record of a job and the digests; missing numbers are empty texts."""
     values = {**record, **record["summary"]}
     errors = values.get("leave_one_out") or []
     texts: dict[str, object] = {name: values.get(name) for name in COLUMNS}
@@ -235,7 +234,7 @@ def _line(record: Record, digests: Line) -> Line:
 
 
 def _failed_line(job: Job, status: str, message: str, digests: Line) -> Line:
-    """Return the line of a pair without a result."""
+    """Return the summary line of a pair without a result."""
     record: Record = {
         "moving": str(job.moving), "fixed": str(job.fixed or ""), "out": str(job.out),
         "landmarks": [str(path) for path in job.landmarks], "status": status, "message": message, "summary": {},
@@ -245,7 +244,7 @@ def _failed_line(job: Job, status: str, message: str, digests: Line) -> Line:
 
 
 def tally_of(lines: Iterable[Line]) -> Tally:
-    """Count the statuses, with the first message of each."""
+    """Return the number of lines with each status, the first message of each status, and the total time."""
     lines = [*lines]
     messages = {line["status"]: line["message"] for line in reversed(lines)}
     seconds = sum(float(line["seconds"] or 0.0) for line in lines)
@@ -253,7 +252,7 @@ def tally_of(lines: Iterable[Line]) -> Tally:
 
 
 def read_summary(path: Path) -> list[Line]:
-    """Read the lines of an earlier run; none if the file is no summary."""
+    """Return the lines of an earlier summary; an empty list if the file is missing or is no summary."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
@@ -265,7 +264,7 @@ def read_summary(path: Path) -> list[Line]:
 
 
 def write_summary(path: Path, lines: Iterable[Line]) -> None:
-    """Replace the summary; FileError if the file system refuses."""
+    """Write the summary over an earlier one; raises FileError if the file system refuses."""
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=COLUMNS)
         writer.writeheader()
@@ -274,7 +273,7 @@ def write_summary(path: Path, lines: Iterable[Line]) -> None:
 
 @dataclass(frozen=True)
 class Pair:
-    """The files of a pair, with absolute names, and its line of an earlier run, or an empty line."""
+    """A pair: its number in the batch, its files (absolute paths), and its line of an earlier run, or an empty dict."""
 
     number: int
     job: Job
@@ -283,7 +282,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Tried:
-    """The line of a pair; `is_new` is False if the pair was up to date."""
+    """The summary line of a pair by its number; `is_new` is False if the pair was up to date and was skipped."""
 
     number: int
     line: Line
@@ -292,7 +291,7 @@ class Tried:
 
 @dataclass(frozen=True)
 class Piece:
-    """The pairs of a chunk, and their files that are readable where the batch was started."""
+    """The pairs of a chunk, and those input files that exist on the machine that started the batch."""
 
     pairs: tuple[Pair, ...]
     readable: frozenset[Path]
@@ -300,14 +299,14 @@ class Piece:
 
 @dataclass(frozen=True)
 class SharedFile:
-    """A file of the batch, by which a worker checks that it uses the same file system."""
+    """A file by whose inode number a worker checks that it uses the file system of the batch."""
 
     path: Path
     inode: int
 
     @classmethod
     def of(cls, path: Path) -> SharedFile:
-        """Describe an existing file."""
+        """Return the path and the inode number of an existing file."""
         return cls(path, path.stat().st_ino)
 
     @property
@@ -321,10 +320,10 @@ class SharedFile:
 
 @dataclass(frozen=True, eq=False)
 class BatchWork:
-    """The data for registering any pair; a chunk has `size` pairs, and `threads` threads share the pixels of a pair.
+    """The pairs and options for the workers of an executor; a chunk has `size` pairs, each registered by `threads`.
 
-    `dimensions` are the dimensions of all pairs. Workers on other machines must see the file `shared`; `is_remote` is
-    True on these machines.
+    `dimensions` has 2 if there are pictures and 3 if there are volumes. Workers on other machines, where `is_remote` is
+    True, must see the file `shared`. `run_one` registers one pair.
     """
 
     pairs: Sequence[Pair]
@@ -342,21 +341,21 @@ class BatchWork:
         return range(-(-len(self.pairs) // self.size))
 
     def loaded(self) -> BatchWork:
-        """Load the solvers in this process."""
+        """Load the compiled solvers in this process, and return this work."""
         for dimension in self.dimensions:
             registration_module(self.options.scheme, dimension)
         return self
 
     def piece(self, number: int) -> Piece:
-        """Return the pairs of a chunk."""
+        """Return the pairs of the chunk with this number."""
         pairs = tuple(self.pairs[number * self.size : (number + 1) * self.size])
         return Piece(pairs, frozenset(path for pair in pairs for path in pair.job.read if path.is_file()))
 
     def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
-        """Register the pairs of a chunk that are not up to date; a failed pair has a line with the reason.
+        """Register the pairs of a chunk that are not up to date, and return their summary lines.
 
-        Raises Abandoned when the chunk is no longer wanted, FileError if the file system refuses an output, since that
-        concerns all pairs, and ClusterError if this machine does not see an input file.
+        The line of a failed pair has the reason. Raises Abandoned as soon as `is_wanted` returns False, FileError if
+        the file system refuses an output, and ClusterError if this machine does not see an input file.
         """
         tried = []
         with threads_at_most(self.threads):
@@ -371,26 +370,27 @@ class BatchWork:
         return _done(tried)
 
     def lost(self, number: int, reason: str) -> Done:
-        """Return the lines of a chunk whose worker processes ended repeatedly."""
+        """Return failed lines for a chunk whose worker processes ended repeatedly."""
         digests, pairs = {"options": options_digest(self.options)}, self.piece(number).pairs
         return _done([Tried(pair.number, _failed_line(pair.job, LOST, reason, digests), True) for pair in pairs])
 
     def returned(self, number: int, done: Done) -> Done:
-        """Return the result of a worker unchanged: outputs are in their files."""
+        """Return the result of a worker unchanged: the worker has written the output files."""
         return done
 
     def parcel(self) -> BatchParcel:
-        """Return the work without its pairs, for another machine."""
+        """Return the work without its pairs, to send it to another machine."""
         return BatchParcel(replace(self, pairs=()), self.digest_of_solvers(), target())
 
     def digest_of_solvers(self) -> str:
-        """Return the digest of the source texts of all solvers."""
+        """Return a digest of the source code of the generated solvers."""
         modules = [registration_module(self.options.scheme, dimension) for dimension in self.dimensions]
         return hashlib.sha256(b"".join(Path(module.__file__).read_bytes() for module in modules)).hexdigest()
 
     def _tried(self, pair: Pair) -> Tried:
+        """Return the earlier line if the pair is up to date; otherwise register the pair and return a new line."""
         job, earlier = pair.job, pair.earlier
-        # The digest of all input, apart from options; empty if a file is not readable.
+        # `read` is a digest of all input files and of the interpolation; empty if a file is not readable.
         files, read = [_digest(path) for path in job.read], ""
         if all(files):
             names = [path.name for path in job.read]  # TPS files contain names of images
@@ -402,7 +402,7 @@ class BatchWork:
             and read
             and (earlier["options"], earlier["read"]) == (digests["options"], read)
         ):
-            # Outputs of an earlier run that are no longer requested may be missing.
+            # Only the outputs that are requested now are compared: others of the earlier run may be missing.
             before = dict(word.partition(":")[::2] for word in earlier.get("written", "").split())
             if all(before.get(kind) == digest for kind, digest in _output_digests(job).items()):
                 return Tried(pair.number, earlier, False)
@@ -417,7 +417,7 @@ class BatchWork:
         except MemoryError:
             message = "there is not enough memory for this pair; give smaller images, or fewer workers"
             status = "out of memory"
-        except Exception as error:  # the other pairs go on; the line reports the defect and the exit status is 1
+        except Exception as error:  # the line reports the defect, and the other pairs go on
             message = f"{type(error).__name__}: {error}; this is a defect of codegen, please report it"
             status = "defect"
         return Tried(pair.number, _failed_line(job, status, message, digests), True)
@@ -425,14 +425,14 @@ class BatchWork:
 
 @dataclass(frozen=True, eq=False)
 class BatchParcel:
-    """A batch for another machine, which derives the solvers itself: work, digest of the solvers, origin."""
+    """A batch for another machine; `digest` identifies the generated solvers, `origin` the machine of the batch."""
 
     work: BatchWork
     digest: str
     origin: Target
 
     def unpacked(self) -> tuple[BatchWork, tuple[str, ...]]:
-        """Prepare the work on this machine; ClusterError if files or versions differ from the batch."""
+        """Return the work, ready on this machine, and notes; ClusterError if files or solvers differ from the batch."""
         if not self.work.shared.is_visible:
             raise _unseen(self.work.shared.path)
         scheme, dimensions = self.work.options.scheme, self.work.dimensions

@@ -1,12 +1,12 @@
-"""Images: PNG, JPEG and TIFF files with 8-bit, 16-bit or float samples, grey or in colour, with or without opacity.
+"""Reading and writing of images: PNG, JPEG and TIFF files, grey or in colour, with or without opacity.
 
-The first bytes of a file determine its kind, not its name. The size in bytes and in pixels is checked before anything
-is decoded. Samples keep their type. Palettes are converted to colours, and EXIF orientations are applied, so that the
-first row is the upper one. Pillow and tifffile decode images; SimpleITK decodes PNG files with several channels of
-16 bits.
+Samples are integers of 8, 16 or 32 bits, or floats, and keep their type. The first bytes of a file determine its kind,
+not its name. The size in bytes and in pixels is checked before anything is decoded. Palettes are converted to colours.
+EXIF orientations are applied, so that the first row is the upper one. Pillow and tifffile decode images; SimpleITK
+decodes PNG files with several channels of 16 bits.
 
-TIFF files of ImageJ, of OME and with a resolution give the size of a pixel. `codegen.registration.app.reading` reads
-the size of a pixel from NIfTI, NRRD and MetaImage.
+TIFF files give the size of a pixel in ImageJ metadata, OME metadata or as a resolution.
+`codegen.registration.app.reading` reads the size of a pixel from NIfTI, NRRD and MetaImage.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr")
 """Suffixes of files that `codegen.registration.volumes` reads."""
 SAMPLES = frozenset(np.dtype(name) for name in ("u1", "u2", "i2", "u4", "i4", "f4", "f8"))
 LONGEST = 1000.0
-"""Largest ratio of the sides of a pixel."""
+"""Largest plausible ratio of the longer to the shorter side of a pixel."""
 MOST_UNIT = 12
-"""Largest number of characters of a unit."""
+"""Largest number of characters of the name of a unit."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -52,7 +52,7 @@ _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _PNG_OF_16_BITS = "SimpleITK", "which reads and writes PNG with several channels of 16 bits,"
 _EXIF_ORIENTATION = 0x0112
 _DEFLATE = (8, 32946)
-# EXIF 2.32, tag 0x0112: the side of the image that the first row and the first column of the stored array show.
+# EXIF 2.32, tag 0x0112: the functions that turn a stored array upright, by orientation.
 _ORIENTATIONS: dict[int, Callable[[Pixels], Pixels]] = {
     1: lambda a: a,
     2: lambda a: a[:, ::-1],
@@ -66,13 +66,13 @@ _ORIENTATIONS: dict[int, Callable[[Pixels], Pixels]] = {
 _TRANSPOSED = (5, 6, 7, 8)
 _UNITS = {"micron": "µm", "microns": "µm", "um": "µm", "\\u00b5m": "µm", "inch": "in", "": "mm"}
 _PRINT = (1.0, 72.0, 96.0, 100.0, 150.0, 200.0, 240.0, 300.0, 600.0, 1200.0)
-"""Dots per inch that programs write without a measurement."""
+"""Resolutions, in dots per inch, that programs write by default; they do not mean a measured pixel size."""
 _OME_SIZE = r'PhysicalSize{}="([0-9.eE+-]+)"'
 
 
 @dataclass(frozen=True)
 class Limits:
-    """The largest file, in bytes, and the largest image, in pixels, that are read."""
+    """The largest size of a file, in bytes, and of an image, in pixels, that is read."""
 
     bytes: int = 1 << 30
     pixels: int = 1 << 26
@@ -80,7 +80,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Spacing:
-    """Width and height of a pixel in a unit of length."""
+    """The width and height of a pixel, and their unit of length."""
 
     x: float
     y: float
@@ -98,15 +98,15 @@ class Spacing:
         return 1e-12 < short <= long < min(1e12, LONGEST * short)
 
     def lengths(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert vectors in units of `side`, shape (n, 2), to lengths in the unit of the spacing, shape (n,)."""
+        """Return the lengths, shape (n,) in `unit`, of vectors in units of `side`, shape (n, 2)."""
         return np.asarray(np.linalg.norm(vectors * self.side, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Pixels as stored, and the kind of file: "PNG", "JPEG" or "TIFF".
+    """The pixels of an upright image, in the type of the file, and the kind of file: "PNG", "JPEG" or "TIFF".
 
-    `profile` is the colour profile (ICC) and `spacing` the size of a pixel; both are None if the file has none.
+    `profile` is the colour profile (ICC) and `spacing` the size of a pixel; both are None if missing in the file.
     """
 
     pixels: Pixels
@@ -116,13 +116,13 @@ class Image:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(h, w) or (h, w, c)."""
+        """The shape of the pixels, (h, w) or (h, w, c)."""
         return self.pixels.shape
 
 
 @dataclass(frozen=True)
 class _Header:
-    """Kind of file, size in pixels, bits of a sample and stored samples of a pixel."""
+    """The kind of a file, its size in pixels, the bits of a sample, and the number of samples of a pixel."""
 
     kind: str
     width: int
@@ -188,7 +188,7 @@ def read_image(source: Path | str | bytes, limits: Limits | None = None, name: s
 
 
 def write_image(path: Path, pixels: Pixels, profile: bytes | None = None) -> None:
-    """Write an image in the format of its suffix; on failure an existing file stays unchanged.
+    """Write an image in the format of its suffix; an existing file is unchanged if writing fails.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ def require_fitting(path: Path, pixels: Pixels) -> None:
 
 
 def require_kind(path: Path) -> str:
-    """Return the format that the suffix of an output names; ImageError if there is no such format."""
+    """Return "PNG", "JPEG" or "TIFF" for the suffix of an output; ImageError for other suffixes."""
     for kind, suffixes in KINDS.items():
         if path.suffix.lower() in suffixes:
             return kind
@@ -258,18 +258,18 @@ def require_kind(path: Path) -> str:
 
 
 def unit_name(unit: str) -> str:
-    """Return the name under which reports and the page show a unit."""
+    """Return the short name of a unit for reports and the page, such as "µm" for "micron"."""
     return _UNITS.get(unit, unit)[:MOST_UNIT]
 
 
 def rational(value: tuple[int, int] | float | None) -> float:
-    """Convert a rational number of a TIFF tag; a missing number is zero."""
+    """Return the value of a number or fraction of a TIFF tag as a float; zero for a missing or infinite value."""
     top, bottom = value if isinstance(value, tuple) else (value or 0, 1)
     return float(top) / float(bottom) if bottom else 0.0
 
 
 def library(name: str, use: str) -> ModuleType:
-    """Import a library; ExtraError with the command that installs the library."""
+    """Return an imported library; ExtraError, with `use` and the command to install the library, if it is missing."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
@@ -277,14 +277,14 @@ def library(name: str, use: str) -> ModuleType:
 
 
 def tifffile() -> ModuleType:
-    """Import tifffile without its messages on stderr; ExtraError if it is not installed."""
+    """Return tifffile without its messages on stderr; ExtraError if it is not installed."""
     module = library("tifffile", "which reads and writes TIFF files,")
     module.logger().setLevel(logging.CRITICAL)
     return module
 
 
 def _header(name: str, data: bytes) -> _Header:
-    """Read the header; ImageError if the data do not begin like a PNG, JPEG or TIFF file."""
+    """Return the header of the file content; ImageError unless it begins like a PNG, JPEG or TIFF file."""
     if data.startswith(_PNG):
         # The IHDR chunk comes first (PNG specification, 11.2.2).
         if len(data) < 33 or data[12:16] != b"IHDR" or zlib.crc32(data[12:29]) != struct.unpack(">I", data[29:33])[0]:
@@ -295,8 +295,8 @@ def _header(name: str, data: bytes) -> _Header:
         from PIL.JpegImagePlugin import JpegImageFile
 
         try:
-            picture = JpegImageFile(io.BytesIO(data))  # reads the header only
-        except Exception as error:  # for damaged files it raises exceptions of several classes
+            picture = JpegImageFile(io.BytesIO(data))  # reads only the header
+        except Exception as error:  # for damaged files Pillow raises exceptions of several classes
             raise ImageError(f"{name} has no frame header", "give a whole JPEG file") from error
         return _Header("JPEG", *picture.size, 8, len(picture.getbands()))
     if data.startswith(_TIFF):
@@ -308,7 +308,7 @@ def _header(name: str, data: bytes) -> _Header:
 
 
 def _tiff_header(name: str, data: bytes) -> _Header:
-    """Read size and samples of the first page; ImageError for stacks and for unsupported samples."""
+    """Return the header of a TIFF file with one image; ImageError for stacks and for unsupported samples."""
     with tifffile().TiffFile(io.BytesIO(data)) as file:
         page = file.pages[0]
         for number in range(1, 20):
@@ -316,7 +316,7 @@ def _tiff_header(name: str, data: bytes) -> _Header:
                 other = file.pages[number]
             except IndexError:
                 break
-            if not other.is_reduced:  # reduced pages are copies of the first one
+            if not other.is_reduced:  # reduced pages are smaller copies of the first page
                 remedy = "save one as a file of its own; codegen warp registers stacks"
                 raise ImageError(f"{name} holds several images", remedy)
         if page.photometric.name not in ("MINISBLACK", "RGB", "PALETTE", "YCBCR"):
@@ -343,7 +343,7 @@ def _decode_by_pillow(name: str, data: bytes, header: _Header) -> tuple[Pixels, 
             path.write_bytes(data)
             try:
                 return np.asarray(itk.GetArrayFromImage(itk.ReadImage(str(path), imageIO="PNGImageIO"))), None, 1
-            except RuntimeError as error:  # its message names files of the library
+            except RuntimeError as error:  # its message is not shown: it names source files of SimpleITK
                 raise ImageError(f"{name} is damaged or cut off", "give a whole PNG file") from error
     with Image.open(io.BytesIO(data), formats=(header.kind,)) as picture:
         picture.load()
@@ -358,7 +358,7 @@ def _decode_by_pillow(name: str, data: bytes, header: _Header) -> tuple[Pixels, 
 
 
 def _channels(picture: Picture) -> Picture:
-    """Convert palettes, single bits and one transparent colour to the channels that they represent."""
+    """Return a picture in grey or RGB; palettes, single bits and one transparent colour are converted."""
     transparent = "transparency" in picture.info
     if picture.mode == "P":
         return picture.convert("RGBA" if transparent else "RGB")
@@ -375,7 +375,7 @@ def _decode_tiff(name: str, data: bytes, header: _Header) -> tuple[Pixels, bytes
         page = file.pages[0]
         is_plain = page.photometric.name in ("MINISBLACK", "RGB") and page.bitspersample != 1
         if is_plain and page.compression in (1, *_DEFLATE):
-            # Refuse strips or tiles that lie outside the file, or that inflate to more than the image needs.
+            # Refuse strips or tiles that lie outside the file, or that decompress to more than the image needs.
             segments = list(zip(page.dataoffsets, page.databytecounts, strict=True))
             if any(start + length > len(data) for start, length in segments):
                 raise ImageError(f"{name} is cut off", "give a whole TIFF file")
@@ -408,7 +408,7 @@ def _decode_tiff(name: str, data: bytes, header: _Header) -> tuple[Pixels, bytes
 
 
 def _tiff_spacing(data: bytes) -> Spacing | None:
-    """Read the size of a pixel; None if the file has none, or one that is not plausible."""
+    """Return the size of a pixel in a TIFF file; None if it is missing or not plausible."""
     spacing = None
     try:
         with tifffile().TiffFile(io.BytesIO(data)) as file:
@@ -432,6 +432,6 @@ def _tiff_spacing(data: bytes) -> Spacing | None:
                         spacing = Spacing(10 / width, 10 / height, "mm")
                     elif code == 2 and width not in _PRINT:
                         spacing = Spacing(25.4 / width, 25.4 / height, "mm")
-    except Exception:  # the pixels are readable: errors in other tags are no reason to refuse the image
+    except Exception:  # the pixels are readable: errors in metadata are no reason to refuse the image
         return None
     return spacing if spacing is not None and spacing.is_plausible else None

@@ -1,8 +1,8 @@
-"""Registration of one pair from files to files: images and landmarks in; warped image, field, report and record out.
+"""Registration of one pair of images from files to files.
 
-Pictures and volumes follow the same steps. All input is checked before anything is solved. The warped image is written
-last, so that its presence means that all outputs are complete. A map that folds, or whose round trip is inaccurate,
-writes no image.
+The inputs are images and landmarks; the outputs are the warped image, the displacement field, the report and the
+record. All input is checked before anything is solved. The warped image is written last, so that its presence means
+that all outputs are complete. No image is written if the map folds, or if its round trip is inaccurate.
 """
 
 from __future__ import annotations
@@ -56,19 +56,19 @@ from codegen.registration.warp import (
 from codegen.solving.results import output
 
 LARGE = 1 << 22
-"""Pixels of an image above which positions are interpolated from a coarse grid by default."""
+"""Number of pixels above which, by default, positions are interpolated from a coarse grid."""
 
 Progress = Callable[[str], None]
 _DIRECTIONS = ("moving to fixed", "fixed to moving")
-"""The direction of the image by `inverse`; the direction of a displacement field is the opposite."""
+"""The direction in which the image is warped, indexed by `inverse`; displacement fields have the other direction."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the registration and the warp of pairs.
+    """Options of the registration and the warp of pairs: arguments of `register` and `warp`, and three others.
 
-    `sigma` is in pixels. `coarse` interpolates positions from a coarse grid; None: for more than `LARGE` pixels. `flip`
-    mirrors the moving image left to right first. The other options are arguments of `register` and `warp`.
+    `inverse` warps the fixed image to the moving one. `flip` first mirrors the moving image left to right. `coarse`
+    interpolates positions from a coarse grid; None means True for more than `LARGE` pixels. `sigma` is in pixels.
     """
 
     inverse: bool = False
@@ -86,8 +86,8 @@ class Options:
 class Job:
     """The input and output files of one pair.
 
-    `landmarks` is one file, or a moving and a fixed one. `interpolation` replaces the option for this pair, for
-    instance for labels among other images.
+    `landmarks` is one file, or a moving and a fixed file. `interpolation` replaces the option of the same name for this
+    pair, for instance if its images are labels.
     """
 
     moving: Path
@@ -100,22 +100,22 @@ class Job:
 
     @property
     def read(self) -> tuple[Path, ...]:
-        """All input files."""
+        """All input files, including files of samples that the headers of images name."""
         fixed = [self.fixed] if self.fixed is not None else []
         samples = [file for path in (self.moving, *fixed) if (file := read_with(path)) is not None]
         return (self.moving, *self.landmarks, *fixed, *samples)
 
     @property
     def written(self) -> tuple[Path, ...]:
-        """All output files, the image last."""
+        """All output files, the warped image last."""
         files = tuple(path for path in (self.field, self.report, self.out) if path is not None)
         return (*(samples for path in files if (samples := written_with(path)) is not None), *files)
 
     def absolute(self) -> Job:
-        """Replace all names by absolute ones, which are unique and valid in any process."""
+        """Return the job with absolute paths, which are unique and valid in any process."""
 
         def absolute(path: Path) -> Path:
-            return path.parent.resolve() / path.name  # a link is a file of its own
+            return path.parent.resolve() / path.name  # a symbolic link is not followed
 
         fixed, field, report = (path and absolute(path) for path in (self.fixed, self.field, self.report))
         moving, landmarks, out = absolute(self.moving), tuple(map(absolute, self.landmarks)), absolute(self.out)
@@ -123,10 +123,10 @@ class Job:
 
 
 def run(job: Job, options: Options, progress: Progress | None = None) -> Outcome:
-    """Register one pair of pictures or volumes.
+    """Register one pair of pictures or volumes, write its files and return the outcome.
 
-    `progress` receives a line after each solve if there are several. Raises CodegenError for wrong input; after a
-    failure of the numerics the outcome has not `passed`.
+    `progress` receives a line of text after each solve if there are several. Raises CodegenError for wrong input. If
+    the numerics fail, nothing is raised, and `passed` of the outcome is False.
     """
     if job.interpolation is not None:
         options = replace(options, interpolation=job.interpolation)
@@ -134,7 +134,7 @@ def run(job: Job, options: Options, progress: Progress | None = None) -> Outcome
 
 
 def run_pictures(job: Job, options: Options, progress: Progress | None = None) -> Outcome:
-    """Register one pair of pictures, as `run`."""
+    """Register one pair of pictures as `run` does."""
     seconds: dict[str, float] = {}
     require_kind(job.out)
     if job.field is not None and not job.field.name.endswith(FIELD_KINDS):
@@ -184,14 +184,14 @@ def run_pictures(job: Job, options: Options, progress: Progress | None = None) -
     if result.passed and result.warped is not None:
         with _timed(seconds, "write"):
             if job.field is not None and positions is not None:
-                # The field of the image: from each of its pixels to the position of its value.
+                # The field leads from each pixel of the warped image to the position of its value in the source.
                 write_field(job.field, displacements(positions), _DIRECTIONS[not options.inverse])
             write_image(job.out, result.warped, source.profile)
     return result
 
 
 def run_volumes(job: Job, options: Options, progress: Progress | None = None) -> Outcome:
-    """Register one pair of volumes, as `run`."""
+    """Register one pair of volumes as `run` does."""
     seconds: dict[str, float] = {}
     if options.flip:
         raise ArgumentError("--flip mirrors pictures", "mirror the volume and its landmarks where they were made")
@@ -236,7 +236,7 @@ def run_volumes(job: Job, options: Options, progress: Progress | None = None) ->
 
 
 def _require_outputs(job: Job, options: Options) -> None:
-    """Refuse outputs in missing folders, outputs that would replace an input, and outputs of the same name."""
+    """Raise ArgumentError for outputs in missing folders, over an input or a folder, or of the same name."""
     output.require_folder(job.out.absolute().parent, "--out")
     if job.field is not None:
         output.require_folder(job.field.absolute().parent, "--field")
@@ -255,7 +255,7 @@ def _require_outputs(job: Job, options: Options) -> None:
 
 
 def _require_inside(job: Job, pairs: LandmarkPairs, grids: tuple[Grid, Grid]) -> None:
-    """Refuse landmarks outside their volume; the remedy is the most likely cause."""
+    """Raise PointsError for landmarks outside their volume; the remedy corrects the most likely cause."""
     for side, grid, points in zip(("moving", "fixed"), grids, (pairs.moving, pairs.fixed), strict=True):
         outside = np.flatnonzero(~grid.contains(points, slack=0.5))
         if not outside.size:
@@ -277,10 +277,10 @@ def _registered(
     job: Job, options: Options, pairs: LandmarkPairs, grids: tuple[Grid, Grid], seconds: dict[str, float],
     progress: Progress | None,
 ) -> tuple[Outcome, Positions | None]:  # fmt: skip
-    """Register and certify pictures or volumes; without a map the record of the outcome has the reason.
+    """Return the outcome of the registration of a pair, without a warped image, and the positions of all pixels.
 
-    `pairs` are in pixels for pictures, and in the coordinates of the grids for volumes. The second value has the
-    positions of all pixels if the certificate needed them.
+    `pairs` are in pixels for pictures, and in the coordinates of the two `grids` for volumes. `seconds` receives the
+    times. The positions are None unless the certificate needed them. Without a map, the record has the reason.
     """
     with _timed(seconds, "build"):
         registration_module(options.scheme, pairs.dimension)
@@ -349,7 +349,7 @@ def _registered(
 
 
 def _strict(value: object) -> Any:
-    """Convert a value for strict JSON: NaN and infinity become None."""
+    """Return the value with None for NaN and infinity, which strict JSON does not allow."""
     if isinstance(value, dict):
         return {name: _strict(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -361,7 +361,7 @@ def _strict(value: object) -> Any:
 
 @contextmanager
 def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
-    """Record the time of the block."""
+    """Store the time of the block in `seconds`, under `name`."""
     begin = time.perf_counter()
     try:
         yield

@@ -1,6 +1,6 @@
 """The outcome of one registration, and its report: an HTML page with pictures, certificate and landmarks.
 
-The page of volumes has orthogonal slices of the volumes and of det J.
+The page of a pair of volumes shows orthogonal slices of the volumes and of det J, the determinant of the Jacobian.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ from codegen.registration.volumes import Volume
 from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, RED
 
 LONGEST = 560
-"""Pixels of the longer side of a picture on the page; larger images are thinned."""
+"""Largest number of pixels of the longer side of an image on the page; larger images are subsampled."""
 INCHES, DPI = 4.6, 125
 CELLS, FIELDS = 24, 8
-"""Cells of the deformed grid along the longer side, and of the checkerboard."""
+"""Number of cells along the longer side: of the deformed grid, and of the checkerboard."""
 LINE_POINTS = 241
-"""Points of a line of the deformed grid."""
+"""Number of points on a line of the deformed grid."""
 COARSE = 80
-"""Points along each side of the coarse grid by which pixels from outside the image are masked."""
+"""Number of points along each side of the coarse grid that masks pixels from outside the source image."""
 MOST_NAMES = 60
-"""Landmarks whose names are shown in a picture."""
+"""Largest number of landmarks whose names are shown in a picture."""
 MOST_ROWS = 2_000
-"""Landmarks in the table; its last row counts the others."""
+"""Largest number of landmarks in the table; an additional row counts the others."""
 _RESIDUALS = (
     "Residual: how far a moving landmark arrives from the fixed one. Left out: how far it would arrive if the other "
     "landmarks alone made the map."
@@ -62,17 +62,17 @@ VOLUME_NOTE = (
 )
 
 Record: TypeAlias = dict[str, Any]
-"""The JSON record of a job; its entry `summary` has the findings."""
+"""The record of a job for JSON: the options and the status; the dict `summary` has the results."""
 Shape: TypeAlias = tuple[int, ...]
 Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Outcome:
-    """The outcome of a job, of pictures or of volumes.
+    """The outcome of the registration of a pair of pictures or volumes.
 
-    The map and its certificate are None if no map exists, and `warped`, the samples of the warped image, if the map
-    folds.
+    `registration`, the map, and its `certificate` are None if no map was found. `warped`, the samples of the warped
+    image, is also None if the map folds or is inaccurate. `left_out` has the leave-one-out errors of the landmarks.
     """
 
     record: Record
@@ -85,7 +85,7 @@ class Outcome:
 
     @property
     def out_of_place(self) -> tuple[int, ...]:
-        """The numbers of the outliers among the landmarks, counted from zero."""
+        """The indices of the landmarks that are outliers."""
         return out_of_place(self.outliers, self.left_out)
 
     @property
@@ -95,13 +95,13 @@ class Outcome:
 
     @property
     def inverse(self) -> bool:
-        """True if the fixed image is brought into the frame of the moving one."""
+        """True if the fixed image is warped into the frame of the moving image, instead of the reverse."""
         return bool(self.record["direction"] == "fixed to moving")
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture for the page: PNG in base64."""
+    """A picture for the page; `data` is a PNG file in base64."""
 
     title: str
     caption: str
@@ -109,10 +109,10 @@ class Picture:
 
 
 def write_page(path: Path, result: Outcome, pictures: list[Picture], note: str) -> None:
-    """Write a page with pictures and a note about its numbers; FileError if the file system refuses."""
+    """Write the report of a registration; `note` explains its units. FileError if the file system refuses."""
     record, pairs = result.record, result.pairs
     summary, outliers = record["summary"], set(result.out_of_place)
-    # Names of files without folders: a page may be sent to others.
+    # Names of files without folders, since a page may be sent to other people.
     files = [f"moving: {Path(record['moving']).name}"]
     files += [f"fixed: {Path(record['fixed']).name}"] if record["fixed"] else []
     files.append("landmarks: " + " and ".join(Path(name).name for name in record["landmarks"]))
@@ -147,7 +147,7 @@ def write_page(path: Path, result: Outcome, pictures: list[Picture], note: str) 
 
 
 def facts(record: Record) -> list[tuple[str, str]]:
-    """Names and values of the findings; distances in pixels, and in the unit of a picture if its file has one."""
+    """Return the names of the results and their texts; distances in pixels, and in the unit of the file if known."""
     summary = record["summary"]
     found = [("landmarks", str(summary["landmarks"]))]
     if "det_min" not in summary:
@@ -193,7 +193,7 @@ def facts(record: Record) -> list[tuple[str, str]]:
 
 
 def number(value: float | None) -> str:
-    """Format a number in few characters; a dash if it is missing."""
+    """Return the text of a number with four significant digits, or a dash if it is None or not finite."""
     return "–" if value is None or not math.isfinite(value) else f"{value:.4g}"
 
 
@@ -203,7 +203,7 @@ def _median(errors: list[float | None]) -> str:
 
 
 def pictures_of(result: Outcome, moving: Image, fixed: Image | None) -> list[Picture]:
-    """Draw all pictures of a pair of pictures: the images alone if no map exists."""
+    """Return the pictures for the report of a pair of pictures: only the two images if no map exists."""
     pairs, registration, pictures = result.pairs, result.registration, []
     for title, image, points, colour in (("Moving", moving, pairs.moving, RED), ("Fixed", fixed, pairs.fixed, BLUE)):
         if image is not None:
@@ -219,7 +219,7 @@ def pictures_of(result: Outcome, moving: Image, fixed: Image | None) -> list[Pic
     if result.warped is not None:
         pictures += _comparison(result, registration, result.warped, target)
     pictures.append(_deformed_grid(result, registration))
-    # The growth of areas on the fixed image; a colour of its own where det J is not positive.
+    # A map of det J, the growth of areas, on the fixed image, with a special colour where det J is not positive.
     shape, least = registration.fixed_grid.shape, result.certificate.det_min_at
     height, width = shape
     step = max(1.0, max(height, width) / 220.0)
@@ -241,7 +241,7 @@ def pictures_of(result: Outcome, moving: Image, fixed: Image | None) -> list[Pic
 
 
 def _comparison(result: Outcome, registration: Registration, warped: Pixels, target: Image | None) -> list[Picture]:
-    """Draw the warped image and, with the image of the same frame, a checkerboard and the difference."""
+    """Return pictures of the warped image and, if `target` is given, its checkerboard and difference with `target`."""
     inverse, shape = result.inverse, warped.shape
     source, frame = ("fixed", "moving") if inverse else ("moving", "fixed")
     axes = _axes(shape)
@@ -261,7 +261,7 @@ def _comparison(result: Outcome, registration: Registration, warped: Pixels, tar
     _show(axes, np.where(is_first if one.ndim == 2 else is_first[..., None], one, two), shape)
     caption = f"Fields of the warped and of the {frame} image in turn."
     pictures.append(_picture("Checkerboard", caption, axes, shape))
-    # Pixels from inside the source image, by interpolation of their sources on a coarse grid.
+    # `inside` marks the pixels that come from inside the source image, interpolated from a coarse grid.
     rows, columns = (np.linspace(0.0, length - 1.0, COARSE) for length in shape[:2])
     nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     carry = registration.map_points if inverse else registration.map_points_inverse
@@ -279,7 +279,7 @@ def _comparison(result: Outcome, registration: Registration, warped: Pixels, tar
 
 
 def _deformed_grid(result: Outcome, registration: Registration) -> Picture:
-    """Draw lines of equal x and y of the source image, carried by the map."""
+    """Return a picture of a square grid on the source image, deformed by the map."""
     inverse, source, target = result.inverse, registration.grid.shape, registration.fixed_grid.shape
     if inverse:
         source, target = target, source
@@ -299,7 +299,7 @@ def _deformed_grid(result: Outcome, registration: Registration) -> Picture:
 
 
 def _axes(shape: Shape, bar: bool = False) -> Axes:
-    """Return axes for an image, in its pixels, on a figure of its own, with space for a colour bar."""
+    """Return axes for an image of shape (h, w) on a new figure, which is wider if it gets a colour `bar`."""
     height, width = shape[:2]
     share = min(2.5, max(0.3, height / width))
     size = (INCHES, INCHES * share) if share <= 1.3 else (INCHES * 1.3 / share, INCHES * 1.3)
@@ -311,7 +311,7 @@ def _axes(shape: Shape, bar: bool = False) -> Axes:
 
 
 def _picture(title: str, caption: str, axes: Axes, shape: Shape) -> Picture:
-    """Draw the figure of axes of `_axes`, within an image of the given shape."""
+    """Return the picture of the figure of `axes`, cut to an image of shape (h, w)."""
     left, right, bottom, top = _extent(shape)
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
@@ -327,17 +327,14 @@ def _as_png(title: str, caption: str, figure: Figure | None) -> Picture:
 
 
 def _determinant_scale(values: Array) -> tuple[Colormap, float]:
-    """Return colours for the logarithms of determinants, and the largest determinant or reciprocal of one.
-
-    Values that are not positive have a colour of their own.
-    """
+    """Return a colour map, with a special colour for masked values, and r: positive values lie between 1/r and r."""
     positive = values[values > 0.0]
     reach = max(1.05, float(np.exp(np.abs(np.log(positive)).max()))) if positive.size else 2.0
     return matplotlib.colormaps["RdBu_r"].with_extremes(bad=AMBER), reach
 
 
 def _style_bar(bar: Colorbar, name: str) -> None:
-    """Label a colour bar, in small letters and without minor ticks."""
+    """Label a colour bar with `name`, in small letters and without minor ticks."""
     bar.ax.minorticks_off()
     bar.ax.tick_params(labelsize=8, length=2)
     bar.set_label(name, fontsize=9)
@@ -348,7 +345,7 @@ def _extent(shape: Shape) -> tuple[float, float, float, float]:
 
 
 def _show(axes: Axes, pixels: Pixels, shape: Shape | None = None) -> None:
-    """Show an image in its own pixels, or in the pixels of an image of another shape."""
+    """Draw an image on `axes`, in its own pixels, or stretched over an image of another `shape` (h, w)."""
     thin = pixels if pixels.dtype == float and pixels.max(initial=0.0) <= 1.0 else _shown(_thinned(pixels))
     extent = _extent(shape or pixels.shape)
     axes.imshow(thin, extent=extent, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
@@ -366,13 +363,13 @@ def _bar(axes: Axes, shown: AxesImage, name: str, ticks: Sequence[float]) -> Non
 
 
 def _thinned(pixels: Pixels) -> Pixels:
-    """Take every n-th pixel of an image that is larger than a picture."""
+    """Return every n-th pixel, so that the longer side has at most LONGEST pixels."""
     stride = max(1, -(-max(pixels.shape[:2]) // LONGEST))
     return pixels[::stride, ::stride]
 
 
 def _shown(pixels: Pixels) -> Array:
-    """Scale samples to 0 to 1, as grey or RGB over white; samples of more than 8 bits by their range."""
+    """Return grey or RGB between 0 and 1, over white; samples of more than 8 bits are scaled by their range."""
     values = pixels.astype(float)
     low, high = 0.0, 255.0
     if pixels.dtype != np.uint8:
@@ -390,18 +387,18 @@ def _grey(values: Array) -> Array:
 
 
 SLICE_LONGEST = 240
-"""Voxels of the longer side of a slice that are shown."""
+"""Largest number of voxels shown along each side of a slice."""
 SLICE_COARSE = 72
-"""Points along the longer side of a slice at which det J is evaluated."""
+"""Largest number of points along each side of a slice at which det J is evaluated."""
 NEAR = 3.0
-"""Voxels from a slice within which landmarks are marked on it."""
+"""Largest distance, in voxels, of the landmarks that are marked on a slice."""
 NAMES = ("sagittal", "coronal", "axial")
 SLICE_DPI = 110
 
 
 @dataclass(frozen=True)
 class Plane:
-    """A slice of a grid: the axis normal to it, 0 to 2 for columns, rows and slices, and its index on this axis."""
+    """A slice of a grid: its normal axis, 0 to 2 for columns, rows and slices, and its index along this axis."""
 
     grid: Grid
     axis: int
@@ -415,40 +412,40 @@ class Plane:
 
     @property
     def name(self) -> str:
-        """The patient's plane nearest to the slice, and the number of the slice."""
+        """The nearest anatomical plane, and the number of the slice, such as "axial, slice 12"."""
         across = np.abs(np.array(self.grid.direction)[:, self.axis])
         return f"{NAMES[int(across.argmax())]}, {('column', 'row', 'slice')[self.axis]} {self.index}"
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom and top of the picture, in units of length from the edge of the first voxel.
+        """Left, right, bottom and top of the picture, in the unit of the grid, from the edge of the first voxel.
 
-        Axial slices have the back of the patient at the bottom.
+        Slices normal to axis 2 have their first row at the top: axial slices show the patient's back at the bottom.
         """
         width, height = (self.grid.size[axis] * self.grid.spacing[axis] for axis in self.axes)
         return (0.0, width, height, 0.0) if self.axis == 2 else (0.0, width, 0.0, height)
 
     def lines(self, most: int) -> tuple[Array, Array]:
-        """Return the indices along both axes of the picture, at most `most` of each."""
+        """Return the indices of the shown samples along both axes of the picture, at most `most` of each."""
         across, up = (np.arange(0.0, self.grid.size[a], max(1, -(-self.grid.size[a] // most))) for a in self.axes)
         return across, up
 
     def places(self, most: int) -> tuple[PointArray, tuple[int, int]]:
-        """Return the points of the picture, and its shape."""
+        """Return the positions of the shown samples in the grid, shape (n, 3), and the shape of the picture."""
         across, up = self.lines(most)
         lines = [np.array([float(self.index)])] * 3
         lines[self.axes[0]], lines[self.axes[1]] = across, up
         return self.grid.to_places(mesh(lines)), (len(up), len(across))
 
     def shown(self, samples: Pixels) -> Array:
-        """Return the slice of an array of samples, shape (up, across)."""
+        """Return the slice of the samples of a volume as a picture of shape (up, across)."""
         across, up = (line.astype(int) for line in self.lines(SLICE_LONGEST))
         cut = np.take(samples, self.index, axis=2 - self.axis)
         return np.asarray(cut[np.ix_(up, across)], dtype=float)
 
 
 def volume_pictures(result: Outcome, moving: Volume, fixed: Volume | None) -> list[Picture]:
-    """Draw all pictures of a pair of volumes: the volumes alone if no map exists."""
+    """Return the pictures for the report of a pair of volumes: only the two volumes if no map exists."""
     inverse, registration = result.inverse, result.registration
     source, target = (fixed, moving) if inverse and fixed is not None else (moving, fixed)
     source_name, frame = ("fixed", "moving") if inverse else ("moving", "fixed")
@@ -501,7 +498,7 @@ def volume_pictures(result: Outcome, moving: Volume, fixed: Volume | None) -> li
 
 
 def _range(images: Sequence[Array]) -> tuple[float, float]:
-    """Return the range of grey of all slices, without the rarest values at both ends."""
+    """Return the range of the finite values of all slices, without the extreme 0.5 % at both ends."""
     values = np.concatenate([image[np.isfinite(image)] for image in images])
     low, high = np.percentile(values, (0.5, 99.5)) if values.size else (0.0, 1.0)
     return (float(low), float(high)) if high > low else (float(low), float(low) + 1.0)
@@ -511,7 +508,7 @@ def _slices(
     title: str, caption: str, planes: list[Plane], images: Sequence[Array], marks: PointArray | None = None,
     bar: str = "", **style: Any,
 ) -> Picture:  # fmt: skip
-    """Draw three slices one below the other, with the landmarks near them; `style` has arguments of `imshow`."""
+    """Return a picture of three slices with the landmarks `marks` near them; `bar` is the label of a colour bar."""
     heights = [abs(plane.extent[3] - plane.extent[2]) / plane.extent[1] for plane in planes]
     size = 4.6 if bar else 4.0, min(15.0, 4.0 * sum(heights) + 0.9)
     figure = Figure(figsize=size, dpi=SLICE_DPI, layout="constrained")

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from codegen.errors import LandmarkError
 
 PointArray: TypeAlias = NDArray[np.float64]
-"""Points (x, y) in pixels, shape (n, 2); or (x, y, z) in units of the size of a voxel, shape (n, 3)."""
+"""Points (x, y) in pixels, shape (n, 2); or (x, y, z) in the unit of the voxel size, shape (n, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
 class LandmarkPairs:
-    """Landmarks of the moving and the fixed image, and their names.
+    """Pairs of landmarks: points of the moving image, the same features in the fixed image, and names.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class LandmarkPairs:
     ------
     LandmarkError
         If a coordinate is not finite, if the numbers of landmarks differ or are zero, or if two landmarks of one image
-        coincide, which no invertible map separates.
+        coincide, because no invertible map separates or joins them.
     """
 
     moving: PointArray
@@ -75,26 +75,26 @@ class LandmarkPairs:
         return int(self.moving.shape[1])
 
     def without(self, k: int) -> LandmarkPairs:
-        """Remove the pair number k, counted from zero; LandmarkError if it is the only one."""
+        """Return all pairs except pair k, counted from zero; LandmarkError if no pair remains."""
         return self.chosen(np.arange(len(self)) != k)
 
     def chosen(self, kept: NDArray[np.bool_]) -> LandmarkPairs:
-        """Select the marked pairs, shape (n,); LandmarkError if there are none."""
+        """Return the pairs with True in `kept`, shape (n,); LandmarkError if no pair remains."""
         names = tuple(name for name, is_kept in zip(self.names, kept, strict=True) if is_kept)
         return LandmarkPairs(self.moving[kept], self.fixed[kept], names)
 
     def swapped(self) -> LandmarkPairs:
-        """Exchange the moving and the fixed image."""
+        """Return the pairs with the moving and the fixed landmarks exchanged."""
         return LandmarkPairs(self.fixed, self.moving, self.names)
 
 
 def flipped(pairs: LandmarkPairs, width: int) -> LandmarkPairs:
-    """Mirror the moving landmarks left to right, in an image with `width` columns."""
+    """Return the pairs with moving landmarks mirrored left to right, in an image with `width` columns."""
     return LandmarkPairs(pairs.moving * [-1.0, 1.0] + [width - 1.0, 0.0], pairs.fixed, pairs.names)
 
 
 def as_points(values: ArrayLike, dimension: int = 2, what: str = "") -> PointArray:
-    """Convert values to an array of points, shape (n, dimension); LandmarkError if that is impossible."""
+    """Return an array of points, shape (n, dimension); LandmarkError, naming the points `what`, for other values."""
     axes = "x, y" if dimension == 2 else "x, y, z"
     try:
         points = np.array(values, dtype=np.float64)

@@ -1,7 +1,7 @@
-"""The web page of registration: click pairs of points on two images and see one warped onto the other.
+"""The web page of registration: click pairs of points on two images and see one image warped onto the other.
 
-`serve` runs it on this machine, `page` shows it in a notebook. `session.Session` has all operations without a browser.
-The page needs the extra `app` (tornado).
+`serve` runs the page on this machine, and `page` shows the page in a notebook. `session.Session` has all operations
+without a browser. The page needs the extra `app` (tornado).
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ __all__ = ["page", "prepare", "serve"]
 
 
 def page(*images: Path | str, session: Session | None = None) -> NotebookPage:
-    """Return the page as an object that a notebook shows.
+    """Serve the page in the background, and return an object that a notebook shows as the page.
 
     Parameters
     ----------
     *images : Path or str
-        No image (the example), one, or a moving and a fixed one.
+        One image, or a moving and a fixed image; by default the bundled example.
     session : Session, optional
-        The session of the page instead of images.
+        The session of the page; replaces the images.
 
     Raises
     ------
@@ -49,10 +49,10 @@ def page(*images: Path | str, session: Session | None = None) -> NotebookPage:
 
 
 def prepare(images: Sequence[Path] = (), state: Path | None = None) -> None:
-    """Read the images, and start the preparation of the solver, which goes on while the page is served.
+    """Check the images, and start to prepare the solver in the background, which goes on while the page is served.
 
     Raises ArgumentError if the extra `app` is missing, FileError if works cannot be saved in the folder `state`, and
-    the errors of reading images.
+    ImageError if an image cannot be read.
     """
     _require_tornado()
     from codegen.registration.app.autosave import Store, default_folder
@@ -66,10 +66,10 @@ def prepare(images: Sequence[Path] = (), state: Path | None = None) -> None:
 
 
 def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True, state: Path | None = None) -> None:
-    """Serve the page on localhost until it is interrupted.
+    """Serve the page on localhost until the process is interrupted.
 
-    `show` opens a browser; works are saved in the folder `state`. Raises ArgumentError if the extra `app` is missing or
-    the port is in use, FileError if works cannot be saved, and the errors of reading images.
+    `show` opens a browser. Works, the landmarks and images of visitors, are saved in the folder `state`. Raises
+    ArgumentError if tornado is missing or the port is in use, FileError if works cannot be saved, and ImageError.
     """
     _require_tornado()
     from codegen.registration.app import server

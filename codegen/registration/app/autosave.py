@@ -1,7 +1,7 @@
-"""Saved works: the pairs and images of every visitor, in a folder of the user who runs the server.
+"""The storage of works. A work has the landmark pairs, settings and images of one visitor of the page.
 
-The address of the page contains the random name of its work. All tabs with this name share the work. Images are stored
-once, under the hash of their content.
+Works are files in a folder of the user who runs the server. The address of the page contains the random name of the
+work, its token; all tabs with this token share the work. Images are stored once, under the hash of their content.
 """
 
 from __future__ import annotations
@@ -21,34 +21,34 @@ from codegen.registration.app.reading import picture_from
 from codegen.registration.app.session import Picture, Work, as_record, from_record
 
 MOST_WORKS = 50
-"""Works that are kept; older ones are deleted."""
+"""Largest number of works that are kept; older works are deleted."""
 PROBE = 4096
-"""Bytes that are written to test a folder."""
+"""Number of bytes that are written to test that a folder is writable."""
 TOKEN = re.compile(r"[0-9a-f]{32}")
 DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
 def default_folder() -> Path:
-    """Return $CODEGEN_STATE_DIR, or a folder in the state directory of the user."""
+    """Return the folder of works: $CODEGEN_STATE_DIR, or by default a folder in the state directory of the user."""
     given = os.environ.get("CODEGEN_STATE_DIR")
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     return Path(given) if given else state / "codegen" / "app"
 
 
 def new_token() -> str:
-    """Return a random name of a work."""
+    """Return a random token for the name of a work."""
     return secrets.token_hex(16)
 
 
 class OtherWriterError(CodegenError):
-    """Another server has changed the same work meanwhile."""
+    """Raised if another server has changed the same work since it was last read or written."""
 
 
 @dataclass(frozen=True)
 class Saved:
-    """A saved work; `heard` has the number of the last edit of every page.
+    """A work to be saved, or a saved work; `heard` maps every tab to the number of its last edit in this work.
 
-    `edition` identifies the state of the file, so that changes by another server are detected.
+    `edition` is a random text that changes with every save, so that changes by another server are detected.
     """
 
     moving: Picture
@@ -60,12 +60,12 @@ class Saved:
 
 @dataclass(frozen=True)
 class Store:
-    """The folder of works; nothing outside it is read or written."""
+    """The folder of works; nothing outside the folder is read or written."""
 
     folder: Path
 
     def require_writable(self) -> None:
-        """Raise FileError, with the option that selects another folder, if works cannot be saved in this one."""
+        """Raise FileError, with the option that selects another folder, if works cannot be saved in this folder."""
         remedy = "choose another folder with --state, or $CODEGEN_STATE_DIR"
         try:
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -75,10 +75,10 @@ class Store:
             raise refused(error, self.folder, remedy) from error
 
     def save(self, token: str, saved: Saved) -> Saved:
-        """Write a work and its new images, and return it with its new edition.
+        """Write a work and its new images, and return the work with its new edition.
 
-        OtherWriterError if the edition of the file has changed, and FileError if the file system refuses; the file is
-        then unchanged.
+        Raises OtherWriterError if the edition in the file is not `saved.edition`, and FileError if the file system
+        refuses. After an error the file is unchanged.
         """
         path = self._path(token)
         if path is None:
@@ -87,7 +87,7 @@ class Store:
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         try:
             edition = str(json.loads(path.read_text())["edition"])
-        except (OSError, ValueError, KeyError, TypeError):  # there is no file, or it is not readable
+        except (OSError, ValueError, KeyError, TypeError):  # the file is missing or not readable
             edition = ""
         if edition and edition != saved.edition:
             finding = "another codegen app has changed this work meanwhile"
@@ -102,7 +102,7 @@ class Store:
         images = {"moving": labels[0], "fixed": labels[1], "heard": saved.heard, "edition": written.edition}
         with replacing(path) as temporary:
             temporary.write_text(json.dumps(as_record(saved.work) | images))
-        # Delete the oldest works, and images without a work.
+        # Delete the oldest works, and images that no work uses.
         with suppress(OSError, ValueError):
             works = sorted(self.folder.glob("*.json"), key=lambda path: path.stat().st_mtime, reverse=True)
             if len(works) > MOST_WORKS:
@@ -113,7 +113,7 @@ class Store:
         return written
 
     def load(self, token: str) -> Saved | None:
-        """Return the work of a name; None if there is none, or if it is not readable."""
+        """Return the work with this token; None if it is missing or not readable."""
         path = self._path(token)
         if path is None or not path.is_file():
             return None

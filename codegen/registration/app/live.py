@@ -1,7 +1,7 @@
-"""An open work: its session, its tabs, their messages as JSON, and the solving, drawing and saving for them.
+"""Open works of the page: an open work has a session, the connections to its tabs, and background jobs.
 
-All tabs of a work share one session. Each edit of a page has a number, is applied once, and is kept by the page until
-it has been saved. So neither a second tab nor the end of the server loses an edit.
+All tabs of a work share one session; messages are JSON. A tab numbers its edits, and keeps each edit until the server
+has saved it. The server applies each edit once. So neither a second tab nor the end of the server loses an edit.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ Message: TypeAlias = Mapping[str, Any]
 Values: TypeAlias = dict[str, Any]
 
 SCHEMES = {"rk4": "fourth order", "midpoint": "second order", "explicit-euler": "first order"}
-"""Schemes in the page, with their orders."""
+"""The schemes that the page offers, and texts for their orders."""
 ALIGNMENTS = ("auto", *KINDS)
 INTERPOLATIONS = ("linear", "cubic", "nearest")
 COLOURS = ((0, 90, 170), (247, 247, 247), (200, 85, 0))
-"""Blue for smaller, white, orange for larger areas: distinct for the colour-blind."""
+"""The colours of the map of det J: blue for smaller, white for equal, orange for larger areas."""
 _REMEDY = "load the page again"
 MOST_CLIENTS = 50
-"""Pages whose last edits are remembered."""
+"""Largest number of tabs whose last edit number is remembered."""
 MOST_PIXELS = 1 << 23
-"""Most pixels of a window."""
+"""Largest number of screen pixels of the window that a tab asks for."""
 
 
 def operate(session: Session, message: Message) -> int | None:
-    """Apply an edit; return the identity of the pair that it adds or completes.
+    """Apply an edit of a tab to the session; return the identity of the pair that "add" adds or completes, else None.
 
     Raises LandmarkError for an invalid edit, and the errors of the session; the session is then unchanged.
     """
@@ -104,7 +104,7 @@ def _identities(message: Message) -> list[int]:
 
 
 def images_message(session: Session) -> Values:
-    """Return the images of a session; `alone` is True for a single one."""
+    """Return the message about the images of a session; its entry `alone` is True for a single image."""
     values: Values = {"type": "images", "alone": session.fixed is None}
     for side, picture in (("moving", session.moving), ("fixed", session.picture("fixed"))):
         height, width = picture.shape
@@ -119,7 +119,7 @@ def images_message(session: Session) -> Values:
 
 
 def work_message(session: Session, before: Work | None) -> Values:
-    """Return the pairs that changed since `before`, or all pairs if it is None, as rows, and the state of undo."""
+    """Return the message about the work: the pairs changed since `before` (all if None), settings, undo and redo."""
     now = session.work
     earlier = {} if before is None else {pair.identity: pair for pair in before.pairs}
     changed = [pair.row for pair in now.pairs if earlier.get(pair.identity) != pair]
@@ -133,7 +133,7 @@ def work_message(session: Session, before: Work | None) -> Values:
 
 
 def solved_message(shown: Shown) -> Values:
-    """Return the numbers of a registration: residuals by identity, and a chart of points in the other image."""
+    """Return the message about a registration: residuals by pair, and the chart that maps points between images."""
     registration, task = shown.registration, shown.wanted.task
     values: Values = {"type": "solved", "revision": task.revision, "hasty": shown.wanted.hasty, "found": False}
     if registration is None:
@@ -159,7 +159,7 @@ def _number(value: float) -> float | None:
 
 
 def _packed(header: Message, image: NDArray[np.uint8]) -> bytes:
-    """A binary message: the length of the header, the header, and RGBA."""
+    """Return a binary message: the length of the header, the header as JSON, and the RGBA image, shape (h, w, 4)."""
     height, width = image.shape[:2]
     text = json.dumps({**header, "width": width, "height": height}, allow_nan=False).encode()
     return struct.pack("<I", len(text)) + text + image.tobytes()
@@ -169,11 +169,11 @@ class Line(Protocol):
     """The connection to a tab of a browser."""
 
     def send(self, message: Message | bytes) -> None:
-        """Send values or a packed picture; closed connections are ignored."""
+        """Send a dict as JSON, or a picture of `_packed`; closed connections are ignored."""
 
 
 class Tab:
-    """A tab that receives one picture at a time; of several waiting pictures only the newest is sent."""
+    """A tab, which receives one picture at a time; of several waiting pictures only the newest is sent."""
 
     def __init__(self, line: Line) -> None:
         self.line = line
@@ -199,7 +199,7 @@ class Tab:
         self.line.send(_packed(header, picture.image))
 
     def drawn(self) -> None:
-        """Send the waiting picture: the tab has drawn the previous one."""
+        """Send the waiting picture, if any, because the tab has drawn the previous picture."""
         self._busy = False
         if self._next is not None:
             following, self._next = self._next, None
@@ -207,10 +207,10 @@ class Tab:
 
 
 class LiveWork:
-    """A session with its tabs.
+    """An open work: a session with its tabs.
 
-    `deliver` runs a function in the thread of the session, in which all methods are called. The work is saved in
-    `store`, if there is one, under the name `token`.
+    All methods are called in the thread of the session; `deliver` runs a function in this thread. The work is saved in
+    `store`, unless this is None, under the name `token`. `saved` is the state read from the store, or None.
     """
 
     def __init__(
@@ -227,21 +227,21 @@ class LiveWork:
         self.certified: Certified | None = None
         self.message = ""
         self.renamed: Callable[[LiveWork], None] = lambda _: None
-        """Called after a change of the name of the work."""
+        """The function that is called after a change of the token."""
         self._heard = dict(saved.heard) if saved else {}
-        self._told: Work | None = None  # the work in all tabs
+        self._told: Work | None = None  # the work that was last sent to the tabs
         self._worker = Worker(deliver, ("draw",))
         self._slow = Worker(deliver, ("sigma", "certify"), slow)
         self.token = token
-        """The name of the saved work."""
+        """The name under which the work is saved."""
         self._store, self._edition = store, saved.edition if saved else ""
         self._saving = Worker(deliver, ("save",), saving)
-        self._safe = dict(self._heard)  # the last saved edit of every page
+        self._safe = dict(self._heard)  # the number of the last saved edit of every tab
         self._problem: str | None = None  # the reason why the last attempt to save failed
         self._awaited: Future[None] | None = None  # the solver that is being compiled
 
     def join(self, client: str, line: Line) -> None:
-        """Add a tab, whose name is `client`."""
+        """Add a tab with the name `client`, and send it the present state over `line`, its connection."""
         self.tabs[client] = Tab(line)
         hello = {
             "type": "hello", "token": self.token, "heard": self._heard.get(client, 0),
@@ -251,7 +251,7 @@ class LiveWork:
             "suffixes": sorted({suffix for form in FORMATS.values() for suffix in form.suffixes}),
         }  # fmt: skip
         line.send(hello)
-        line.send(self._is_safe(client))  # the page may have missed the message
+        line.send(self._is_safe(client))  # the tab may have missed the message before a reconnection
         line.send(images_message(self.session))
         line.send(work_message(self.session, None))
         if self._told is None:
@@ -263,7 +263,7 @@ class LiveWork:
         self.draw()
 
     def leave(self, client: str, line: Line) -> None:
-        """Remove a tab: it was closed, or its connection was lost."""
+        """Remove a tab whose connection `line` was closed, unless the tab has a newer connection."""
         if client in self.tabs and self.tabs[client].line is line:
             del self.tabs[client]
 
@@ -273,7 +273,7 @@ class LiveWork:
             tab.line.send(message)
 
     def hear(self, client: str, message: object) -> None:
-        """Handle a message of a tab; errors become a message to this tab."""
+        """Handle a message of the tab `client`; errors are sent to this tab as a message."""
         tab = self.tabs.get(client)
         if tab is None or not isinstance(message, dict):
             return
@@ -295,14 +295,15 @@ class LiveWork:
 
     @property
     def busy(self) -> bool:
-        """True if a computation or a save is in progress, or if the last save failed."""
+        """True if a computation or a save runs or waits, or if the last save failed."""
         return self._worker.busy or self._slow.busy or self._saving.busy or self._problem is not None
 
     def _edit(self, client: str, tab: Tab, message: Message) -> None:
+        """Apply an edit of a tab, unless it was applied before, and tell the tab that it is done."""
         number = int(message["number"])
         added = None
         if number > self._heard.get(client, 0):
-            self._heard.pop(client, None)  # the newest pages come last
+            self._heard.pop(client, None)  # the tab with the newest edit comes last
             self._heard[client] = number
             while len(self._heard) > MOST_CLIENTS:
                 del self._heard[next(iter(self._heard))]
@@ -311,7 +312,7 @@ class LiveWork:
             except CodegenError as error:
                 tab.line.send(_message(str(error)))
         hasty = message.get("do") == "move" and not message.get("settled")
-        # This message comes first: it identifies the added pair for the page.
+        # This message comes first: the tab must know the identity of the pair that it has added.
         tab.line.send({"type": "done", "number": number, "added": added})
         self._tell_work()
         if not hasty or message.get("live", True):
@@ -320,7 +321,7 @@ class LiveWork:
             self.save()
 
     def change(self, act: Callable[[], object], images: bool = False) -> None:
-        """Change the session, and show and save the result; errors of `act` are raised."""
+        """Call `act`, which changes the session (and images if `images`); show and save the result. `act` may raise."""
         act()
         if images:
             self.shown = self.certified = None
@@ -335,7 +336,7 @@ class LiveWork:
         self._told = self.session.work
 
     def draw(self, hasty: bool = False, only: str | None = None) -> None:
-        """Register the present pairs in the background, and show the result in all tabs, or in one."""
+        """Register the present pairs in the background, and show the result in all tabs, or in the tab `only`."""
         wanted = Wanted(self.session.task(), hasty, waiting=not self._ready())
         if self._known(wanted) is None:
             only = None
@@ -344,19 +345,20 @@ class LiveWork:
         looks = {client: tab.look for client, tab in self.tabs.items() if only in (None, client)}
 
         def job() -> Shown:
-            # The registration may have been found since the request.
+            # Ask again for a known registration, which may have been computed since the request.
             return solving.shown(wanted, looks, self.session.registration, self._known(wanted))
 
         self._worker.ask("draw" if only is None else f"draw {only}", job, self._drawn, self._failed)
 
     def _known(self, wanted: Wanted) -> Registration | None:
-        """Return the present registration if it is the wanted one."""
+        """Return the present registration if it belongs to the wanted task, else None."""
         shown = self.shown
         if wanted.hasty or shown is None or shown.wanted.hasty:
             return None
         return shown.registration if shown.wanted.task.revision == wanted.task.revision else None
 
     def _drawn(self, shown: Shown) -> None:
+        """Send the finished pictures to their tabs, and start the certificate of a new registration."""
         task = shown.wanted.task
         if task.moving is not self.session.moving or task.fixed is not self.session.picture("fixed"):
             return  # other images were opened meanwhile
@@ -389,7 +391,7 @@ class LiveWork:
         self._slow.ask("certify", job, certify, self._failed)
 
     def _send_certified(self, tab: Tab, certified: Certified, shown: Shown) -> None:
-        """Send the certificate with leave-one-out errors and outliers, and the map of det J as a picture."""
+        """Send a tab the certificate, leave-one-out errors and outliers, and the map of det J as a picture."""
         task = shown.wanted.task
         if certified.revision != task.revision:
             return
@@ -408,7 +410,7 @@ class LiveWork:
         elif len(identities) > solving.MOST_LEFT_OUT:
             values["note"] = f"of more than {solving.MOST_LEFT_OUT} pairs, none is left out in turn"
         tab.line.send(values)
-        # A logarithmic scale that is symmetric in growth and shrinking.
+        # A logarithmic scale, on which growth and shrinking by the same factor are symmetric.
         shares = np.log2(np.clip(certified.areas, 1e-6, 1e6)) / certified.extreme
         image = np.full((*shares.shape, 4), 255, np.uint8)
         for channel in range(3):
@@ -416,7 +418,7 @@ class LiveWork:
         tab.line.send(_packed({"type": "areas", "extreme": certified.extreme}, image))
 
     def _ready(self) -> bool:
-        """Return True if the solver of the scheme is ready or not needed; otherwise all is drawn when it is ready."""
+        """Return True if the solver is ready or not needed; otherwise prepare the solver, and draw when it is ready."""
         if not self.session.work.active:
             return True
         solver = worker.prepared(self.session.work.settings.scheme)
@@ -434,12 +436,12 @@ class LiveWork:
         return solver.done()
 
     def require_solver(self) -> None:
-        """Raise CodegenError while the solver is being compiled."""
+        """Raise RegistrationError while the solver is being compiled."""
         if not self._ready():
             raise RegistrationError("the solver is still being compiled", "try again when the image is warped")
 
     def _choose_sigma(self) -> None:
-        """Estimate sigma in the background."""
+        """Estimate the landmark errors in the background, and set sigma to the estimate."""
         try:
             self.require_solver()
         except CodegenError as error:
@@ -458,7 +460,7 @@ class LiveWork:
     def save(self) -> None:
         """Save the work in the background, and tell every tab which of its edits are saved.
 
-        Of several waiting states only the newest is saved; without a store nothing is.
+        Of several waiting states only the newest is saved. Without a store nothing is saved, and tabs are told at once.
         """
         session, store, token = self.session, self._store, self.token
         state = Saved(session.moving, session.fixed, session.work, dict(self._heard), "")
@@ -468,7 +470,7 @@ class LiveWork:
             return
 
         def job() -> tuple[str, Saved, str]:
-            # The edition of the last write, which may be newer than the request.
+            # Use the edition of the last write, which may have come after the request.
             newest = replace(state, edition=self._edition)
             try:
                 return token, store.save(token, newest), ""
@@ -497,7 +499,7 @@ class LiveWork:
             tab.line.send(self._is_safe(client))
 
     def _is_safe(self, client: str) -> Values:
-        """Return the number of the last saved edit of a page, up to which the page may forget its edits."""
+        """Return the message about the last saved edit of a tab, which may then forget its edits up to this number."""
         return {"type": "saved", "number": self._safe.get(client, 0), "problem": self._problem}
 
     def _tell_status(self, doing: str) -> None:
@@ -509,7 +511,7 @@ class LiveWork:
             self.tell(_message(text, wrong))
 
     def _failed(self, error: BaseException) -> None:
-        """Show an error; the session goes on."""
+        """Show an error in all tabs; the session goes on."""
         self._tell_status("")
         if isinstance(error, CodegenError):
             self._say(str(error))
@@ -523,7 +525,7 @@ def _message(text: str, wrong: bool = True) -> Values:
 
 
 def _look(message: Message) -> Look:
-    """Return the view of a tab; ValueError for an invalid window."""
+    """Return the view that a tab asks for; ValueError for an invalid window."""
     time = min(max(float(message["time"]), 0.0), 1.0)
     values = message["window"]
     if values is None:
@@ -537,7 +539,7 @@ def _look(message: Message) -> Look:
 
 
 def parsed(text: str | bytes) -> object:
-    """Parse a message of a page; None for invalid JSON."""
+    """Return the value of a JSON message of a tab; None for invalid JSON."""
     try:
         message: object = json.loads(text)
         return message
@@ -546,15 +548,15 @@ def parsed(text: str | bytes) -> object:
 
 
 PATIENCE = 60.0
-"""Seconds for which a work without tabs stays in memory; reloading a page takes less."""
+"""Time, in seconds, for which a work without tabs stays in memory; reloading a page takes less time."""
 
 
 @dataclass
 class Works:
-    """All open works.
+    """All open works, by token.
 
-    `begun` makes the session of a new work, and `later` calls a function after a number of seconds. `only` is the work
-    of a notebook, which all tabs show.
+    `begun` returns the session of a new work. In the thread of the sessions, `deliver` calls a function soon, and
+    `later` after a number of seconds. `only`, if not None, is the work of a notebook, which all tabs show.
     """
 
     begun: Callable[[], Session]
@@ -565,14 +567,14 @@ class Works:
     open: dict[str, LiveWork] = field(default_factory=dict)
 
     def find(self, token: str) -> LiveWork | None:
-        """Return the open work of a name."""
+        """Return the open work with this token; None if no such work is open."""
         if self.only is not None:
             return self.only
         work = self.open.get(token)
         return None if work is not None and work.token != token else work  # a renamed work has a new token
 
     def get(self, token: str) -> LiveWork:
-        """Return the open or saved work of a name, or a new work."""
+        """Return the open or saved work with this token, or a new work."""
         work = self.find(token)
         if work is not None:
             return work
@@ -582,7 +584,7 @@ class Works:
             session = Session(saved.moving, saved.fixed, saved.work)
             work = LiveWork(session, self.deliver, self.store, token, saved)
         else:
-            # The page of an unsaved work keeps its name, and sends its edits again. A damaged file is not overwritten.
+            # An unsaved work keeps its token: its tab sends the edits again. A damaged file is not overwritten.
             is_damaged = self.store is not None and (self.store.folder / f"{token}.json").exists()
             work = LiveWork(
                 self.begun(), self.deliver, self.store, token if is_token and not is_damaged else new_token()
@@ -595,7 +597,7 @@ class Works:
         self.open[work.token] = work
 
     def left(self, work: LiveWork) -> None:
-        """Forget a work without tabs after a while, unless another tab has come."""
+        """Close a work without tabs after PATIENCE seconds, unless it has a tab again; wait while it is busy."""
 
         def close() -> None:
             if work.tabs:

@@ -1,10 +1,9 @@
-"""Images that visitors open, images on the command line, and the bundled example.
+"""Reading of images for the page: images that visitors open, images on the command line, and the bundled example.
 
-Single slices in NIfTI, NRRD and MetaImage files are pictures, too. As for other images, the first bytes of a file
-determine its kind, and its size is checked before samples are read, by SimpleITK. Rows and columns stay as stored:
-landmarks are in pixels of the file, as in other programs, and orientations turn nothing. The page shows instead which
-edge is which side of the patient. Files that name other files are refused: a browser must not make the server read
-files of its choice.
+Single slices in NIfTI, NRRD and MetaImage files are pictures, too, and are read by SimpleITK. The first bytes of a file
+determine its kind, and its size is checked before samples are read. Rows and columns remain as stored, because
+landmarks are in pixels of the file, as in other programs. Instead of turning slices, the page shows which edge is which
+side of the patient. Files that name other files are refused, since a visitor must not choose files of the server.
 """
 
 from __future__ import annotations
@@ -28,35 +27,35 @@ from codegen.registration.images import SAMPLES, Limits, Spacing, library, read_
 from codegen.registration.volumes import ITK, VolumeReader, library_errors, require_whole, silent
 
 Files: TypeAlias = list[tuple[str, bytes]]
-"""Names and contents of files."""
+"""The names and contents of files."""
 
 LIMITS = Limits(bytes=32 << 20, pixels=1 << 25)
 """The largest file and the largest image of the page; codegen warp accepts larger ones."""
 MOST_LANDMARK_BYTES = 8 << 20
-"""The largest landmark file of the page."""
+"""The largest size, in bytes, of a landmark file of the page."""
 _SIDES = {"moving": ("moving", "source"), "fixed": ("fixed", "target")}
-"""Words in names of landmark files that identify the image of their points."""
+"""Words in the name of a landmark file that tell which image its points belong to."""
 _EXAMPLE = files("codegen.registration.app") / "example"
 
 _KINDS = {".nii": "NIfTI", ".nii.gz": "NIfTI", ".nrrd": "NRRD", ".mha": "MetaImage"}
 _NIFTI = 352
-"""Bytes of a NIfTI header with its magic number."""
+"""Number of bytes of a NIfTI header with its magic number."""
 _METAIMAGE = re.compile(rb"\s*(ObjectType|Comment|NDims)\s*=")
 _METAIMAGE_LOCAL = re.compile(rb"\s*=\s*LOCAL\s*\n")
-"""The value of ElementDataFile, the last key of a MetaImage header, if the samples follow."""
+"""The value of ElementDataFile, the last key of a MetaImage header, if the samples are in the same file."""
 _NRRD_OTHER_FILE = re.compile(rb"^\s*data\s*file", re.MULTILINE | re.IGNORECASE)
-"""A line of an NRRD header that names another file."""
+"""A line of an NRRD header that names another file for the samples."""
 _NRRD_SPACE = re.compile(rb"^space: *(left|right|lps|ras|las)", re.MULTILINE | re.IGNORECASE)
 """A line of an NRRD header that relates its axes to a patient."""
 _NRRD_UNIT = re.compile(rb'^(?:space )?units: *"([^"\r\n]*)"', re.MULTILINE)
 _MICROMETRES = 3
-"""A code of NIfTI's `xyzt_units`."""
+"""The code of micrometres in `xyzt_units` of NIfTI."""
 OBLIQUE = 0.3
-"""Least cosine of an axis with a direction of the patient for the name of an edge to contain this direction."""
+"""Smallest cosine of the angle between an image axis and a patient axis at which an edge is named after the latter."""
 
 
 def picture_from(data: bytes, name: str) -> Picture:
-    """Decode an image within LIMITS; ImageError if that fails. The page shows the last part of its name."""
+    """Return the image in the bytes of a file named `name`; ImageError if it is not readable or exceeds LIMITS."""
     shown = PurePath(name.replace("\\", "/")).name[-NAME_LENGTH:] or "image"
     if len(data) <= LIMITS.bytes and (suffix := _volume_suffix(data)) is not None:
         return _read_slice(data, suffix, shown)
@@ -65,7 +64,7 @@ def picture_from(data: bytes, name: str) -> Picture:
 
 
 def session_of(images: Sequence[Path]) -> Session:
-    """Start a session on no image (the example), one, or a moving and a fixed one; ArgumentError for more."""
+    """Return a session on one image, a moving and a fixed image, or by default the example; ArgumentError for more."""
     if not images:
         return example()
     if len(images) > 2:
@@ -82,7 +81,7 @@ def session_of(images: Sequence[Path]) -> Session:
 
 
 def example() -> Session:
-    """Start a session on two drawn fishes; the sunfish is the porcupine fish in curved coordinates."""
+    """Return a session on drawings of two fishes; the sunfish is the porcupine fish in curved coordinates."""
     moving = picture_from((_EXAMPLE / "moving.png").read_bytes(), "porcupine fish.png")
     fixed = picture_from((_EXAMPLE / "fixed.png").read_bytes(), "sunfish.png")
     landmarks = parse_landmarks([("landmarks.csv", (_EXAMPLE / "landmarks.csv").read_bytes())])
@@ -90,10 +89,10 @@ def example() -> Session:
 
 
 def in_order(files: Files) -> tuple[Files, list[str]]:
-    """Sort landmark files, the moving one first, and return remarks for the visitor.
+    """Return one or two landmark files, the moving file first, and remarks for the visitor about the order.
 
-    Names decide if a name has a word for its image; otherwise the order stays. PointsError if one file of a pair
-    is missing.
+    The order changes only if words such as "fixed" in the names of files require this. Raises PointsError for a single
+    file with the points of one image.
     """
     if len(files) == 1:
         name, data = files[0]
@@ -104,7 +103,7 @@ def in_order(files: Files) -> tuple[Files, list[str]]:
             raise PointsError(f"{name} has the points of one image only", remedy)
     if len(files) != 2:
         return files, []
-    mentioned = []  # the image that each name mentions; empty for none or both
+    mentioned = []  # "moving" or "fixed" for each name; empty if a name mentions neither or both
     for name, _ in files:
         sides = [side for side, words in _SIDES.items() if any(word in name.lower() for word in words)]
         mentioned.append(sides[0] if len(sides) == 1 else "")
@@ -119,7 +118,7 @@ def in_order(files: Files) -> tuple[Files, list[str]]:
 
 
 def _volume_suffix(data: bytes) -> str | None:
-    """The suffix by which SimpleITK recognises a file of these bytes; None for other kinds of files."""
+    """Return the suffix that SimpleITK needs for a volume file with these bytes; None for other kinds of files."""
     if data.startswith(b"NRRD"):
         return ".nrrd"
     if _METAIMAGE.match(data[:200]):
@@ -135,13 +134,13 @@ def _is_nifti(data: bytes) -> bool:
 
 
 def _read_slice(data: bytes, suffix: str, name: str) -> Picture:
-    """Read a picture from a file format of volumes.
+    """Return the single slice of a file in a format of volumes.
 
-    Raises ImageError for volumes, for files that name others, for more pixels than LIMITS allow, for unsupported
+    Raises ImageError for volumes, for files that name other files, for more pixels than LIMITS allow, for unsupported
     samples and for damaged files; ExtraError if SimpleITK is missing.
     """
     if suffix == ".mha":
-        _, *values = data.split(b"ElementDataFile")  # a comment may hold the first one
+        _, *values = data.split(b"ElementDataFile")  # all occurrences, since the first may be in a comment
         is_complete = all(_METAIMAGE_LOCAL.match(value[:100]) for value in values)
     else:
         is_complete = suffix != ".nrrd" or _NRRD_OTHER_FILE.search(_nrrd_header(data)) is None
@@ -179,14 +178,14 @@ def _read_slice(data: bytes, suffix: str, name: str) -> Picture:
 
 
 def _nrrd_header(data: bytes) -> bytes:
-    """The header, which ends with an empty line."""
+    """Return the header of an NRRD file, which ends at an empty line."""
     return re.split(rb"\r?\n\r?\n", data, maxsplit=1)[0]
 
 
 def _edges(data: bytes, suffix: str, reader: VolumeReader, column: int, row: int) -> Edges | None:
-    """The sides of the patient of the left, right, upper and lower edge; None if the file has no orientation."""
+    """Return the patient's sides at the left, right, upper and lower edge; None if the file has no orientation."""
     dimension = reader.GetDimension()
-    # SimpleITK supplies an orientation if the file has none.
+    # The header is searched, because SimpleITK returns a default orientation if the file has none.
     if suffix.startswith(".nii"):
         is_oriented = any(int(float(reader.GetMetaData(key))) for key in ("qform_code", "sform_code"))
     elif suffix == ".nrrd":
@@ -201,14 +200,14 @@ def _edges(data: bytes, suffix: str, reader: VolumeReader, column: int, row: int
 
 
 def _patient_side(direction: NDArray[np.float64]) -> str:
-    """The letters of the patient's sides towards which a direction in LPS points, the nearest first."""
+    """Return the letters of the patient's sides to which a direction in LPS points, such as "LA", the nearest first."""
     order = np.argsort(-np.abs(direction), kind="stable")
     letters = ("RL", "AP", "IS")
     return "".join(letters[k][int(direction[k] > 0.0)] for k in order if abs(direction[k]) >= OBLIQUE)
 
 
 def _spacing(data: bytes, suffix: str, reader: VolumeReader, column: int, row: int) -> Spacing | None:
-    """The size of a pixel; None for 1 by 1 without a unit, which programs write if they know no size."""
+    """Return the size of a pixel; None for 1 by 1 without a unit, which programs write for an unknown size."""
     x, y = (float(reader.GetSpacing()[axis]) for axis in (column, row))
     unit = ""
     if suffix.startswith(".nii"):

@@ -1,6 +1,7 @@
-"""The server of the page, on this machine only: files, tiles of images, uploads, downloads and the socket of a tab.
+"""The web server of the page: files of the page, tiles of images, uploads, downloads and the web socket of a tab.
 
-`serve` runs until it is interrupted. `shown` serves one session in a notebook, from a thread.
+The server accepts connections from this machine only. `serve` runs until the process is interrupted. `shown` serves one
+session for a notebook in a thread.
 """
 
 from __future__ import annotations
@@ -48,37 +49,37 @@ from codegen.registration.formats.base import Frames
 T = TypeVar("T")
 HOST = "localhost"
 HOSTS = ("localhost", "127.0.0.1", "[::1]")
-"""Names of this machine. Other names may be foreign ones that resolve to it (DNS rebinding)."""
+"""Names of this machine. Other names that resolve to this machine may belong to attackers (DNS rebinding)."""
 ANCESTORS = ("'self'", "http://localhost:*", "http://127.0.0.1:*")
-"""Origins of notebooks on this machine, whose pages may frame this one."""
+"""Origins of notebooks on this machine, whose pages may show this page in a frame."""
 KINDS = {
     ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
 }  # fmt: skip
 OVERHEAD = 1 << 16
-"""Bytes of a form in addition to its files."""
+"""Largest number of bytes of an upload in addition to its files."""
 MOST_AT_ONCE = 4
-"""Files that are received at the same time, from all pages together."""
+"""Largest number of uploads at the same time, of all tabs together."""
 MOST_FILES = 2
 MOST_MESSAGE = 1 << 20
-"""Most bytes of a message of a page."""
+"""Largest number of bytes of a message of a tab."""
 CLIENT = 64
-"""Most characters of the name of a tab."""
+"""Largest number of characters of the name of a tab."""
 aside = ThreadPoolExecutor(2, thread_name_prefix="registration-files")
-"""Decodes images and encodes tiles and downloads."""
+"""The threads that decode images and encode tiles and downloads."""
 _receiving: set[int] = set()
 _FOLDER = files("codegen.registration.app") / "static"
 _ASSETS = {entry.name: entry.read_bytes() for entry in _FOLDER.iterdir() if Path(entry.name).suffix in KINDS}
 
 
 class Guarded(RequestHandler):
-    """A handler that refuses foreign hosts and origins before it reads anything, and that no page may frame.
+    """A request handler that refuses foreign hosts and origins before the body of a request is read.
 
-    The setting `ancestors` of the application has exceptions: the origins of notebooks, whose pages may frame it.
+    No foreign page may show its answers in a frame, except pages of the origins in the setting `ancestors`.
     """
 
     def set_default_headers(self) -> None:
-        """Let browsers load scripts, styles, images and connections of this server only."""
+        """Let browsers load scripts, styles and images, and open connections, from this server only."""
         port = self.application.settings["port"]
         ancestors = self.application.settings["ancestors"]
         sockets = " ".join(f"ws://{host}:{port}" for host in HOSTS[:2])
@@ -97,7 +98,7 @@ class Guarded(RequestHandler):
         self.clear_header("Server")
 
     def prepare(self) -> None:
-        """Answer 403 for a foreign Host header, and for a foreign Origin."""
+        """Answer 403 for a foreign Host header, a foreign Origin, or a missing Origin where it is required."""
         port = self.application.settings["port"]
         hosts = {f"{host}:{port}" for host in HOSTS}
         if self.request.headers.get_list("Host") not in [[host] for host in hosts]:
@@ -111,7 +112,7 @@ class Guarded(RequestHandler):
             raise HTTPError(403, reason="Foreign origin")
 
     def is_own(self, origin: str) -> bool:
-        """Return True for a page of this server."""
+        """Return True for the origin of a page of this server."""
         parts = urlsplit(origin)
         port = self.application.settings["port"]
         return parts.scheme == "http" and parts.netloc in {f"{host}:{port}" for host in HOSTS}
@@ -123,22 +124,22 @@ class Guarded(RequestHandler):
 
 
 class Nothing(Guarded):
-    """All other addresses."""
+    """The handler of all other addresses."""
 
     def prepare(self) -> None:
-        """Answer 404 if host and origin are right."""
+        """Answer 404, or 403 for a foreign host or origin."""
         super().prepare()
         raise HTTPError(404)
 
 
 @stream_request_body
 class Upload(Guarded):
-    """A handler whose body is a form with files of at most `most` bytes together."""
+    """A handler of forms with one or two files of at most `most` bytes together."""
 
     most = 0
 
     def prepare(self) -> None:
-        """Answer 413 for long bodies, 411 for unknown lengths, 503 while too many other files are received."""
+        """Answer 413 for too long bodies, 411 for unknown lengths, 503 during too many other uploads."""
         super().prepare()
         try:
             length = int(self.request.headers["Content-Length"])
@@ -153,19 +154,19 @@ class Upload(Guarded):
         self._body = bytearray()
 
     def data_received(self, chunk: bytes) -> None:
-        """Append a part of the body."""
+        """Append a part of the body; answer 413 if it is longer than announced."""
         if len(self._body) + len(chunk) > self._length:
             raise HTTPError(413)
         self._body += chunk
 
     def on_finish(self) -> None:
-        """Count the end, or the interruption, of an upload."""
+        """Count an upload as finished or interrupted."""
         _receiving.discard(id(self))
 
     on_connection_close = on_finish
 
     def files(self) -> Files:
-        """Return names and contents; 400 for a form without files."""
+        """Return the names and contents of the files; answer 400 unless there are one or two."""
         by_field: dict[str, list[HTTPFile]] = {}
         arguments: dict[str, list[bytes]] = {}
         parse_body_arguments(self.request.headers.get("Content-Type", ""), bytes(self._body), arguments, by_field)
@@ -177,7 +178,7 @@ class Upload(Guarded):
 
 
 class Asset(Guarded):
-    """The files of the page, from memory: no path of a request reaches the disk."""
+    """The handler of the files of the page, which are in memory: requests cannot read the disk."""
 
     def get(self, name: str) -> None:
         """Answer with the page, or with one of its files."""
@@ -187,33 +188,33 @@ class Asset(Guarded):
 
 
 class OfWork(Guarded):
-    """A handler of an open work."""
+    """A handler of requests that concern an open work."""
 
     @property
     def works(self) -> Works:
-        """All works."""
+        """All open works."""
         works: Works = self.application.settings["works"]
         return works
 
     def work(self, token: str) -> LiveWork:
-        """Return the work of a name; 404 if it is not open."""
+        """Return the work with this token; answer 404 if no such work is open."""
         work = self.works.find(token)
         if work is None:
             raise HTTPError(404)
         return work
 
     def answer(self, values: Mapping[str, str], status: int = 200) -> None:
-        """Answer with values for the page."""
+        """Answer with JSON for the page."""
         self.set_status(status)
         self.set_header("Content-Type", "application/json")
         self.finish(json.dumps(values))
 
 
 class Tile(OfWork):
-    """A square part of one of the two images."""
+    """The handler of a tile: a square part of one of the two images."""
 
     async def get(self, token: str, digest: str, level: str, column: str, row: str) -> None:
-        """Answer with a PNG file, which never changes."""
+        """Answer with a PNG file, which a browser may keep; 404 if the work shows no such image."""
         session = self.work(token).session
         picture = next((p for p in (session.moving, session.picture("fixed")) if p.digest == digest), None)
         data = None
@@ -227,12 +228,12 @@ class Tile(OfWork):
 
 
 class OpenImage(Upload, OfWork):
-    """Open a moving or fixed image, or a single one that is deformed."""
+    """The handler of the upload of a moving or fixed image, or of a single image to be deformed."""
 
     most = LIMITS.bytes
 
     async def post(self, token: str, which: str) -> None:
-        """Take the image into the work."""
+        """Put the image into the work; answer 422 with the reason if it cannot be read."""
         work = self.work(token)
         name, data = self.files()[0]
         try:
@@ -250,12 +251,12 @@ class OpenImage(Upload, OfWork):
 
 
 class OpenLandmarks(Upload, OfWork):
-    """Open one or two landmark files."""
+    """The handler of the upload of one or two landmark files."""
 
     most = 2 * MOST_LANDMARK_BYTES
 
     async def post(self, token: str) -> None:
-        """Replace the present pairs."""
+        """Replace the pairs of the work; answer 422 with the reason if the files are invalid."""
         work = self.work(token)
         frames = Frames(work.session.moving.shape, work.session.picture("fixed").shape)
         try:
@@ -269,20 +270,20 @@ class OpenLandmarks(Upload, OfWork):
 
 
 class OpenExample(OfWork):
-    """Open the bundled example."""
+    """The handler of the request to open the bundled example."""
 
     def post(self, token: str) -> None:
-        """Replace the present images and pairs."""
+        """Replace the images and pairs of the work by the example."""
         work, session = self.work(token), example()
         work.change(partial(work.session.replace, session.moving, session.fixed, session.work), images=True)
         self.answer({})
 
 
 class Export(OfWork):
-    """A download, made on request."""
+    """The handler of downloads, which are computed on request."""
 
     async def post(self, token: str, kind: str) -> None:
-        """Answer with one file; of landmarks in two files, `part` selects one."""
+        """Answer with a file, or 422 with the reason; the query argument `part` selects one of two landmark files."""
         work = self.work(token)
         form, part = self.get_query_argument("form", "csv"), self.get_query_argument("part", "0")
         grid = self.get_query_argument("grid", "") == "1"
@@ -309,35 +310,35 @@ class Export(OfWork):
 
 
 class Socket(OfWork, WebSocketHandler):
-    """The connection between a tab and its work."""
+    """The web socket between a tab and its work."""
 
     live: LiveWork | None = None
     client = ""
 
     def check_origin(self, origin: str) -> bool:
-        """Return True for a page of this server."""
+        """Return True for the origin of a page of this server."""
         return self.is_own(origin)
 
     def open(self, *arguments: str, **values: str) -> None:
-        """Connect a tab to the work that it names."""
+        """Connect a tab to the work that its query arguments name."""
         self.client = self.get_query_argument("client", "")[:CLIENT]
         self.set_nodelay(True)
         self.live = self.works.get(self.get_query_argument("work", ""))
         self.live.join(self.client, self)
 
     def on_message(self, message: str | bytes) -> None:
-        """Pass a request of the tab to its work."""
+        """Pass a message of the tab to its work."""
         if self.live is not None:
             self.live.hear(self.client, parsed(message))
 
     def on_close(self) -> None:
-        """Disconnect the tab."""
+        """Disconnect the tab from its work."""
         if self.live is not None:
             self.live.leave(self.client, self)
             self.works.left(self.live)
 
     def send(self, message: Message | bytes) -> None:
-        """Send values or a packed picture; a closed connection is ignored."""
+        """Send a dict as JSON, or a picture as bytes; a closed connection is ignored."""
         try:
             if isinstance(message, bytes):
                 self.write_message(message, binary=True)
@@ -352,7 +353,7 @@ async def _aside(job: Callable[[], T]) -> T:
 
 
 def listen(works: Works, sockets: Sequence[socket.socket], port: int, ancestors: Sequence[str] = ()) -> HTTPServer:
-    """Serve works in the present event loop; pages of the origins `ancestors` may frame the page."""
+    """Return a running server of works on `sockets`, bound to `port`; pages of the origins `ancestors` may frame it."""
     work = r"/work/([0-9a-f]{32})"
     routes: list[Any] = [
         (rf"/(|{'|'.join(_ASSETS)})", Asset),
@@ -377,9 +378,9 @@ def listen(works: Works, sockets: Sequence[socket.socket], port: int, ancestors:
 
 
 def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True, state: Path | None = None) -> None:
-    """Serve the page until it is interrupted.
+    """Serve the page until the process is interrupted; `show` opens a browser.
 
-    Images are read once, before anything is served. Raises ImageError, ArgumentError, also for a port in use, and
+    Images are read once, before the server starts. Raises ImageError, ArgumentError, also for a port in use, and
     FileError if works cannot be saved in the folder `state`.
     """
     store = Store(state or default_folder())
@@ -408,7 +409,7 @@ def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True, stat
 
 @dataclass(frozen=True)
 class NotebookPage:
-    """The page of one session, in a notebook that runs on the same machine as its browser."""
+    """The page of one session for a notebook, which must run on the same machine as its browser."""
 
     session: Session
     work: LiveWork
@@ -429,12 +430,12 @@ class NotebookPage:
         )
 
     def close(self) -> None:
-        """End the server; the session remains."""
+        """Stop the server; the session remains usable."""
         self.loop.add_callback(self.server.stop)
 
 
 def shown(session: Session) -> NotebookPage:
-    """Serve a session until the kernel ends or `close` is called; nothing is saved automatically."""
+    """Serve a session in a thread until the kernel ends or `close` is called; return its page. Nothing is saved."""
     ready: list[NotebookPage] = []
     started = threading.Event()
 

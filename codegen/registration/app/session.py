@@ -1,6 +1,6 @@
-"""The work of one visitor without the page: two images, pairs of points, settings, undo and redo.
+"""The work of one visitor, without the web page: two images, pairs of points, settings, undo and redo.
 
-Pairs, settings and pictures are immutable values. A session holds the present ones and their history.
+Pairs, settings and pictures are immutable. A session holds the present values and the history of pairs and settings.
 """
 
 from __future__ import annotations
@@ -29,33 +29,33 @@ Edges: TypeAlias = tuple[str, str, str, str]
 State = TypeVar("State")
 
 MOST_PAIRS = 5000
-"""Most pairs of the page; files with more pairs are for the command line."""
+"""Largest number of pairs on the page; files with more pairs need the command line."""
 MOST_NAME = 200
-"""Most characters of the name of a landmark."""
+"""Largest number of characters of a landmark name."""
 MOST_UNDONE = 200
-"""Steps that can be undone."""
+"""Largest number of steps that can be undone."""
 PREVIEW = 512
-"""Longest side, in pixels, of the copy on which areas are certified and which animations show."""
+"""Longest side, in pixels, of the preview: a reduced image for the certificate of areas and for animations."""
 SMALLEST = 256
-"""Longest side, in pixels, of the smallest reduced copy."""
+"""Longest side, in pixels, of the smallest reduced copy in `Picture.levels`."""
 NAME_LENGTH = 60
-"""Most characters of the name of an image."""
+"""Largest number of characters of an image name."""
 SATURATED = 0.1
-"""Percentage of samples beyond either end of the grey range, for samples of more than 8 bits."""
+"""Percentage of samples of more than 8 bits that are shown as black, and percentage shown as white."""
 SAMPLED = 1 << 20
 """Approximate number of samples that determine the grey range."""
 ROWS = 256
-"""Rows that are converted together, which avoids a second copy of a large image."""
+"""Number of rows that are converted together, to avoid a second copy of a large image."""
 SIDE = 512
-"""Pixels along each side of a tile; tiles at the right and at the lower edge may be smaller."""
+"""Number of pixels along each side of a tile; tiles at the right and lower edges may be smaller."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """One feature in both images, in pixels; `identity` is unique and constant.
+    """The points (x, y), in pixels, of one feature in both images; `identity` is a unique and constant number.
 
-    `guessed` names the image in which the point is only a prediction of the present map. A pair that is not `active` is
-    shown, but not registered.
+    `guessed` names the image in which the point is only a prediction, or is None if the visitor set both points. A pair
+    that is not `active` is shown, but not used in the registration.
     """
 
     identity: int
@@ -70,20 +70,20 @@ class Pair:
         return self.moving if side == "moving" else self.fixed
 
     def put(self, side: Side, place: Place, guessed: Side | None = None) -> Pair:
-        """Replace the point in one image."""
+        """Return the pair with another point in one image, and with a new value of `guessed`."""
         if side == "moving":
             return replace(self, moving=place, guessed=guessed)
         return replace(self, fixed=place, guessed=guessed)
 
     @property
     def row(self) -> list[object]:
-        """The pair in JSON: identity, moving x and y, fixed x and y, name, guessed, active."""
+        """The pair as a list for JSON: identity, moving x and y, fixed x and y, name, guessed, active."""
         return [self.identity, *self.moving, *self.fixed, self.name, self.guessed, self.active]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Arguments of `register` and `warp`; distances in pixels."""
+    """Arguments of `register` and `warp`; `sigma` is in pixels."""
 
     align: str = "auto"
     sigma: float = 0.0
@@ -93,36 +93,33 @@ class Settings:
 
 @dataclass(frozen=True)
 class Work:
-    """The state of undo and redo: the pairs in their order, and the settings."""
+    """The pairs in their order and the settings: the values that undo and redo change."""
 
     pairs: tuple[Pair, ...] = ()
     settings: Settings = Settings()
 
     def find(self, identity: int) -> Pair | None:
-        """Return the pair of an identity; None if it was deleted."""
+        """Return the pair with this identity; None if the pair was deleted."""
         return next((pair for pair in self.pairs if pair.identity == identity), None)
 
     def with_pair(self, changed: Pair) -> Work:
-        """Replace the pair of the same identity, or add the pair."""
+        """Return the work with `changed`, which replaces the pair of the same identity or is added at the end."""
         if self.find(changed.identity) is None:
             return replace(self, pairs=(*self.pairs, changed))
         return replace(self, pairs=tuple(changed if p.identity == changed.identity else p for p in self.pairs))
 
     def without(self, identities: Iterable[int]) -> Work:
-        """Remove pairs."""
+        """Return the work without the pairs with these identities."""
         removed = set(identities)
         return replace(self, pairs=tuple(pair for pair in self.pairs if pair.identity not in removed))
 
     @property
     def active(self) -> tuple[Pair, ...]:
-        """The pairs that are registered, in their order."""
+        """The pairs that are used in the registration, in their order."""
         return tuple(pair for pair in self.pairs if pair.active)
 
     def landmarks(self) -> LandmarkPairs:
-        """Return the active pairs; LandmarkError if there are none, or if two points coincide.
-
-        The name of a pair without one is its number among all pairs.
-        """
+        """Return the active pairs, unnamed pairs named by number; LandmarkError if empty, or if two points coincide."""
         named = [(pair, pair.name or str(k + 1)) for k, pair in enumerate(self.pairs) if pair.active]
         return LandmarkPairs(
             np.array([pair.moving for pair, _ in named], dtype=np.float64).reshape(-1, 2),
@@ -132,7 +129,7 @@ class Work:
 
 
 def pairs_of(landmarks: LandmarkPairs, first_identity: int) -> tuple[Pair, ...]:
-    """Number the pairs of a file; LandmarkError if the page cannot handle so many."""
+    """Return the pairs of a file, numbered from `first_identity`; LandmarkError for more than MOST_PAIRS."""
     if len(landmarks) > MOST_PAIRS:
         finding = f"the file has {len(landmarks)} pairs, and the page handles {MOST_PAIRS}"
         raise LandmarkError(finding, "use codegen warp for so many")
@@ -143,12 +140,12 @@ def pairs_of(landmarks: LandmarkPairs, first_identity: int) -> tuple[Pair, ...]:
 
 
 def as_record(work: Work) -> dict[str, object]:
-    """Convert a work to values for JSON."""
+    """Return a work as a dict for JSON."""
     return {"pairs": [pair.row for pair in work.pairs], "settings": dict(vars(work.settings))}
 
 
 def from_record(record: Mapping[str, Any]) -> Work:
-    """Convert a record of `as_record` to a work; LandmarkError if it is damaged."""
+    """Return the work from a dict of `as_record`; LandmarkError if the dict is damaged."""
     pairs: list[Pair] = []
     try:
         for identity, a, b, c, d, name, guessed, active in record["pairs"][:MOST_PAIRS]:
@@ -169,10 +166,10 @@ def from_record(record: Mapping[str, Any]) -> Work:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Pixels of shape (h, w) or (h, w, channels), the name to show, and the content of the file.
+    """An image: pixels of shape (h, w) or (h, w, channels), a name, and `source`, the bytes of the file.
 
     `kind` is the format, PNG, JPEG, TIFF, NIfTI, NRRD or MetaImage, `profile` the colour profile, and `spacing` the
-    size of a pixel. `edges` are the sides of a patient at the left, right, upper and lower edge.
+    size of a pixel. `edges` are letters for the sides of a patient at the left, right, upper and lower edge.
     """
 
     pixels: Pixels
@@ -190,30 +187,30 @@ class Picture:
 
     @property
     def stem(self) -> str:
-        """A name for files that are made from the picture, of letters and digits only."""
+        """A safe name, without suffix, for files that are made from the picture."""
         letters = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in PurePath(self.name).stem)
         return letters[:NAME_LENGTH] or "image"
 
     def contains(self, place: Place) -> bool:
-        """Return True for a point within the pixels."""
+        """Return True if a point (x, y) lies within the image."""
         height, width = self.shape
         return -0.5 <= place[0] <= width - 0.5 and -0.5 <= place[1] <= height - 0.5
 
     @cached_property
     def digest(self) -> str:
-        """A hash of the content."""
+        """A hash of the file, or of the pixels without a file."""
         return hashlib.sha256(self.source or self.pixels.tobytes()).hexdigest()
 
     @cached_property
     def reduction(self) -> int:
-        """The side of a preview pixel in pixels."""
+        """The number of pixels of the image along the side of a pixel of the preview."""
         return max(1, -(-max(self.shape) // PREVIEW))
 
     @cached_property
     def levels(self) -> tuple[NDArray[np.uint8], ...]:
-        """Copies of 8 bits, (h, w) or (h, w, 3 or 4): the first of full size, each following one half as large.
+        """Copies of 8 bits, (h, w) or (h, w, 3 or 4): the first in full size, each next copy half as large.
 
-        8-bit samples are unchanged. Other samples are stretched over the grey range, without a few extreme ones.
+        8-bit samples are unchanged. Other samples are scaled to 8 bits, and the most extreme samples are clipped.
         """
         pixels = self.pixels
         if pixels.ndim == 3 and pixels.shape[2] not in (3, 4):  # grey with opacity, or more channels than a screen has
@@ -225,12 +222,12 @@ class Picture:
 
     @cached_property
     def preview(self) -> NDArray[np.uint8]:
-        """The small copy, 8 bits, (h, w) or (h, w, 3 or 4)."""
+        """The image, 8 bits, reduced to sides of at most PREVIEW pixels, (h, w) or (h, w, 3 or 4)."""
         pixels = self.levels[0]
         return pixels if self.reduction == 1 else np.asarray(Image.fromarray(pixels).reduce(self.reduction))
 
     def preview_places(self, step: float = 1.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return x and y, in pixels of the image, of every `step`-th pixel of the preview and of its far edges."""
+        """Return x and y, in pixels of the image, of every `step`-th column and row of the preview, and of the last."""
         height, width = self.preview.shape[:2]
         x, y = (
             np.linspace(0.0, n - 1.0, max(2, round((n - 1) / step) + 1)) if n > 1 else np.zeros(1)
@@ -259,7 +256,7 @@ def _eight_bits(pixels: Pixels) -> NDArray[np.uint8]:
 
 
 def tile(picture: Picture, level: int, column: int, row: int) -> bytes | None:
-    """Return a tile of a level of a picture as PNG, counted from the top left; None outside the picture."""
+    """Return a tile as PNG, by its column and row in a copy of a picture, `picture.levels[level]`; None outside."""
     if not 0 <= level < len(picture.levels) or min(column, row) < 0:
         return None
     top, left = row * SIDE, column * SIDE
@@ -272,9 +269,9 @@ def tile(picture: Picture, level: int, column: int, row: int) -> bytes | None:
 
 
 class History(Generic[State]):
-    """A present state with the states before and after it.
+    """A present state, with earlier states for undo and later states for redo.
 
-    Changes with the same `gesture` replace one another until `settle` is called: a drag is one step.
+    Consecutive changes with the same `gesture`, such as a drag, are one step, until `settle` is called.
     """
 
     def __init__(self, present: State) -> None:
@@ -284,7 +281,7 @@ class History(Generic[State]):
         self._gesture: Hashable = None
 
     def change(self, state: State, gesture: Hashable = None) -> None:
-        """Make a state the present one."""
+        """Make `state` the present state; this ends redo."""
         if state == self.present:
             return
         if gesture is None or gesture != self._gesture:
@@ -294,25 +291,25 @@ class History(Generic[State]):
         self.present = state
 
     def settle(self) -> None:
-        """End the gesture: the next change is a new step."""
+        """End the gesture, so that the next change is a new step."""
         self._gesture = None
 
     @property
     def can_undo(self) -> bool:
-        """True if there is an earlier state."""
+        """True if a step can be undone."""
         return bool(self._past)
 
     @property
     def can_redo(self) -> bool:
-        """True if a step was undone."""
+        """True if a step can be repeated."""
         return bool(self._future)
 
     def undo(self) -> bool:
-        """Go back one step; False if there is none."""
+        """Undo the last step; return False if no step can be undone."""
         return self._go(self._past, self._future)
 
     def redo(self) -> bool:
-        """Repeat the step that was undone; False if there is none."""
+        """Repeat the step that was undone last; return False if no step was undone."""
         return self._go(self._future, self._past)
 
     def _go(self, source: list[State], target: list[State]) -> bool:
@@ -326,7 +323,7 @@ class History(Generic[State]):
 
 @dataclass(frozen=True)
 class Task:
-    """A snapshot of a session, which can be registered in another thread."""
+    """A snapshot of a session, which another thread can register; `revision` is the revision of the session."""
 
     work: Work
     moving: Picture
@@ -335,10 +332,10 @@ class Task:
 
 
 class Session:
-    """Images, pairs and their history. `fixed` is None if a single image is deformed by dragging its points.
+    """The images and pairs of a visitor, and their history. `fixed` is None for a single image, deformed by dragging.
 
-    `revision` grows with every change of images, pairs or settings. `registration` is the last map, which predicts the
-    partner of a new point.
+    `revision` grows with every change of images, pairs or settings. `registration` is the last map, or None; the map
+    predicts the position of a new point in the other image.
     """
 
     def __init__(self, moving: Picture, fixed: Picture | None = None, work: Work | None = None) -> None:
@@ -355,15 +352,15 @@ class Session:
         return self.history.present
 
     def picture(self, side: Side) -> Picture:
-        """Return the image of one side; a single image is on both sides."""
+        """Return the moving or the fixed image; a single image is both."""
         return self.moving if side == "moving" or self.fixed is None else self.fixed
 
     def task(self) -> Task:
-        """Return a snapshot."""
+        """Return a snapshot of the session."""
         return Task(self.work, self.moving, self.picture("fixed"), self.revision)
 
     def open(self, side: Side, picture: Picture) -> None:
-        """Replace an image. Points outside it are removed, and the history starts again."""
+        """Replace one image, remove pairs with points outside their image, and clear the history."""
         if side == "moving":
             self.moving = picture
         else:
@@ -373,7 +370,7 @@ class Session:
         self._restart(self.work.without(outside))
 
     def replace(self, moving: Picture, fixed: Picture | None, work: Work) -> None:
-        """Start again with other images and pairs."""
+        """Replace images, pairs and settings, and clear the history."""
         self.moving, self.fixed = moving, fixed
         self._restart(work)
 
@@ -384,10 +381,11 @@ class Session:
         self.revision += 1
 
     def add(self, side: Side, place: Place, awaiting: int | None = None) -> Pair:
-        """Add a point: a new pair, or the partner of the pair `awaiting` a point in this image.
+        """Add a point in one image and return its pair: a new pair, or the pair with the identity `awaiting`.
 
-        The partner of a new point is predicted by the last registration; without one it has the same relative position
-        in its image. LandmarkError if there are too many pairs.
+        `awaiting` names a pair whose point in this image is only a prediction. For a new pair, the last registration
+        predicts the point in the other image; without a registration, its relative position is the same there.
+        Raises LandmarkError if there are too many pairs.
         """
         place = self._inside(side, place)
         waiting = self.work.find(awaiting) if awaiting is not None else None
@@ -411,7 +409,7 @@ class Session:
         return pair
 
     def move(self, identity: int, side: Side, place: Place, settled: bool = True) -> None:
-        """Move a point; until it is `settled` all moves of a drag are one step of the history."""
+        """Move a point of a pair; all moves of a drag, until a move is `settled`, are one step of the history."""
         pair = self.work.find(identity)
         if pair is None:
             return
@@ -422,7 +420,7 @@ class Session:
             self.history.settle()
 
     def rename(self, identity: int, name: str) -> None:
-        """Rename a pair; a pair without a name is called by its number."""
+        """Rename a pair; a pair with an empty name is named after its number."""
         pair = self.work.find(identity)
         if pair is not None:
             self._change(self.work.with_pair(replace(pair, name=" ".join(name.split())[:MOST_NAME])))
@@ -434,11 +432,11 @@ class Session:
         self._change(replace(self.work, pairs=pairs))
 
     def remove(self, *identities: int) -> None:
-        """Delete pairs."""
+        """Delete the pairs with these identities."""
         self._change(self.work.without(identities))
 
     def load(self, landmarks: LandmarkPairs) -> None:
-        """Load the pairs of a landmark file instead of all pairs; LandmarkError if there are too many."""
+        """Replace all pairs by the pairs of a landmark file; LandmarkError if there are too many."""
         pairs = pairs_of(landmarks, self._last_identity + 1)
         self._last_identity += len(pairs)
         self._change(replace(self.work, pairs=pairs))
@@ -450,13 +448,13 @@ class Session:
         self._change(replace(self.work, settings=settings), "settings")
 
     def undo(self) -> bool:
-        """Undo the last step; False if there is none."""
+        """Undo the last step; return False if no step can be undone."""
         changed = self.history.undo()
         self.revision += changed
         return changed
 
     def redo(self) -> bool:
-        """Repeat the step that was undone; False if there is none."""
+        """Repeat the step that was undone last; return False if no step was undone."""
         changed = self.history.redo()
         self.revision += changed
         return changed
@@ -467,7 +465,7 @@ class Session:
             self.revision += 1
 
     def _inside(self, side: Side, place: Place) -> Place:
-        """Move a point into the pixels of its image."""
+        """Return the point of the image nearest to `place`; LandmarkError for NaN and infinity."""
         height, width = self.picture(side).shape
         x, y = place
         if not (np.isfinite(x) and np.isfinite(y)):

@@ -1,4 +1,4 @@
-"""Computations for the page: registration, the warped image in a window, the certificate, and downloads."""
+"""Computations for the page: registration, pictures of the warped image, the certificate, and downloads."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from codegen.registration.register import LeaveOneOut, leave_one_out, out_of_pla
 from codegen.registration.warp import Positions, displacements, warp, write_field
 
 COARSE = 8.0
-"""Pixels of a window between the points at which the map is evaluated; the others are interpolated."""
+"""Distance, in pixels of the screen, of the points at which the map is evaluated; the others are interpolated."""
 HASTY_BLOCK = 2
-"""Pixels of a window in a block of one colour while a point is dragged."""
+"""Side, in pixels of the screen, of the blocks of one colour that are drawn while a point is dragged."""
 CHART = 33
-"""Points along each side of an image whose positions in the other image the page receives."""
+"""Number of points along each side of an image whose positions in the other image are sent to the page."""
 HASTY_STEPS, HASTY_STEPS_OF_FIRST_ORDER = (FIRST_STEPS, 2 * FIRST_STEPS), (4 * FIRST_STEPS, 8 * FIRST_STEPS)
-"""Numbers of steps that are tried in turn while a point is dragged."""
+"""Numbers of time steps that are tried in turn during a drag: for schemes of higher order, and of first order."""
 MOST_LEFT_OUT = 60
-"""Most landmarks that are left out in turn, since the visitor waits."""
+"""Largest number of landmarks for leave-one-out errors, because the visitor waits."""
 MOST_JUDGED = 1000
-"""Most landmarks among which outliers are searched, since the visitor waits."""
+"""Largest number of landmarks for the search for outliers, because the visitor waits."""
 PORTIONS, PAUSE = 20, 0.01
-"""Portions of the certificate, and the pauses between them, in seconds, in which a dragged point is drawn."""
+"""Number of portions of the certificate, and the pauses between them, in seconds, for drawing dragged points."""
 GRID_LINES = 16
-"""Squares of the grid along the longer side."""
+"""Number of squares of the drawn grid along the longer side."""
 LINE_POINTS, HASTY_LINE_POINTS = 49, 17
 FRAMES, FRAME_MILLISECONDS = 21, 70
 PAPER = (255, 255, 255, 255)
@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Window:
-    """A rectangle of an image, in pixels from its outer corner (-0.5, -0.5), and its size in pixels of the screen."""
+    """A rectangle of an image: edges in pixels from its corner (-0.5, -0.5), width and height in pixels on screen."""
 
     left: float
     top: float
@@ -65,7 +65,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Look:
-    """The view of a tab: a window of the fixed image, at a time along the flow, with or without a grid."""
+    """The view of a tab: a window of the fixed image, a time from 0 (not warped) to 1, with or without a grid."""
 
     window: Window | None = None
     time: float = 1.0
@@ -74,9 +74,9 @@ class Look:
 
 @dataclass(frozen=True)
 class Wanted:
-    """A task and its mode.
+    """A request to register and draw a task: while a point is dragged, `hasty`, with nearest pixels and few steps.
 
-    `hasty`: while dragging, with nearest pixels and few steps. `waiting`: the solver is not ready, nothing is moved.
+    `waiting` is True while the solver is not ready; images are then drawn without registration.
     """
 
     task: Task
@@ -86,8 +86,9 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A picture for a tab: `image` is RGBA, (h, w, 4); `carried` are the landmarks before time 1, and lines of
-    the grid have shape (points, 2).
+    """A picture for a tab: `image` is RGBA, shape (h, w, 4), and the lines of the grid have shape (points, 2) each.
+
+    `carried` (n, 2) has the moving landmarks at the time of the view, and is empty at time 1.
     """
 
     look: Look
@@ -98,9 +99,9 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """The pictures of all tabs: `registration` is None without pairs or solver.
+    """The pictures of all tabs; `registration` is None without pairs or solver.
 
-    `chart` has points of each image in the other one, shape (CHART, CHART, 2), rows from the top; None in a drag.
+    `chart` maps a coarse grid on each image to the other image, shape (CHART, CHART, 2); None while a point is dragged.
     """
 
     wanted: Wanted
@@ -111,9 +112,10 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class Certified:
-    """Results of longer computations: growth of areas on a coarse grid over the fixed image, errors of landmarks.
+    """Results of longer computations: leave-one-out errors, outliers, and det J, the growth of areas by the map.
 
-    `extreme` is the largest |log2 det J| on the grid, at least 0.1.
+    `areas` is det J on a coarse grid over the fixed image, and `extreme` the largest |log2 det J| there, at least 0.1.
+    `folded` counts the pixels where det J is not positive.
     """
 
     revision: int
@@ -137,7 +139,7 @@ class Download:
 
 
 def arguments(task: Task) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arguments of `register`: landmarks and grids of square pixels, and the method."""
+    """Return two dicts of arguments of `register`: landmarks and grids of square pixels, and the method."""
     settings = task.work.settings
     grids = [square_grid(picture.shape, picture.spacing) for picture in (task.moving, task.fixed)]
     landmarks = {"pairs": in_squares(task.work.landmarks(), *grids), "shape": grids[0], "fixed_shape": grids[1]}
@@ -145,7 +147,7 @@ def arguments(task: Task) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
-    """Register a task, starting from the previous registration; None without pairs or solver.
+    """Return the registration of a task, with `previous` as warm start; None without active pairs or solver.
 
     Raises the errors of `register`.
     """
@@ -153,7 +155,7 @@ def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
         return None
     landmarks, method = arguments(wanted.task)
     if wanted.hasty and previous is not None:
-        if method["align"] == "auto":  # another alignment in the middle of a drag would move everything else
+        if method["align"] == "auto":  # a change of the alignment during a drag would make the whole image jump
             method["align"] = previous.matching.align
         is_first_order = previous.flow.module.metadata.order == 1
         for steps in HASTY_STEPS_OF_FIRST_ORDER if is_first_order else HASTY_STEPS:
@@ -165,7 +167,7 @@ def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
 def shown(
     wanted: Wanted, looks: Mapping[str, Look], previous: Registration | None, known: Registration | None = None
 ) -> Shown:
-    """Register, unless the registration is known, and draw the picture of every tab."""
+    """Return the pictures of all tabs; register first unless the registration is `known`."""
     registration = known if known is not None else found(wanted, previous)
     seen = {}
     for tab, look in looks.items():
@@ -189,13 +191,13 @@ def shown(
 def frame(
     task: Task, registration: Registration | None, time: float, window: Window, smooth: bool = True
 ) -> NDArray[np.uint8]:
-    """Draw the moving image at a time along the flow, in a window of the fixed image, as RGBA; transparent outside."""
+    """Return the moving image, warped up to a time from 0 to 1, in a window, as RGBA; transparent outside."""
     x, y = sources(window, registration, time, 1 if smooth else HASTY_BLOCK)
     return sampled(task.moving, x, y, smooth)
 
 
 def sources(window: Window, registration: Registration | None, time: float, block: int = 1) -> tuple[Array, Array]:
-    """Return the positions in the moving image of blocks of pixels of a window: x and y, shape (h, w) each."""
+    """Return x and y in the moving image, shape (h, w) each, of the centres of blocks of `block`² screen pixels."""
     fine_x = _places(window.left, window.right, window.width, block)
     fine_y = _places(window.top, window.bottom, window.height, block)
     coarse_x, coarse_y = (np.linspace(v[0], v[-1], max(2, round(len(v) / COARSE) + 1)) for v in (fine_x, fine_y))
@@ -208,13 +210,13 @@ def sources(window: Window, registration: Registration | None, time: float, bloc
 
 
 def _places(start: float, stop: float, count: int, block: int) -> Array:
-    """The centres of blocks of pixels of the screen, in pixels of the image."""
+    """Return the centres, in pixels of the image, of blocks that divide `count` pixels of the screen."""
     centres = np.minimum(np.arange(-(-count // block)) * block + block / 2, count - 0.5)
     return np.asarray(start - 0.5 + centres * (stop - start) / count)
 
 
 def _weights(coarse: Array, fine: Array) -> Array:
-    """The matrix of linear interpolation from coarse to fine points in their range."""
+    """Return the matrix, shape (fine, coarse), of linear interpolation from coarse to fine points in their range."""
     if coarse[0] == coarse[-1]:
         return np.full((len(fine), len(coarse)), 1.0 / len(coarse))
     k = np.clip(np.searchsorted(coarse, fine, side="right") - 1, 0, len(coarse) - 2)
@@ -226,9 +228,10 @@ def _weights(coarse: Array, fine: Array) -> Array:
 
 
 def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.uint8]:
-    """Sample a picture at points in pixels of its image, as RGBA; transparent outside.
+    """Return the colours of a picture at points in its pixels, as RGBA; transparent outside.
 
-    The samples come from the reduced copy whose pixels are as far apart as the points, or a little closer.
+    Samples are taken from the smallest reduced copy with pixels no farther apart than the points. `smooth` selects
+    linear interpolation, instead of the nearest pixel.
     """
     apart = [np.hypot(np.diff(x, axis=k), np.diff(y, axis=k)) for k in (0, 1)]
     typical = [float(np.median(distances)) for distances in apart if distances.size]
@@ -258,7 +261,7 @@ def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.ui
 
 
 def grid(picture: Picture, registration: Registration | None, time: float, points: int = LINE_POINTS) -> list[Array]:
-    """Draw a square grid on the moving image, carried by the flow up to a time."""
+    """Return lines, shape (points, 2) each, of a square grid on the moving image, warped up to a time from 0 to 1."""
     height, width = picture.shape
     size = max(height, width) / GRID_LINES
     columns, rows = max(1, round(width / size)), max(1, round(height / size))
@@ -272,10 +275,7 @@ def grid(picture: Picture, registration: Registration | None, time: float, point
 
 
 def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bool]) -> Certified | None:
-    """Compute the extremes of det J on the pixels of the fixed preview, a map of det J, and errors of landmarks.
-
-    Returns None as soon as the task is `stale`.
-    """
+    """Return extremes and a map of det J, leave-one-out errors and outliers; None as soon as `stale()` is True."""
     fixed, landmarks = wanted.task.fixed, registration.pairs
     x, y = fixed.preview_places(COARSE)
     areas = registration.arriving(_points(x, y))[1].reshape(len(y), len(x))
@@ -303,17 +303,16 @@ def _points(x: Array, y: Array) -> Array:
 
 
 def estimated_sigma(task: Task) -> SigmaEstimate:
-    """Estimate the errors of the landmarks in pixels."""
+    """Return the estimated standard deviation of the landmark errors, in pixels."""
     landmarks, method = arguments(task)
     method.pop("sigma")
     return estimate_sigma(**landmarks, **method)
 
 
 def certified_task(task: Task) -> tuple[Registration, Positions]:
-    """Register from the landmarks alone, and return the positions of all pixels.
+    """Return a certified registration without warm start, for downloads, and the positions of all pixels.
 
-    LandmarkError without pairs; RegistrationError if the map folds or its round trip is inaccurate, so that no download
-    contains such a map.
+    Raises LandmarkError without pairs, and RegistrationError if the map folds or its round trip is inaccurate.
     """
     if not task.work.active:
         raise LandmarkError("there are no landmarks", "add a pair, or activate one")
@@ -326,7 +325,7 @@ def certified_task(task: Task) -> tuple[Registration, Positions]:
 
 
 def warped_image(task: Task) -> Download:
-    """Warp the moving image to the frame of the fixed one, with exact positions and the type of its samples."""
+    """Return a file of the moving image, warped to the fixed image with exact positions; samples keep their type."""
     registration, positions = certified_task(task)
     interpolation: Any = task.work.settings.interpolation
     pixels = warp(task.moving.pixels, registration, interpolation=interpolation, positions=positions)
@@ -336,14 +335,14 @@ def warped_image(task: Task) -> Download:
 
 
 def field(task: Task) -> Download:
-    """Return the displacements from fixed to moving at every pixel of the fixed image, .npz."""
+    """Return an .npz file of the displacements from fixed to moving at every pixel of the fixed image."""
     values = displacements(certified_task(task)[1])
     data = _written(".npz", lambda path: write_field(path, values, "fixed to moving"))
     return Download(f"{task.moving.stem}_displacement_fixed_to_moving.npz", "application/octet-stream", data)
 
 
 def landmarks(task: Task, form: str) -> tuple[Download, ...]:
-    """Write the pairs in a format of FORMATS: one file, or a moving and a fixed one."""
+    """Return the landmarks in a format of FORMATS: one file, or a moving and a fixed file."""
     frames = Frames(task.moving.shape, task.fixed.shape)
     texts = landmark_texts(task.work.landmarks(), form, frames)
     suffix = FORMATS[form].suffixes[0]
@@ -355,7 +354,7 @@ def landmarks(task: Task, form: str) -> tuple[Download, ...]:
 
 
 def animation(task: Task, with_grid: bool = False) -> Download:
-    """Animate the flow of the preview from the moving image to the warped one and back, as a GIF that repeats."""
+    """Return a repeating GIF of the reduced moving image on its way to the warped image and back."""
     registration, _ = certified_task(task)
     (height, width), side = task.fixed.preview.shape[:2], task.fixed.reduction
     window, frames = Window(0.0, 0.0, width * side, height * side, width, height), []
@@ -379,7 +378,7 @@ def animation(task: Task, with_grid: bool = False) -> Download:
 
 
 def _written(suffix: str, write: Callable[[Path], None]) -> bytes:
-    """Return the content that a function writes to a temporary file."""
+    """Return the bytes that `write` writes to a temporary file with this suffix."""
     with tempfile.TemporaryDirectory(prefix="codegen-") as folder:
         path = Path(folder) / f"file{suffix}"
         write(path)

@@ -1,7 +1,7 @@
-"""Background work: jobs in threads, of which only the newest of each kind is done, and the compilation of solvers.
+"""Background work of the page: jobs in threads, and the compilation of solvers in a separate process.
 
-Deriving and compiling a solver takes about 15 s, once on a machine. A separate process does this, so that the page
-stays responsive: `python -m codegen.registration.app.worker SCHEME`.
+Deriving and compiling a solver takes about 15 s, once on a machine. The separate process keeps the page responsive. Its
+command is `python -m codegen.registration.app.worker SCHEME`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,17 @@ from codegen.registration.solver import is_compiled, registration_module
 Deliver: TypeAlias = Callable[[Callable[[], None]], object]
 T = TypeVar("T")
 
-# Sessions take turns, one job each. Long jobs have their own thread, so that dragged points need not wait.
+# Sessions take turns, one job each. Long jobs have their own thread, so that the drag of a point is not delayed.
 quick = ThreadPoolExecutor(1, thread_name_prefix="registration-quick")
 slow = ThreadPoolExecutor(1, thread_name_prefix="registration-slow")
-# Saving has its own thread, too.
 saving = ThreadPoolExecutor(1, thread_name_prefix="registration-saving")
 
 
 class Worker:
-    """Runs the jobs of one session one after the other in the thread of a pool.
+    """A queue that runs the jobs of one session one after the other in the thread of a pool.
 
-    `deliver` passes a function to the thread of the session. A newer job replaces a waiting job of the same kind. Kinds
-    are started in the order of `order`, other kinds after them.
+    A newer job replaces a waiting job of the same kind. Waiting jobs are started by kind, in the order of the tuple
+    `order`, and then the other kinds. `deliver` calls a function in the thread of the session.
     """
 
     def __init__(self, deliver: Deliver, order: tuple[str, ...], pool: ThreadPoolExecutor = quick) -> None:
@@ -45,7 +44,7 @@ class Worker:
     def ask(
         self, kind: str, job: Callable[[], T], done: Callable[[T], None], failed: Callable[[Exception], None]
     ) -> None:
-        """Do a job as soon as possible; `done` receives its result, `failed` its exception."""
+        """Do a job as soon as possible. In the thread of the session, `done` gets its result or `failed` its error."""
 
         def attempt() -> Callable[[], None]:
             try:
@@ -62,7 +61,7 @@ class Worker:
         self._pool.submit(self._run)
 
     def drop(self, kind: str) -> None:
-        """Cancel a waiting job."""
+        """Cancel the waiting job of a kind."""
         with self._lock:
             self._waiting.pop(kind, None)
 
@@ -81,7 +80,7 @@ class Worker:
         report = attempt()
 
         def then() -> None:
-            """Report in the thread of the session, and only then start the next job, so that results never pile up."""
+            """Report the result, and only then start the next job, so that results never accumulate."""
             try:
                 report()
             finally:
@@ -94,7 +93,7 @@ class Worker:
 
 
 def delivered(deliver: Deliver, act: Callable[[], None]) -> bool:
-    """Pass a function to the thread of a session; False if the session is closed."""
+    """Let `deliver` call `act` in the thread of the session; return False if the session is closed."""
     try:
         deliver(act)
     except Exception:  # the page is closed
@@ -109,10 +108,7 @@ _solvers: dict[str, Future[None]] = {}
 
 
 def prepared(scheme: str) -> Future[None]:
-    """Return the future of a solver; its preparation starts at the first call in this process.
-
-    The future fails with a CodegenError if the solver cannot be derived or compiled.
-    """
+    """Return the future of the preparation of a solver, begun at the first call; it may end with a CodegenError."""
     future: Future[None] = Future()
 
     def prepare() -> None:
@@ -133,7 +129,7 @@ def prepared(scheme: str) -> Future[None]:
 
 
 def compile_elsewhere(scheme: str) -> None:
-    """Derive and compile the solver in a separate process; ModuleError if that fails."""
+    """Derive and compile the solver of a scheme in a separate process; ModuleError if that fails."""
     command = [sys.executable, "-m", MODULE, scheme]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -142,7 +138,7 @@ def compile_elsewhere(scheme: str) -> None:
 
 
 def main(scheme: str) -> int:
-    """Derive and compile; an error is written to stderr as one line."""
+    """Derive and compile the solver of a scheme; return the exit status, and write errors to stderr in one line."""
     try:
         registration_module(scheme)
     except CodegenError as error:

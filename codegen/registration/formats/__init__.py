@@ -1,7 +1,7 @@
-"""Landmark files, in the formats of this package and of other programs.
+"""Reading and writing of landmark files, in the formats of this package and of other programs.
 
-A format is a file of this folder and an entry of FORMATS. In any format LandmarkPairs are in pixels, with the origin at
-the centre of the top-left pixel, x to the right and y down. Landmarks of volumes are in the coordinates of the grids.
+Each format has a module in this folder and an entry in FORMATS. LandmarkPairs are always in pixels, with the origin at
+the centre of the top-left pixel, x to the right and y down. Landmarks of volumes are in the coordinates of their grids.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ __all__ = [
 
 
 def read_landmarks(*paths: Path, frames: Frames | None = None, name: str | None = None) -> LandmarkPairs:
-    """Read a landmark file, or a moving and a fixed one for formats with one file per image (elastix, Slicer).
+    """Return the pairs of a landmark file, or of a moving and a fixed file for formats of one image (elastix, Slicer).
 
-    `name` is a key of FORMATS; by default the suffix and the beginning of the text determine the format. TPS files need
-    the shapes of both images in `frames`. Raises PointsError, naming the file and the line, for invalid files, and for
-    files of more than 8 MB or 10 000 landmarks.
+    `name` is a key of FORMATS; by default the suffix and the beginning of the text determine the format. `frames`
+    describes the images; TPS files need the shapes of both. Raises PointsError, with file and line, for invalid files,
+    and for files of more than 8 MB or 10 000 landmarks.
     """
     contents = []
     for path in map(Path, paths):
@@ -52,7 +52,7 @@ def read_landmarks(*paths: Path, frames: Frames | None = None, name: str | None 
 def parse_landmarks(
     contents: Sequence[tuple[str, bytes]], *, frames: Frames | None = None, name: str | None = None
 ) -> LandmarkPairs:
-    """Parse the names, with suffixes, and the contents of one file, or of the moving and then the fixed file."""
+    """Return the pairs of `contents`: the file name and data of one file, or of a moving and then a fixed file."""
     if not contents:
         raise PointsError("there is no landmark file", "give one, or a moving and a fixed one")
     for file, data in contents:
@@ -61,7 +61,7 @@ def parse_landmarks(
     if name is not None:
         form = _format(name)
     else:
-        # The format of the suffix and of the beginning of the text, or the only format of the suffix.
+        # Use the format that fits the suffix and the beginning of the text, or else the only format of the suffix.
         file, data = contents[0]
         candidates = _of_suffix(file)
         if not data.strip():
@@ -92,10 +92,10 @@ def parse_landmarks(
 
 
 def write_landmarks(*paths: Path, pairs: LandmarkPairs, frames: Frames | None = None, name: str | None = None) -> None:
-    """Write a landmark file, or a moving and a fixed one; by default the suffix determines the format.
+    """Write a landmark file, or a moving and a fixed file, in the format `name` or the format of the suffix.
 
-    On failure existing files stay unchanged. Raises PointsError if the format needs two paths, or the shapes of the
-    images (TPS).
+    Existing files are unchanged if writing fails. Raises PointsError for a wrong number of paths, and if the format
+    needs the shapes of the images (TPS) or the grids of volumes (BigWarp).
     """
     form = _format(name) if name is not None else _of_suffix(str(paths[0]))[0]
     texts = form.compose(pairs, frames or Frames())
@@ -107,7 +107,7 @@ def write_landmarks(*paths: Path, pairs: LandmarkPairs, frames: Frames | None = 
 
 
 def landmark_texts(pairs: LandmarkPairs, name: str, frames: Frames | None = None) -> tuple[str, ...]:
-    """Return the content of a file of the format, or of a moving and a fixed one."""
+    """Return the text of a file in the format `name`, or the texts of a moving and a fixed file."""
     return _format(name).compose(pairs, frames or Frames())
 
 

@@ -1,4 +1,4 @@
-"""Common parts of landmark formats: their description, texts of files, limits, and points in a plane."""
+"""Common parts of the landmark formats: the interface of a format, the text of a file, limits and checks."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from codegen.registration.grid import Grid
 from codegen.registration.pairs import LandmarkPairs
 
 MOST_BYTES = 8 << 20
-"""Most bytes of a file; 10 000 landmarks take a tenth of it, or half of it as point lists of Slicer."""
+"""Largest size of a file, in bytes; 10 000 landmarks take a tenth of this, or half in point lists of Slicer."""
 
 MOST_LANDMARKS = 10_000
-"""Most landmarks: the interactions of n landmarks are a matrix of 8 n² bytes, 800 MB here."""
+"""Largest number of landmarks: n landmarks need a dense matrix of 8 n² bytes, here 800 MB."""
 
 FLAT = 1e-3
-"""Largest difference of the third coordinates of landmarks of one slice, by rounding."""
+"""Largest difference, due to rounding, between the third coordinates of landmarks in one plane slice."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """The text of a file and its name in errors."""
+    """The text of a landmark file, and the name of the file in error messages."""
 
     name: str
     text: str
@@ -36,10 +36,10 @@ class Source:
 
 @dataclass(frozen=True)
 class Frames:
-    """The images of the landmarks, as far as known: shapes (height, width, ...) and file names.
+    """The shapes (height, width, ...) and file names of the images of the landmarks, as far as known.
 
-    With the `grids` of a moving and a fixed volume, landmarks have three coordinates. They are converted to the
-    coordinates of the grids: usually LPS in millimetres.
+    If `grids` has the grids of a moving and a fixed volume, landmarks have three coordinates. Formats convert landmarks
+    to the coordinates of these grids: usually LPS (left, posterior, superior) in millimetres.
     """
 
     moving_shape: tuple[int, ...] | None = None
@@ -50,17 +50,17 @@ class Frames:
 
     @property
     def axes(self) -> str:
-        """The names of the coordinates of landmarks."""
+        """The names of the coordinates of a landmark, one letter each."""
         return "xy" if self.grids is None else "xyz"
 
 
 @dataclass(frozen=True)
 class Format:
-    """A landmark format.
+    """A landmark format: its key in FORMATS, its title, and its functions.
 
-    `parse` takes one text, or the moving and the fixed one if `files` is 2; `compose` returns as many. Both raise
-    PointsError, naming the file and the line. `recognises` distinguishes formats with the same suffix by the beginning
-    of a text: the result is true. `encoding` is the encoding of texts that are not UTF-8.
+    `files` is 1, or 2 if a moving and a fixed file are needed. `parse` takes that many texts, and `compose` returns
+    them. Both raise PointsError, with file and line. `recognises` returns a true value if a text of this format can
+    begin like its argument. `encoding` is the encoding of texts that are not UTF-8.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Format:
 
 
 def rows(source: Source) -> Iterator[tuple[int, list[str]]]:
-    """Yield the non-empty rows of a comma-separated table with their line numbers; PointsError for too many."""
+    """Yield the line number and the fields of every non-empty row of a CSV table; PointsError for too many rows."""
     reader = csv.reader(io.StringIO(source.text, newline=""))
     count = 0
     try:
@@ -88,7 +88,7 @@ def rows(source: Source) -> Iterator[tuple[int, list[str]]]:
 
 
 def require_count(name: str, count: int) -> None:
-    """Raise PointsError for more landmarks than can be registered."""
+    """Raise PointsError if the file `name` holds more landmarks than can be registered."""
     if count > MOST_LANDMARKS:
         raise PointsError(f"{name} holds more than {MOST_LANDMARKS} landmarks", "give fewer")
 
@@ -99,7 +99,7 @@ def made(
     fixed: Sequence[Sequence[float]] | NDArray[np.float64],
     names: Sequence[str] = (),
 ) -> LandmarkPairs:
-    """Make pairs of landmarks; PointsError, naming the files, if that is impossible."""
+    """Return landmark pairs from points of shape (n, d) each; PointsError, with the names of the files, if invalid."""
     files = " and ".join(source.name for source in sources)
     if not len(moving) and not len(fixed):
         raise PointsError(f"{files} holds no landmarks", "give at least one pair")
@@ -110,9 +110,10 @@ def made(
 
 
 def placed(name: str, side: str, points: Sequence[Sequence[float]], frames: Frames) -> list[tuple[float, ...]]:
-    """Return the coordinates that the images need: x and y, or x, y and z.
+    """Return the points with x and y alone for pictures, or with x, y and z for volumes.
 
-    Raises PointsError for points of several slices of pictures, and for points without z of volumes.
+    `name` and `side` name the file and the image in errors. Raises PointsError if points for pictures lie in several
+    slices, or if points for volumes have no z.
     """
     if frames.grids is None:
         heights = [point[2] for point in points if len(point) > 2]
@@ -127,7 +128,7 @@ def placed(name: str, side: str, points: Sequence[Sequence[float]], frames: Fram
 
 
 def require_order(sources: Sequence[Source]) -> None:
-    """Raise PointsError for a pair of files whose names indicate the reverse order."""
+    """Raise PointsError if the names of two files suggest that the fixed file comes before the moving file."""
     moving, fixed = (PurePath(source.name).name.lower() for source in sources)
     if ("fixed" in moving and "moving" not in moving) or ("moving" in fixed and "fixed" not in fixed):
         raise PointsError(
@@ -137,12 +138,12 @@ def require_order(sources: Sequence[Source]) -> None:
 
 
 def text_of(number: float) -> str:
-    """Return the shortest text of a number that is read as the same number."""
+    """Return the shortest text from which exactly the same number is read."""
     return repr(float(number))
 
 
 def is_missing(text: str) -> bool:
-    """Return True for the coordinate of a point that was not set: NaN or infinity."""
+    """Return True if the text is NaN or infinity, the coordinate of a point that was not set."""
     try:
         return not math.isfinite(float(text))
     except ValueError:

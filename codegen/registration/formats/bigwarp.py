@@ -1,9 +1,9 @@
-"""Landmark tables of BigWarp: name, active or not, the moving point, the fixed (target) point; no header.
+"""Landmark tables of BigWarp, without a header. A row has a name, an active flag, the moving and the fixed point.
 
-Rows have 6 fields in the plane and 8 in space, all in quotation marks. A point that was not set is Infinity, and its
-row is not active. Coordinates are in the units of the images, or in pixels without a calibration, with the origin at
-the centre of the top-left pixel and y down, as in this package. Coordinates of volumes are column, row and slice times
-the spacing: BigWarp ignores origin and orientation of a file, and this module adds them. Source:
+Rows have 6 fields for pictures and 8 for volumes, all in quotation marks. A point that was not set is Infinity, and its
+row is not active. Coordinates are in the units of the images, or in pixels if the images have no units. The origin is
+the centre of the top-left pixel, and y points down, as in this package. Coordinates of volumes are column, row and
+slice times the spacing: BigWarp ignores the origin and orientation of a file, and this module applies them. Source:
 `LandmarkTableModel` of BigWarp 9.4 (github.com/saalfeldlab/bigwarp).
 """
 
@@ -24,7 +24,7 @@ AXES = {6: "xy", 8: "xyz"}
 
 
 def recognises(text: str) -> bool:
-    """Return True if the second field of the first line is true or false."""
+    """Return True if the second field of the first line is the word true or false."""
     try:
         fields = next(csv.reader([text.lstrip().split("\n", 1)[0][:1000]]), [])
     except csv.Error:
@@ -33,7 +33,7 @@ def recognises(text: str) -> bool:
 
 
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
-    """Read the active rows; PointsError names the file and the line."""
+    """Return the landmarks of the active rows; PointsError names the file and the line."""
     (source,) = sources
     moving, fixed, names, inactive = [], [], [], 0
     for line, fields in rows(source):
@@ -62,7 +62,7 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
 
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """Return the table with active rows; PointsError if the grids of volumes are not known."""
+    """Return the text of a table with active rows only; PointsError for volumes without grids in `frames`."""
     file = io.StringIO(newline="")
     writer = csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL)
     moving, fixed = pairs.moving, pairs.fixed

@@ -1,9 +1,9 @@
-"""Point files of elastix, one for each image: `point` or `index`, the number of points, then one point in a line.
+"""Point files of elastix, one for each image: `point` or `index`, the number of points, then one point per line.
 
-`index` counts pixels. `point` is in the coordinates of the image file: pixels for spacing 1 and origin 0, as of PNG,
-JPEG and plain TIFF files in elastix, and LPS in millimetres for volumes. Without a keyword points are indices, as
-before elastix 3.5. Sources: elastix manual, section 4.2 (option -def), and elastix's
-`TransformixInputPointFileReader`.
+After `index`, points are indices of pixels. After `point`, they are in the coordinates of the image file: LPS in
+millimetres for volumes. For PNG, JPEG and plain TIFF files, elastix has spacing 1 and origin 0, that is pixels.
+Without a keyword points are indices, as before elastix 3.5. Sources: elastix manual, section 4.2 (option -def), and
+`TransformixInputPointFileReader` of elastix.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ REMEDY = "give point or index, the number of points, then two coordinates in eac
 
 
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
-    """Read the moving and the fixed file; PointsError names the file and the line."""
+    """Return the landmarks of the moving and the fixed file; PointsError names the file and the line."""
     require_order(sources)
     moving, fixed = (_points(source, side, frames) for side, source in enumerate(sources))
     return made(sources, moving, fixed)
@@ -63,7 +63,7 @@ def _points(source: Source, side: int, frames: Frames) -> list[tuple[float, ...]
 
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """Return the moving and the fixed file; the format has no names."""
+    """Return the texts of the moving and the fixed file, without names of landmarks."""
     texts = []
     for points in (pairs.moving, pairs.fixed):
         lines = [" ".join(map(text_of, point)) for point in points]

@@ -1,7 +1,7 @@
-"""The plain table of this package: `moving_x,moving_y,fixed_x,fixed_y` in pixels, and optionally `name`.
+"""The CSV table of this package, with the columns `moving_x,moving_y,fixed_x,fixed_y` and optionally `name`.
 
-The origin is the centre of the top-left pixel, x to the right, y down. Landmarks of volumes have `moving_z` and
-`fixed_z`, too, and are in the coordinates of the files: LPS in millimetres. Columns may have any order.
+Coordinates are in pixels, with the origin at the centre of the top-left pixel, x to the right, y down. Landmarks of
+volumes also have `moving_z` and `fixed_z`, and are in LPS and millimetres as in the files. Columns may have any order.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ COLUMNS = ("moving_x", "moving_y", "fixed_x", "fixed_y")
 
 
 def columns(axes: str) -> tuple[str, ...]:
-    """Return the names of the columns for axes "xy" or "xyz"."""
+    """Return the names of the columns of coordinates for axes "xy" or "xyz"."""
     return tuple(f"{image}_{axis}" for image in ("moving", "fixed") for axis in axes)
 
 
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
-    """Read the table; PointsError names the file and the line."""
+    """Return the landmarks of the table; PointsError names the file and the line."""
     (source,) = sources
     table = rows(source)
     header = next((fields for _, fields in table), [])
@@ -45,7 +45,7 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
 
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """Return the table; names that are 1, 2, ... have no column."""
+    """Return the text of the table; without a column of names if they are just 1, 2, ..."""
     named = pairs.names != tuple(str(k + 1) for k in range(len(pairs)))
     file = io.StringIO(newline="")
     writer = csv.writer(file, lineterminator="\n")

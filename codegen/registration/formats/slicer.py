@@ -1,11 +1,12 @@
 """Point lists of 3D Slicer, one for each image: .mrk.json, and .fcsv of older versions.
 
-If both lists have the same unique labels, points are matched by label, otherwise by order.
+If both lists have the same unique labels, points are matched by label, otherwise by order. LPS means that x, y and z
+point to the left, the back and the head of the patient; RAS has the opposite signs of x and y.
 
-.mrk.json: the pixels of an image file without spacing are at x = column, y = row in the LPS system of Slicer, 1 mm
-apart. So LPS positions are pixels, and RAS positions have the opposite signs. Volumes have the LPS positions of their
-spacing, origin and orientation. Points that are not set (`positionStatus` other than `defined`) are left out. Source:
-markups-schema-v1.0.3.json of Slicer and its developer guide, "Markups".
+.mrk.json: for an image file without spacing, Slicer places pixels 1 mm apart, at x = column and y = row in LPS. So LPS
+positions are pixels. Positions in volumes follow from their spacing, origin and orientation. Points that are not set
+(`positionStatus` other than `defined`) are left out. Source: markups-schema-v1.0.3.json of Slicer and its developer
+guide, "Markups".
 
 .fcsv: a table without a header, after lines that begin with #. Its columns are id, x, y, z, four numbers of an
 orientation, the flags visible, selected and locked, the label, and others that are ignored. `# CoordinateSystem` is LPS
@@ -48,11 +49,11 @@ COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
 FCSV_REMEDY = "save a point list of 3D Slicer as .fcsv or .mrk.json"
 
 Points: TypeAlias = tuple[list[str], list[tuple[float, ...] | None]]
-"""Labels, and positions in LPS, or None for points that are not set."""
+"""The labels of points, and their positions in LPS, None for points that are not set."""
 
 
 def parse(read: Callable[[Source], Points], sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
-    """Read the moving and the fixed list, and match them by label if both have the same, otherwise by order.
+    """Return the landmarks of the moving and the fixed file, each read by `read`, matched by label or by order.
 
     PointsError names the file and the point.
     """
@@ -74,7 +75,7 @@ def parse(read: Callable[[Source], Points], sources: Sequence[Source], frames: F
 
 
 def read_json(source: Source) -> Points:
-    """Read a .mrk.json file, which holds exactly one list of points."""
+    """Return the points of a .mrk.json file, which must hold exactly one list."""
     try:
         content = json.loads(source.text)
     except json.JSONDecodeError as error:
@@ -116,7 +117,7 @@ def read_json(source: Source) -> Points:
 
 
 def compose_json(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """Return the moving and the fixed list as .mrk.json, in LPS."""
+    """Return the texts of a moving and a fixed .mrk.json file, in LPS."""
     texts = []
     for name, points in (("moving", pairs.moving), ("fixed", pairs.fixed)):
         controls = [
@@ -135,7 +136,7 @@ def compose_json(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
 
 
 def read_fcsv(source: Source) -> Points:
-    """Read a .fcsv file."""
+    """Return the points of a .fcsv file."""
     system = "RAS"
     for line in itertools.takewhile(lambda line: line.startswith("#"), source.text.splitlines()):
         key, equals, value = line[1:].partition("=")
@@ -160,7 +161,7 @@ def read_fcsv(source: Source) -> Points:
 
 
 def compose_fcsv(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """Return the moving and the fixed list as .fcsv, in LPS."""
+    """Return the texts of a moving and a fixed .fcsv file, in LPS."""
     texts = []
     for points in (pairs.moving, pairs.fixed):
         file = io.StringIO(newline="")

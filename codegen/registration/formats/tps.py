@@ -1,10 +1,11 @@
-"""TPS files of tpsDig: two specimens of one file, or those whose IMAGE= names the moving and the fixed image.
+"""TPS files of tpsDig, which hold a list of points, called a specimen, for each image.
 
-A specimen is `LM=n`, n lines `x y`, and lines such as `IMAGE=`, `ID=` and `SCALE=`. Its y points up from the lower edge
-of the image, so that the heights of both images must be known. The origin is the centre of the lower-left pixel; the
-documentation of the format is ambiguous by half a pixel. Coordinates are pixels; `SCALE=`, the size of a pixel, is not
-applied. A landmark NA is missing and left out in both images. Outlines (`CURVES=`, `POINTS=`) are left out. The format
-has no names of landmarks. Source: F. J. Rohlf, tpsDig help, "Data files".
+A specimen is `LM=n`, n lines `x y`, and lines such as `IMAGE=`, `ID=` and `SCALE=`. The specimens of the moving and the
+fixed image are found by their IMAGE= lines; otherwise they are the only two of the file. As y points up, the heights of
+both images must be known. The origin is the centre of the lower-left pixel; the documentation of the format is
+ambiguous by half a pixel. Coordinates are pixels; `SCALE=`, the size of a pixel, is not applied. A landmark NA in one
+image is left out in both. Outlines (`CURVES=`, `POINTS=`) are left out. The format has no names of landmarks.
+Source: F. J. Rohlf, tpsDig help, "Data files".
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ REMEDY = "give LM=, as many lines x y, and IMAGE= for the moving and for the fix
 
 @dataclass
 class Specimen:
-    """Points of the file, None for missing ones, and the values of IMAGE= and ID=."""
+    """The points of one image, as in the file, None for missing points, and the values of IMAGE= and ID=."""
 
     points: list[tuple[float, float] | None] = field(default_factory=list)
     image: str = ""
@@ -34,13 +35,13 @@ class Specimen:
 
 
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
-    """Read two specimens; PointsError names the file and the line, or the image of unknown height."""
+    """Return the landmarks of two specimens; PointsError names the file and line, or the image of unknown height."""
     (source,) = sources
     if frames.grids is not None:
         finding = f"{source.name}: TPS files hold landmarks in the plane, and the images are volumes"
         raise PointsError(finding, "give landmarks in space, as plain CSV")
     specimens = list(specimens_of(source))
-    # IMAGE= lines choose the specimens, regardless of folders and capitals; otherwise the first and the second of two.
+    # IMAGE= lines, ignoring folders and case, identify the specimens; otherwise there must be exactly two.
     named: list[Specimen | None] = []
     for name in (frames.moving_name, frames.fixed_name):
         image = PureWindowsPath(name).name.lower()
@@ -71,7 +72,7 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
 
 
 def specimens_of(source: Source) -> Iterator[Specimen]:
-    """Yield the specimens of a file; PointsError names a line that belongs to none."""
+    """Yield the specimens of a file; PointsError for a line that belongs to no specimen."""
     text = source.text.replace("\r\n", "\n").replace("\r", "\n")
     lines = ((k, line.strip()) for k, line in enumerate(text.split("\n"), 1))
     specimen: Specimen | None = None
@@ -102,7 +103,7 @@ def specimens_of(source: Source) -> Iterator[Specimen]:
 def _points(
     source: Source, number: int, count: str, lines: Iterator[tuple[int, str]]
 ) -> Iterator[tuple[float, float] | None]:
-    """Yield the announced number of points from the following lines."""
+    """Yield `count` points from the following `lines`, None for missing points; `number` is the line of `count`."""
     if not (count.isdecimal() and len(count) < 10):
         raise PointsError(f"{source.name}:{number}: {count[:30]!r} is no number of points", REMEDY)
     require_count(source.name, int(count))
@@ -129,12 +130,12 @@ def _heights(name: str, frames: Frames) -> tuple[int, int]:
 
 
 def _turned(points: PointArray, height: int) -> PointArray:
-    """Convert points between origins at the lower-left and the top-left pixel."""
+    """Return points with y measured from the opposite edge: from the lower-left to the top-left pixel, or back."""
     return np.column_stack((points[:, 0], height - 1 - points[:, 1])) if len(points) else points
 
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """Return two specimens, first the moving one; PointsError if the height of an image is not known."""
+    """Return the text of a file with two specimens, first the moving; PointsError if an image height is unknown."""
     heights = _heights("landmarks", frames)
     lines = []
     sides = zip((pairs.moving, pairs.fixed), heights, (frames.moving_name, frames.fixed_name))
