@@ -182,7 +182,7 @@ def _halton(number, dimensions, rng):
     return qmc.Halton(dimensions, scramble=False).random(number)
 
 
-METHODS"""
+SAMPLINGS"""
 REGISTRIES = {
     "discretise/schemes/__init__.py": [
         ("from codegen.discretise.schemes import ", "from codegen.discretise.schemes import radau, "),
@@ -217,7 +217,7 @@ REGISTRIES = {
         ("from codegen", "from codegen.discretise.conditions.balance import balances\nfrom codegen"),
         ("    at_inner_times, ", "    nodal += balances(model, names)\n    at_inner_times, "),
     ],
-    "batch/cases.py": [("METHODS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
+    "batch/cases.py": [("SAMPLINGS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
 }
 """A row and its import for each; of a condition the argument, of a sampling method the function beside the row.
 

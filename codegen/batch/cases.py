@@ -270,8 +270,29 @@ NUMBER = 1000
 """Default number of samples."""
 
 
-SAMPLINGS = ("random", "latin", "sobol")
-"""Sampling methods."""
+def _random(number: int, dimensions: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    return rng.random((number, dimensions))
+
+
+def _latin(number: int, dimensions: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    from scipy.stats import qmc
+
+    return np.asarray(qmc.LatinHypercube(dimensions, seed=rng).random(number))
+
+
+def _sobol(number: int, dimensions: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    from scipy.stats import qmc
+
+    # The sequence is balanced in powers of two; of a longer one the first are taken.
+    return np.asarray(qmc.Sobol(dimensions, seed=rng).random_base2(max(number - 1, 1).bit_length())[:number])
+
+
+SAMPLINGS: dict[str, Callable[[int, int, np.random.Generator], NDArray[np.float64]]] = {
+    "random": _random,
+    "latin": _latin,
+    "sobol": _sobol,
+}
+"""Sampling methods by name: (number, dimensions, generator) -> points of the unit cube (number, dimensions)."""
 
 
 @runtime_checkable
@@ -306,21 +327,13 @@ def samples(distributions: Mapping[str, object], number: int, sampling: str, see
     A distribution is a text such as `normal(100, 5)`, or a frozen distribution of scipy. Raises ArgumentError for an
     invalid distribution, sampling method, number or seed.
     """
-    from scipy.stats import qmc
-
     require_sampling(sampling)
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= MOST_CASES:
         raise ArgumentError(f"{clause(repr(number))} samples", f"give a number of --cases from 1 to {MOST_CASES}")
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ArgumentError(f"--seed {clause(repr(seed))}", "give a whole number that is not negative")
     frozen = {name: _distribution(name, text) for name, text in distributions.items()}
-    rng, dimensions = np.random.default_rng(seed), len(frozen)
-    if sampling == "random":
-        points = rng.random((number, dimensions))
-    elif sampling == "latin":
-        points = np.asarray(qmc.LatinHypercube(dimensions, seed=rng).random(number))
-    else:  # the sequence is balanced in powers of two; of a longer one the first are taken
-        points = np.asarray(qmc.Sobol(dimensions, seed=rng).random_base2(max(number - 1, 1).bit_length())[:number])
+    points = SAMPLINGS[sampling](number, len(frozen), np.random.default_rng(seed))
     # Most distributions are infinite at 0 and 1.
     points = np.clip(points, 2.0**-53, 1.0 - 2.0**-53)
     columns = {}
