@@ -19,6 +19,7 @@ from codegen import __version__
 from codegen.batch.executors.chunks import LOST, SOLVED, Abandoned, Done, Tally, Target, alone, compiled_note, target
 from codegen.errors import ArgumentError, ClusterError, CodegenError, FileError, one_line
 from codegen.files import refused, replacing
+from codegen.registration.formats import FORMATS
 from codegen.registration.images import KINDS, VOLUMES
 from codegen.registration.job import Job, Options, run
 from codegen.registration.pair_report import Outcome, Record
@@ -28,8 +29,6 @@ from codegen.registration.warp import Interpolation, written_with
 from codegen.solving import loading
 
 MOST_PAIRS = 100_000
-_ONE_FILE, _TWO_FILES = (".csv", ".tps"), (".pts", ".mrk.json", ".fcsv")
-"""Suffixes of landmark files that hold the points of both images, and of files that hold the points of one image."""
 _TABLE = ("moving", "fixed", "landmarks", "out", "interpolation")
 _OUTPUT_SUFFIXES = {".nhdr": ".nrrd"}
 """Suffixes of volumes that can be read but not written, and the suffixes of their outputs."""
@@ -107,10 +106,11 @@ def jobs_in_folder(
     for image in images:
         files, stem = landmarks, _stem(image)
         if not files:
-            candidates: list[tuple[Path, ...]] = [(image.with_name(stem + suffix),) for suffix in _ONE_FILE]
-            for suffix in _TWO_FILES:
-                candidates.append(tuple(image.with_name(f"{stem}.{side}{suffix}") for side in ("moving", "fixed")))
-            candidates = [paths for paths in candidates if all(path.is_file() for path in paths)]
+            candidates = []
+            for suffix, number in dict.fromkeys((form.suffixes[0], form.files) for form in FORMATS.values()):
+                sides = ("",) if number == 1 else (".moving", ".fixed")
+                paths = tuple(image.with_name(stem + side + suffix) for side in sides)
+                candidates += [paths] if all(path.is_file() for path in paths) else []
             if len(candidates) > 1:
                 finding = f"{folder}: {' and '.join(paths[0].name for paths in candidates)} both belong to {image.name}"
                 raise ArgumentError(finding, "leave one of them in the folder")

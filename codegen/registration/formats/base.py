@@ -58,7 +58,8 @@ class Frames:
 class Format:
     """A landmark format: its key in FORMATS, its title, and its functions.
 
-    `files` is 1, or 2 if a moving and a fixed file are needed. `parse` takes that many texts, and `compose` returns
+    The first of the `suffixes` is the usual one: batches look for it next to an image, and downloads have it. `files`
+    is 1, or 2 if a moving and a fixed file are needed. `parse` takes that many texts, and `compose` returns
     them. Both raise PointsError, with file and line. `recognises` returns a true value if a text of this format can
     begin like its argument. `encoding` is the encoding of texts that are not UTF-8.
     """

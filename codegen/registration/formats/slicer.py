@@ -175,5 +175,6 @@ def compose_fcsv(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
 
 
 JSON, COMMENT = re.compile(r"\s*\{").match, re.compile(r"\s*#").match
-FORMAT = Format("slicer", "3D Slicer point lists", (".json",), 2, JSON, partial(parse, read_json), compose_json)
+LISTS = (".mrk.json", ".json")
+FORMAT = Format("slicer", "3D Slicer point lists", LISTS, 2, JSON, partial(parse, read_json), compose_json)
 FCSV = Format("fcsv", "3D Slicer fiducials", (".fcsv",), 2, COMMENT, partial(parse, read_fcsv), compose_fcsv)
