@@ -1,8 +1,8 @@
-"""Registration of images by landmarks: maps that do not fold, their exact inverses, and certificates of both.
+"""Registration of images by landmarks, with maps that do not fold, exact inverse maps, and certificates.
 
-Points are (x, y) in pixels, x to the right and y down, with the origin at the centre of the top-left pixel; arrays of
-points have shape (n, 2). Maps lead from the moving to the fixed image. Points of volumes are (x, y, z) in the
-coordinates of a `codegen.registration.grid.Grid`.
+Points of pictures are (x, y) in pixels, x to the right and y down. The origin is the centre of the top-left pixel.
+Arrays of points have shape (n, 2), or (n, 3) for volumes: (x, y, z) in the coordinates of a
+`codegen.registration.grid.Grid`. Maps lead from the moving to the fixed image.
 """
 
 from codegen.registration.alignment import Alignment, align

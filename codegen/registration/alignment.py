@@ -1,9 +1,9 @@
-"""Alignment before the flow: the similarity or affine map that fits the landmarks best.
+"""The alignment of landmarks before the flow: the similarity or affine map that fits the landmarks best.
 
-The flow keeps the rim of its disc, so that a rotation or a change of size would count as a deformation. The alignment
-removes them, and its inverse is exact. Similarities follow Umeyama (1991), IEEE Trans. Pattern Anal. Mach. Intell.
-13(4), without reflections; affine maps are fitted by least squares. Rotations in space are matrices from a singular
-value decomposition; in the plane they are complex numbers.
+The flow moves no point on the rim of its disc, so rotation and scaling of the image would count as deformation. The
+alignment removes rotation and scaling, and its inverse is exact. Similarities without reflection follow Umeyama (1991),
+IEEE Trans. Pattern Anal. Mach. Intell. 13(4); affine maps are fitted by least squares. Rotations in space are matrices
+from a singular value decomposition; rotations in the plane are complex numbers.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from codegen.registration.pairs import LandmarkPairs, PointArray
 
 Kind: TypeAlias = Literal["auto", "none", "similarity", "affine"]
 KINDS: tuple[Kind, ...] = ("none", "similarity", "affine")
-"""The alignments of `align`; "auto" chooses among them."""
+"""The kinds of alignment that `align` fits; for "auto", `chosen_alignment` selects one of these kinds."""
 
 MIRRORED = 0.2
-"""Landmarks are mirrored if this is the ratio of the residuals of a mirrored and a proper similarity, or less."""
+"""The ratio of squared residuals, mirrored to proper similarity, below which landmarks count as mirrored."""
 
 _NEEDED = {
     2: ("two landmarks", "three landmarks that are not on one line"),
     3: ("three landmarks that are not on one line", "four landmarks that are not in one plane"),
 }
-"""The landmarks that a similarity and an affine map need."""
+"""The landmarks that a similarity and an affine map need, by dimension."""
 
 THIN = 1e-6
-"""The largest ratio of width to length of collinear landmarks."""
+"""The largest ratio of width to length at which landmarks count as collinear."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """The map x -> matrix x + shift from the moving to the fixed image, in pixels, in d dimensions.
+    """The map x -> matrix x + shift from the moving to the fixed image, in pixels; shapes are (d, d) and (d,).
 
-    `kind` is "none", "translation", "similarity" or "affine". `message` is the reason if another kind was requested.
+    `kind` is "none", "translation", "similarity" or "affine". If it is simpler than requested, `message` says why.
     """
 
     kind: str
@@ -61,7 +61,7 @@ class Alignment:
 
     @property
     def determinant(self) -> float:
-        """The growth of areas, or of volumes."""
+        """The factor by which the map enlarges areas, or volumes in space."""
         if len(self.shift) == 3:
             return float(np.linalg.det(self.matrix))
         (a, b), (c, d) = self.matrix
@@ -84,7 +84,7 @@ class Alignment:
         return np.array([[d, -b], [-c, a]]) / self.determinant
 
     def tangent(self, points: PointArray) -> NDArray[np.float64]:
-        """Return an orthonormal basis, shape (n, d, number), of the motions of points by changes of the parameters."""
+        """Return an orthonormal basis, shape (n, d, number), of the displacements that parameter changes cause."""
         count, d = points.shape
         units = np.eye(d * d).reshape(-1, d, d)
         turns = [units[d * i + j] - units[d * j + i] for i in range(d) for j in range(i)]
@@ -96,7 +96,7 @@ class Alignment:
         return np.asarray(basis[:, sizes > THIN * sizes.max(initial=0.0)].reshape(count, d, -1))
 
     def part(self, fraction: float, centre: PointArray) -> Alignment:
-        """Return a fraction of the map: powers of rotation and stretching about `centre`, a fraction of the shift."""
+        """Return the map with rotation and stretch to the power `fraction`; `centre` (d,) moves on a straight line."""
         if self.is_identity or fraction == 1.0:
             return self
         left, stretches, right = np.linalg.svd(self.matrix)
@@ -112,16 +112,16 @@ class Alignment:
 
 
 def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
-    """Fit a map of the given kind to landmarks, or a simpler one if they do not determine it.
+    """Fit a map of the given kind to landmarks, or a simpler map if the landmarks do not determine this kind.
 
     Parameters
     ----------
     pairs : LandmarkPairs
         The landmarks.
     kind : {"none", "similarity", "affine"}
-        An affine map needs three landmarks that are not on one line, a similarity two; one landmark gives a
-        translation. In space an affine map needs four landmarks that are not in one plane, and a similarity three that
-        are not on one line.
+        An affine map needs three landmarks that are not on one line, and a similarity needs two. Fewer landmarks give
+        a translation. In space an affine map needs four landmarks that are not in one plane, and a similarity needs
+        three that are not on one line.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
     ArgumentError
         For an unknown kind.
     LandmarkError
-        If the landmarks mirror the image, or if the best affine map does.
+        If the landmarks, or the best affine map, mirror the image.
     """
     if kind not in KINDS:
         raise ArgumentError(f"alignment is {kind!r}", f"use {', '.join(KINDS)}")
@@ -157,9 +157,9 @@ def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
 
 
 def require_unmirrored(pairs: LandmarkPairs) -> None:
-    """Raise LandmarkError for landmarks that only a mirrored similarity fits.
+    """Raise LandmarkError for landmarks that a mirrored similarity fits much better than a proper similarity.
 
-    Squared residuals follow Umeyama's equation (33), which in the plane are sums of complex numbers.
+    Squared residuals follow equation (33) of Umeyama (1991), in the plane with complex numbers.
     """
     if len(pairs) <= pairs.dimension or _is_thin(pairs.moving) or _is_thin(pairs.fixed):
         return
@@ -180,15 +180,15 @@ def require_unmirrored(pairs: LandmarkPairs) -> None:
 
 
 def _is_thin(points: PointArray, axis: int = -1) -> bool:
-    """Return True for points on a line, or in space in a plane; with `axis` 1 in space, for points on a line."""
+    """Return True for collinear points of the plane; in space for coplanar (`axis` -1) or collinear points (1)."""
     widths = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(widths[axis] <= THIN * widths[0])
 
 
 def _similarity(pairs: LandmarkPairs) -> Alignment:
-    """Fit a similarity by equations (40) to (42) of Umeyama, or a translation if landmarks do not determine it.
+    """Fit a similarity by equations (40) to (42) of Umeyama, or a translation if landmarks determine no similarity.
 
-    In the plane rotation and size are one complex number.
+    In the plane one complex number represents rotation and scaling.
     """
     before, after, dimension = pairs.moving.mean(axis=0), pairs.fixed.mean(axis=0), pairs.dimension
     shift = (pairs.fixed - pairs.moving).mean(axis=0)
@@ -207,7 +207,7 @@ def _similarity(pairs: LandmarkPairs) -> Alignment:
         return Alignment("similarity", matrix, after - matrix @ before)
     cosine, sine = (x * y).sum() / spread, (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]).sum() / spread
     if np.hypot(cosine, sine) * np.sqrt(spread) <= THIN * np.sqrt((y**2).sum()):
-        # All rotations fit equally well, for instance if landmarks are mirrored.
+        # All rotations fit equally well, for instance for mirrored landmarks.
         return replace(translation, message="no similarity fits the landmarks; translation instead")
     matrix = np.array([[cosine, -sine], [sine, cosine]])
     return Alignment("similarity", matrix, after - matrix @ before)

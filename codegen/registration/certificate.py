@@ -1,19 +1,18 @@
-"""The certificate of a registration: the map does not fold, its inverse is accurate, and the residuals of landmarks.
+"""The certificate of a registration: the map does not fold, its inverse is accurate, and landmarks have residuals.
 
-A proof that a flow folds nowhere: every step differs from the identity by less than the identity. A step Phi of an
-explicit Runge-Kutta method has a derivative with |D Phi - I| <= h sum_s b_s L_s d_s. L_s bounds the gradient of the
-velocity at stage s, and d_s = 1 + h sum_r |a_sr| L_r d_r the derivative of the stage. Below 1, the determinant of
-D Phi is positive at every point of the disc or ball, also between pixels, and so is the determinant of all steps.
+A flow folds nowhere if the derivative D Phi of every step Phi satisfies |D Phi - I| < 1. For an explicit Runge-Kutta
+method |D Phi - I| <= h sum_s |b_s| L_s d_s. L_s bounds the gradient of the velocity at stage s, and d_s = 1 + h
+sum_r |a_sr| L_r d_r bounds the derivative of the stage. If the sum is below 1, det D Phi is positive at every point of
+the disc or ball, also between pixels. Then the determinant of all steps together is positive, too.
 
-In the plane L_s is the largest gradient at the nodes of a grid, plus the change of gradients on the way to the nearest
-node. The second derivative of the Green's function is
+In the plane L_s is the largest gradient at the nodes of a grid, plus a bound of its change between a point and the
+nearest node. For a point x and a landmark q, the second derivative of the Green's function is
 
     (|q|^2 (1 - s/t) - log(t/s)) I + 2 z z^T,
     s = |x - q|^2,   t = |1 - x q*|^2 <= 4,   |z| = (1 - |q|^2)/sqrt(t) <= 1 + |q|,
 
-so its norm is at most the larger of log(4/s) and |q|^2 + 2 (1 + |q|)^2 <= 9. On a way of length r the worst case is q
-in the middle, which gives the integral in `bound_of_steps`. Rounding errors, about 1e-15 of these sums, are
-neglected.
+so its norm is at most the larger of log(4/s) and |q|^2 + 2 (1 + |q|)^2 <= 9. Along a path the gradient changes most if
+q is in the middle, which gives the integral in `bound_of_steps`. Relative rounding errors of about 1e-15 are neglected.
 
 In space, with s = |x - q|^2, t = |1 - x q*|^2, u = (|q|^2 x - q)/sqrt(t), e the unit vector from q to x and
 r = sqrt(s/t) <= 1,
@@ -21,11 +20,11 @@ r = sqrt(s/t) <= 1,
     gradient = (1 - r) ((1 + r) u - 2 e),   whose norm is at most 2 + |q|, since |u| = |q|;
     second derivative = ((1 - r^2)(|q|^2 I - u u^T) + 2 (e - r u)(e - r u)^T)/sqrt(t) - 2 (1 - r)(I - e e^T)/sqrt(s),
 
-two parts that are not negative, together at most 2 (1 + |q|)^2/sqrt(t), and one that is not positive, at least
+two parts that are not negative, together at most 2 (1 + |q|)^2/sqrt(t), and a part that is not positive, at least
 -2/sqrt(s). So a gradient jumps at a landmark by at most twice its bound, and changes little elsewhere.
 
-In space L_s is the largest bound of the gradient in the cells of a grid: the gradient in the middle of a cell, plus its
-change on the way to any point of the cell. Cells whose bounds are well above the largest gradient are divided
+In space L_s is the largest bound of the gradient in the cells of a grid. The bound of a cell is the gradient in its
+middle, plus a bound of the change within the cell. Cells whose bounds are well above the largest gradient are divided
 repeatedly, so that cells are small only where necessary. Beyond the rim nothing moves, and gradients are zero.
 """
 
@@ -48,40 +47,41 @@ from codegen.registration.warp import PORTION, Positions
 Array = NDArray[np.float64]
 
 SPACING = 8
-"""Pixels between evaluations of det J if it is proved to be positive."""
+"""Pixels between evaluations of det J if det J is proved to be positive."""
 NEAR, EXTREMES, REACH = 2, 24, {2: SPACING, 3: 4}
-"""Pixels around landmarks that are all evaluated; the number of extremes, and pixels around each extreme."""
+"""Half-width, in pixels, of squares around landmarks; number of lowest and highest det J; half-width around each."""
 MOST_STEPS, NODES = 64, 200_000
-"""Most steps of a flow for a proof in space, and most nodes of its grid."""
+"""Most steps that `in_provable_steps` tries, and the number of nodes that a proof in space may always use."""
 CHEAPER = 4
-"""Fewest pixels per node of a grid for a proof."""
+"""Fewest pixels of the image per node of the grid of a proof, so that a proof is cheaper than all pixels."""
 SENT = {2: 129, 3: 25}
-"""Most pixels along each axis whose round trip is evaluated."""
+"""Most pixels along each axis whose round trip is evaluated, by dimension."""
 
 CURVED = 9.0
 """Bound of the second derivative of the Green's function in the plane far from its singularity."""
 FIRST, LAST = 32, 512
 """Nodes per radius of the disc, on the coarsest and on the finest grid."""
 HOPELESS = 16.0
-"""The largest bound with which a grid of half the spacing is tried."""
+"""The largest bound of a step after which the proof is tried on a grid of half the spacing."""
 
 COARSEST_CELLS, FINEST_CELLS = 8, 512
-"""Cells per radius of the ball, of the coarsest and of the finest size."""
+"""Coarsest cells, and finest cells, per radius of the ball."""
 AT_ONCE = 1 << 16
-"""Pairs of a cell and a landmark that are evaluated together: they fit into the cache of a processor."""
+"""Pairs of a cell and a landmark that are evaluated together, few enough for the cache of a processor."""
 CLOSE = (8.0, 4.0, 2.0, 1.5, 1.2)
-"""Ratios of the bound of a cell to the largest gradient that are tried in turn."""
+"""Largest accepted ratios of the bound of a cell to the largest gradient, which are tried in turn."""
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """Findings on the pixels of the warped image; of volumes, pixels are voxels and areas are volumes.
+    """Determinants and errors of a map at the pixels (of a volume: the voxels) of the warped image.
 
-    `det_min` and `det_max` are the extremes of det J, the growth of areas by the map from moving to fixed. `det_min_at`
-    is the pixel (x, y) of the least one; of volumes, points are in the coordinates of the landmarks. `folded` counts
-    pixels whose det J is not positive, and `first_fold` is the first of them in reading order. `round_trip` and
-    `residual_max` are in pixels. `proved` is True if bounds of the derivative prove that det J is positive everywhere
-    and within `det_bounds`; the extremes are then found among `evaluated` pixels.
+    `det_min` and `det_max` are the extremes of det J, the factor by which the map from moving to fixed enlarges areas
+    or volumes. `det_min_at` is the pixel (x, y) of `det_min`, or a point in the coordinates of a volume. `folded`
+    counts pixels whose det J is not positive, and `first_fold` is the first such pixel in reading order. `round_trip`
+    is the largest error, in pixels, of points after the map and its inverse, `residual_max` the largest residual of a
+    landmark. `proved` is True if bounds of derivatives prove that det J is positive, and within `det_bounds`, at all
+    points. `evaluated` is the number of evaluations of det J.
     """
 
     det_min: float
@@ -108,20 +108,20 @@ def certify(registration: Registration, shape: Extent | None = None, *, inverse:
     shape : sequence of int or Grid, optional
         The shape or grid of the warped image; by default the grid of the fixed image.
     inverse : bool
-        Evaluate the pixels of the moving image, and the derivative of the map instead of its inverse.
+        Evaluate det J at the pixels of the moving image, from the derivative of the map instead of its inverse.
 
     Returns
     -------
     Certificate
-        It has passed if the map does not fold and points come back to within 1e-8 pixels.
+        `passed` is True if the map is solved, does not fold, and has a round trip within 1e-8 pixels.
 
     Notes
     -----
     If every step is proved to fold nowhere (see `codegen.registration.certificate`), det J is evaluated at every
-    `SPACING`-th pixel, around landmarks and around the extremes. Otherwise it is evaluated at every pixel. The
-    derivative belongs to the discrete inverse map. It is carried along the steps, and is no difference of neighbouring
-    pixels. The round trip is evaluated on a grid of at most 129 by 129 pixels, or 25 by 25 by 25 voxels, and at every
-    landmark.
+    `SPACING`-th pixel, around landmarks and around the extremes. Otherwise det J is evaluated at every pixel. det J is
+    the reciprocal determinant of the discrete inverse map, whose derivative is exact: it is computed along the steps,
+    not from differences between pixels. The round trip is evaluated on a grid of at most 129 by 129 pixels, or 25 by 25
+    by 25 voxels, and at every landmark.
     """
     return certificate_of(registration, shape, inverse=inverse)[0]
 
@@ -129,19 +129,19 @@ def certify(registration: Registration, shape: Extent | None = None, *, inverse:
 def certificate_of(
     registration: Registration, shape: Extent | None = None, *, inverse: bool = False
 ) -> tuple[Certificate, Positions | None]:
-    """Certify as `certify`, and return the positions of all pixels if all had to be evaluated."""
+    """Return the certificate of `certify`, and the positions of all pixels, or None for volumes and after a proof."""
     default = registration.grid if inverse else registration.fixed_grid
     grid = grid_of(default if shape is None else shape)
     bounds = None
     if registration.alignment.determinant > 0.0 and registration.status == "solved":
-        # In space few nodes take less time than all voxels, even of a small volume.
+        # In space a proof takes less time than all voxels, even for a small volume.
         least = NODES if grid.dimension == 3 else 0
         bounds = bound_of_steps(registration.flow, max(least, int(grid.count / CHEAPER)))
     carry = registration.leaving if inverse else registration.arriving
     if bounds is None and grid.dimension == 2:
         return certify_with_positions(registration, grid, inverse=inverse)
     if bounds is None:
-        # Every voxel, by portions, of which one is in memory at a time.
+        # Every voxel, with one portion in memory at a time.
         findings = _Findings(np.inf, (), -np.inf, 0, None, 0)
         for _, places in grid.portions(PORTION):
             findings = findings.joined(_Findings.of(places, carry(places)[1]))
@@ -168,9 +168,9 @@ def certificate_of(
 def certify_with_positions(
     registration: Registration, shape: Extent | None = None, *, inverse: bool = False
 ) -> tuple[Certificate, Positions]:
-    """Evaluate det J at every pixel, and return the positions of all pixels, which `warp` needs.
+    """Return the certificate from det J at every pixel, and the positions of all pixels, which `warp` needs.
 
-    Arguments as in `certify`; nothing is evaluated between pixels.
+    The images are pictures, and the arguments are as in `certify`. Folds between pixels are not detected.
     """
     default = registration.grid if inverse else registration.fixed_grid
     grid = grid_of(default if shape is None else shape)
@@ -183,7 +183,7 @@ def certify_with_positions(
 
 
 def in_provable_steps(registration: Registration) -> Registration:
-    """Increase the number of steps until each is proved to fold nowhere; without success the map is unchanged."""
+    """Double the number of steps until each step is proved to fold nowhere; on failure return the map unchanged."""
     candidate = registration
     while hasattr(candidate.flow.module, "ROWS") and bound_of_steps(candidate.flow, NODES) is None:
         if 2 * candidate.steps > MOST_STEPS or candidate.status != "solved":
@@ -196,7 +196,7 @@ def in_provable_steps(registration: Registration) -> Registration:
 
 
 def _around(points: PointArray, grid: Grid, reach: int) -> PointArray:
-    """The pixels in squares, or voxels in cubes, around points, each of them once."""
+    """Return the pixels at most `reach` pixels from any of the points along each axis, each pixel once."""
     offsets = mesh([np.arange(-reach, reach + 1.0)] * grid.dimension)
     indices = np.unique((np.rint(grid.to_indices(points))[:, None] + offsets).reshape(-1, grid.dimension), axis=0)
     inside = ((indices >= 0.0) & (indices <= np.array(grid.size) - 1)).all(axis=1)
@@ -205,7 +205,7 @@ def _around(points: PointArray, grid: Grid, reach: int) -> PointArray:
 
 @dataclass(frozen=True)
 class _Findings:
-    """The extremes of determinants with their points, and the points where determinants are not positive."""
+    """The least and largest determinants at evaluated points, and the number and first point of folds."""
 
     least: float
     least_at: tuple[float, ...]
@@ -225,7 +225,7 @@ class _Findings:
         return cls(float(determinants[least]), place, largest, int(wrong.size), first, len(points))
 
     def joined(self, other: _Findings) -> _Findings:
-        """Join the findings of two parts, this one first."""
+        """Return the findings of both portions of points; `other` is the later portion."""
         lower = other if other.least < self.least else self
         return _Findings(
             lower.least, lower.least_at or other.least_at, float(np.fmax(self.largest, other.largest)),
@@ -234,7 +234,7 @@ class _Findings:
 
 
 def _certificate(registration: Registration, grid: Grid, inverse: bool, findings: _Findings) -> Certificate:
-    """Evaluate the round trip, and judge the findings."""
+    """Evaluate the round trip, and return the certificate of the findings."""
     there, back = registration.map_points_inverse, registration.map_points
     landmarks = registration.pairs.fixed
     if inverse:
@@ -261,9 +261,9 @@ def _certificate(registration: Registration, grid: Grid, inverse: bool, findings
 
 
 def bound_of_steps(flow: Flow, most_nodes: int) -> Array | None:
-    """Bound |D Phi - I| of each step, shape (N,), on at most `most_nodes` nodes, or cells of a stage in space.
+    """Bound |D Phi - I| for each step Phi, shape (N,), with at most `most_nodes` nodes, or cells in space, per stage.
 
-    Returns None if a bound is not below 1, or if the scheme is not explicit.
+    Return None if a bound is not below 1, or if the scheme is not explicit.
     """
     if not (hasattr(flow.module, "ROWS") and hasattr(flow.module, "tracer_gradient")):
         return None
@@ -273,14 +273,14 @@ def bound_of_steps(flow: Flow, most_nodes: int) -> Array | None:
     momenta, nodes = np.linalg.norm(flow.points[:, 1], axis=2).sum(axis=1), FIRST
     rates, gradients = np.empty(2 * module.BLOCK), np.empty(4 * module.BLOCK)
     while nodes <= LAST and 3.2 * nodes**2 <= most_nodes:
-        # The largest change of gradients by a landmark of momentum 1 in the middle of a way to a node.
+        # The largest change of the gradient near a landmark of momentum 1 in the middle of a path to a node.
         length = np.sqrt(0.5) / nodes
         near = np.log(4.0) + 2.0 + 2.0 * np.log(2.0 / length)
         changes = momenta * float(length * (near + max(0.0, CURVED - near + 2.0)))
         if (of_steps(flow, changes) < 1.0).all():  # gradients at nodes can only increase the bounds
             points = mesh([np.arange(-nodes, nodes + 1) / nodes] * 2)
             points = points[(points**2).sum(axis=1) < 1.0]
-            # Blocks of nodes as kernels take them: all x first.
+            # Blocks of nodes in the layout of the kernels: all x first.
             blocks = [
                 points[np.minimum(np.arange(k, k + module.BLOCK), len(points) - 1)].T.ravel()
                 for k in range(0, len(points), module.BLOCK)
@@ -289,7 +289,7 @@ def bound_of_steps(flow: Flow, most_nodes: int) -> Array | None:
             for s, state in enumerate(flow.points):
                 for block in blocks:
                     module.tracer_gradient(block, state, flow.case.own, flow.case.parameters, rates, gradients)
-                    # Spectral norms: a matrix is a similarity plus a mirrored one, whose factors add.
+                    # Spectral norms: a matrix is a similarity plus a mirrored similarity; their norms add.
                     a, b, c, d = gradients.reshape(4, -1)
                     norms = 0.5 * (np.hypot(a + d, c - b) + np.hypot(a - d, c + b))
                     largest[s] = max(largest[s], float(norms.max()))
@@ -303,8 +303,8 @@ def bound_of_steps(flow: Flow, most_nodes: int) -> Array | None:
 
 
 def _bound_in_ball(flow: Flow, most_cells: int) -> Array | None:
-    """Bound |D Phi - I| of each step of an explicit scheme in space, shape (N,); None if a bound is not below 1."""
-    # The changes at landmarks in the finest cells are part of every bound.
+    """Bound |D Phi - I| for each step of an explicit scheme in space, shape (N,); None if a bound is not below 1."""
+    # Every bound is at least the change of the gradient in the finest cells at landmarks.
     least = np.array([_changes_in_cells(state, state[0], 1.0 / FINEST_CELLS).max() for state in flow.points])
     seen = np.array([_gradients(flow, state, _cells()).max() for state in flow.points])
     for close in CLOSE:
@@ -323,7 +323,7 @@ def _bound_in_ball(flow: Flow, most_cells: int) -> Array | None:
 
 
 def _largest_gradient(flow: Flow, state: Array, close: float, most_cells: int) -> float | None:
-    """Bound the spectral norm of the gradient of the velocity in the ball; None if that takes too many cells."""
+    """Bound the velocity gradient of a stage, to a ratio `close` if possible; None if that takes over `most_cells`."""
     middles, width = _cells(), 1.0 / COARSEST_CELLS
     bound = least = 0.0
     used = 0
@@ -343,13 +343,13 @@ def _largest_gradient(flow: Flow, state: Array, close: float, most_cells: int) -
 
 
 def _changes_in_cells(state: Array, points: Array, width: float) -> Array:
-    """Bound the changes of gradients from points to any point of the cells around them, shape (m,)."""
+    """Bound the change of the velocity gradient from the middles `points` to all points of their cells, shape (m,)."""
     places, pulls = state[0], np.linalg.norm(state[1], axis=1)
     length, far = float(np.sqrt(0.75) * width), np.minimum(np.linalg.norm(state[0], axis=1), 1.0)
     whole, curved, rim = 2.0 * (2.0 + far), 2.0 * length * (1.0 + far) ** 2, 1.0 - far
     changes, rows = np.empty(len(points)), max(1, AT_ONCE // len(places))
     for part in (slice(k, k + rows) for k in range(0, len(points), rows)):
-        # A cell that may contain a landmark gets the whole bound below.
+        # Below, a cell that may contain a landmark gets the bound `whole`.
         apart = np.maximum(cdist(points[part], places) - length, 1e-300)
         bent = np.maximum(2.0 * length / apart, curved / np.maximum(apart, rim))
         changes[part] = np.minimum(bent, whole) @ pulls
@@ -358,14 +358,14 @@ def _changes_in_cells(state: Array, points: Array, width: float) -> Array:
 
 @cache
 def _cells() -> Array:
-    """The middles of the coarsest cells that meet the ball, shape (m, 3)."""
+    """Return the middles of the coarsest cells that intersect the ball, shape (m, 3)."""
     points = mesh([np.arange(-COARSEST_CELLS, COARSEST_CELLS + 1) / COARSEST_CELLS] * 3)
     reach = 1.0 + np.sqrt(0.75) / COARSEST_CELLS
     return np.asarray(points[(points**2).sum(axis=1) < reach**2])
 
 
 def _gradients(flow: Flow, state: Array, points: Array) -> Array:
-    """Bound the spectral norm of the gradient of the velocity at points, shape (m,): zero beyond the rim."""
+    """Bound the spectral norm of the velocity gradient at points, shape (m,): zero beyond the rim."""
     size = flow.module.BLOCK
     rates, gradients = np.empty(3 * size), np.empty(9 * size)
     norms = np.zeros(len(points))

@@ -1,7 +1,7 @@
-"""Geodesic distances between all specimens, on several processes: the command `codegen distances`.
+"""Geodesic distances between all pairs of specimens, on several processes: the command `codegen distances`.
 
-The squared distance of two specimens is the cost of the motion from the landmarks of one to the landmarks of the other.
-So the distance is the length of a geodesic in the metric of registrations.
+The squared distance of two specimens is the cost of the motion that carries the landmarks of the first to the second.
+The distance is the length of this motion, a geodesic in the metric of registrations.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 
 COLUMNS = ("specimen", "x", "y")
 SIDE = 1000
-"""Pixels along the square that contains all specimens, so that all pairs have the same disc."""
+"""The side, in pixels, of the square that contains all specimens, so that all pairs have the same disc."""
 EXTENT = 0.45
-"""The distance of the outermost landmark from the middle, relative to the side."""
-ROUNDS, SETTLED = 50, 1e-10
+"""The distance of the outermost landmark from the middle of the square, relative to its side."""
+ROUNDS, SETTLED = 50, 1e-10  # most iterations of the mean shape, and its largest change after convergence
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Specimens:
 
 
 def read_specimens(path: Path) -> Specimens:
-    """Read a TPS file, or a table with the columns specimen, x, y; PointsError for specimens that do not match."""
+    """Read a TPS file, or a CSV table of specimen, x, y; PointsError if specimens have different landmarks."""
     try:
         text = path.read_text(encoding="latin-1" if path.suffix.lower() == ".tps" else "utf-8-sig")
     except UnicodeDecodeError as error:
@@ -90,11 +90,11 @@ def read_specimens(path: Path) -> Specimens:
 
 
 def superimposed(specimens: Specimens) -> tuple[Array, Array]:
-    """Superimpose specimens, shape (m, n, 2), and return their mean shape, shape (n, 2), too.
+    """Return the superimposed specimens, shape (m, n, 2), and their mean shape, shape (n, 2), in pixels.
 
     Each specimen is aligned with the mean by a similarity without reflection, until the mean is constant (generalised
-    Procrustes analysis: Gower 1975, Psychometrika 40(1)). Then all are scaled into a square of SIDE pixels.
-    LandmarkError names a mirrored specimen.
+    Procrustes analysis: Gower 1975, Psychometrika 40(1)). Then all specimens are scaled into a square of SIDE pixels.
+    Raise LandmarkError, with the name, for a mirrored specimen.
     """
     shapes = np.array([normal(points) for points in specimens.landmarks])
     mean = shapes[0]
@@ -113,16 +113,16 @@ def superimposed(specimens: Specimens) -> tuple[Array, Array]:
 
 
 def normal(points: Array) -> Array:
-    """Centre points, and scale them to a sum of squared distances of 1."""
+    """Move the mean of points to the origin, and scale the sum of their squared coordinates to 1."""
     centred = points - points.mean(axis=0)
     return np.asarray(centred / np.linalg.norm(centred))
 
 
 def classical_scaling(distances: Array, dimensions: int = 2) -> tuple[Array, float]:
-    """Return points, shape (m, dimensions), that approximate a table of distances, shape (m, m), and their share.
+    """Return points, shape (m, dimensions), whose distances approximate a table (m, m), and the share they explain.
 
     The points are the leading eigenvectors of -1/2 J D^2 J (Torgerson 1952, Psychometrika 17(4)). The largest entry of
-    each eigenvector is positive. The share is their part of all absolute eigenvalues.
+    each eigenvector is positive. The share is the sum of the leading eigenvalues over the sum of all absolute values.
     """
     count = len(distances)
     centring = np.eye(count) - 1.0 / count
@@ -135,24 +135,24 @@ def classical_scaling(distances: Array, dimensions: int = 2) -> tuple[Array, flo
 
 
 def pairs_of(count: int) -> list[tuple[int, int]]:
-    """Return all pairs of specimens, each of them once."""
+    """Return all pairs (i, j) with i < j of `count` specimens."""
     return [(i, j) for i in range(count) for j in range(i + 1, count)]
 
 
 FAILED = "not converged"
 FEWEST = 3
-"""Fewest specimens of a picture in two dimensions."""
+"""Fewest specimens that are shown as points in two dimensions."""
 MOST = 16
-"""Most pairs of a chunk."""
+"""Most pairs of specimens in a chunk of work."""
 
 
 @dataclass(frozen=True, eq=False)
 class Distances:
-    """Distances between m specimens, shape (m, m), NaN for failures, and their scaling.
+    """A `table` of the distances between m specimens, shape (m, m), NaN for failures, and its approximation by points.
 
-    `points`, shape (m, 2), are the specimens in two dimensions, which explain a `share` of the table. They are NaN for
-    specimens that were left out because of missing distances. `mean` is the mean shape, shape (n, 2), centred, with a
-    sum of squared distances of 1. `failed` has a message for each missing distance.
+    `points`, shape (m, 2), are the result of `classical_scaling` and explain a `share` of the table. They are NaN for
+    specimens that were left out because of missing distances. `mean`, shape (n, 2), is the mean shape, centred and
+    scaled by `normal`. `failed` has a message for each missing distance.
     """
 
     names: tuple[str, ...]
@@ -166,7 +166,7 @@ class Distances:
 def geodesic_distances(
     specimens: Specimens, workers: int = 1, working: Working = nullcontext, progress: Progress = silent
 ) -> Distances:
-    """Superimpose specimens, and solve for the geodesics between all pairs."""
+    """Superimpose the specimens, and return the lengths of the geodesics between all pairs."""
     shapes, mean = superimposed(specimens)
     with working("Preparing the solver"):
         registration_module(DEFAULT_SCHEME)
@@ -182,7 +182,7 @@ def geodesic_distances(
     for (i, j), (distance, _) in zip(pairs, rows, strict=True):
         table[i, j] = table[j, i] = distance
     failed = tuple(message for _, message in rows if message)
-    # Specimens that lack most distances are left out, one after the other.
+    # Leave out the specimen that lacks most distances, until no distance is missing.
     points, kept, share = np.full((count, 2), np.nan), np.arange(count), np.nan
     while (lacking := np.isnan(table[np.ix_(kept, kept)]).sum(axis=1)).any():
         kept = np.delete(kept, lacking.argmax())
@@ -193,7 +193,7 @@ def geodesic_distances(
 
 @dataclass(frozen=True, eq=False)
 class DistanceWork:
-    """The data for comparing any two superimposed specimens; a chunk has `size` pairs."""
+    """The comparison of all pairs of superimposed specimens, shape (m, n, 2), in chunks of `size` pairs."""
 
     shapes: NDArray[np.float64]
     names: tuple[str, ...]
@@ -201,20 +201,20 @@ class DistanceWork:
 
     @property
     def chunks(self) -> range:
-        """The numbers of all chunks."""
+        """The numbers of the chunks."""
         return range(-(-len(pairs_of(len(self.shapes))) // self.size))
 
     def loaded(self) -> DistanceWork:
-        """Load the solver in this process."""
+        """Load the solver in this process, and return the work."""
         registration_module(DEFAULT_SCHEME)
         return self
 
     def piece(self, number: int) -> Sequence[tuple[int, int]]:
-        """Return the pairs of a chunk."""
+        """Return the pairs of specimens in a chunk."""
         return pairs_of(len(self.shapes))[number * self.size : (number + 1) * self.size]
 
     def solve(self, piece: Sequence[tuple[int, int]], is_wanted: Callable[[], bool] = lambda: True) -> Done:
-        """Return a distance for each pair, and a message for each failure."""
+        """Return a distance, or a message, for each pair; raise Abandoned as soon as `is_wanted` returns False."""
         rows, begin = [], time.perf_counter()
         for i, j in piece:
             if not is_wanted():
@@ -223,9 +223,9 @@ class DistanceWork:
         return _done(rows, FAILED, time.perf_counter() - begin)
 
     def _compared(self, i: int, j: int) -> tuple[float, str]:
-        """Return the length of the shorter geodesic of both directions, or the reason of a failure.
+        """Return the length of the shorter geodesic of both directions, or NaN and the reason of the failure.
 
-        There may be several geodesics between two specimens; the first guess determines the one that is found.
+        There may be several geodesics between two specimens; the initial guess determines which geodesic is found.
         """
         lengths, message = [], ""
         for one, other in ((i, j), (j, i)):
@@ -244,7 +244,7 @@ class DistanceWork:
         return f"{self.names[i]} and {self.names[j]}: {message}"
 
     def lost(self, number: int, reason: str) -> Done:
-        """Return the rows of a chunk whose worker processes ended."""
+        """Return a chunk of failures with a `reason`, for a chunk whose worker processes ended."""
         return _done([(np.nan, self._named(i, j, reason)) for i, j in self.piece(number)], LOST, 0.0)
 
     def returned(self, number: int, done: Done) -> Done:
@@ -252,7 +252,7 @@ class DistanceWork:
         return done
 
     def parcel(self) -> NoReturn:
-        """Raise ArgumentError: distances take seconds on one machine."""
+        """Raise ArgumentError, because distances are not computed on clusters: they take seconds."""
         raise ArgumentError("distances between specimens need no cluster", "leave --cluster out")
 
 
@@ -263,7 +263,7 @@ def _done(rows: Sequence[tuple[float, str]], failure: str, seconds: float) -> Do
 
 
 def write_distances(path: Path, distances: Distances) -> None:
-    """Write the table as CSV: a row and a column per specimen, and its point in two dimensions; empty if unknown."""
+    """Write a CSV table with a row for each specimen: its name, point and distances, empty for NaN."""
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["specimen", "mds_1", "mds_2", *distances.names])
@@ -272,7 +272,7 @@ def write_distances(path: Path, distances: Distances) -> None:
 
 
 def write_mean(path: Path, distances: Distances) -> None:
-    """Write the mean shape as CSV: landmark, x and y."""
+    """Write the mean shape as CSV, with the columns landmark, x and y."""
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["landmark", "x", "y"])

@@ -1,16 +1,16 @@
-"""Coordinates: the grids of samples of images, and the frame of the flow.
+"""The coordinates of images and of the flow: grids of samples, and the frame that maps pixels to the unit disc.
 
 Pictures are grids of size (width, height) whose coordinates are pixels. Volumes are grids of size (columns, rows,
-slices) in the coordinates of their files, usually LPS in millimetres, by the rule of ITK
+slices) in the coordinates of their files, usually LPS in millimetres. As in ITK
 
-    place = origin + direction (spacing * index).
+    position = origin + direction (spacing * index).
 
-The frame maps pixels of the fixed image to the unit disc in which the flow moves points. For volumes it is the unit
-ball, and pixels are units of the coordinates. The disc contains both images with a margin. A disc around the landmarks
-alone would be smaller. But its rim, beyond which nothing moves, would lie within the picture and force the deformation
-to end there; and moving one landmark at the edge would change the effect of the others. The larger disc causes no loss
-of accuracy for landmarks that are crowded in a corner: distances between points and from the rim enter the Green's
-function without differences of nearly equal numbers.
+The frame maps pixels of the fixed image to the unit disc in which the flow moves points. For volumes the frame maps
+units of the coordinates to the unit ball. The disc contains both images with a margin. A disc around the landmarks
+alone would be smaller, but its rim, beyond which nothing moves, would lie within the picture and end the deformation.
+Moving a landmark at the edge would then change the effect of the others. Landmarks that are crowded in a corner lose no
+accuracy in the larger disc. The reason is that the Green's function uses distances between points and from the rim
+without differences of nearly equal numbers.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ COSINES = 1e-3
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid of samples in the coordinates of landmarks.
+    """A grid of samples (pixels or voxels) in the coordinates of landmarks.
 
-    `size` is the number of samples along each axis, columns first, and `origin` the position of the first sample.
-    `spacing` is the distance of neighbours along each axis. The columns of `direction`, a tuple of rows, are the unit
-    vectors of the axes. `unit` is the unit of coordinates. Raises LandmarkError for a grid without samples or extent,
-    and for axes that are not orthogonal.
+    `size` has the number of samples along each axis, columns first, and `origin` is the position of the first sample.
+    `spacing` has the distance between neighbours along each axis. The columns of `direction`, a tuple of rows, are the
+    unit vectors of the axes. `unit` is the unit of coordinates. Raises LandmarkError for a grid without samples or
+    extent, and for axes that are not orthogonal.
     """
 
     size: tuple[int, ...]
@@ -60,7 +60,7 @@ class Grid:
 
     @property
     def dimension(self) -> int:
-        """2 or 3."""
+        """The number of axes, 2 or 3."""
         return len(self.size)
 
     @property
@@ -75,17 +75,17 @@ class Grid:
 
     @property
     def pixel(self) -> float:
-        """The finest spacing, the unit of tolerances."""
+        """The smallest spacing, which is the unit of tolerances."""
         return min(self.spacing)
 
     @cached_property
     def matrix(self) -> NDArray[np.float64]:
-        """The derivative of positions by indices, shape (d, d)."""
+        """The derivative of positions with respect to indices, shape (d, d)."""
         return np.asarray(np.array(self.direction) * np.array(self.spacing))
 
     @cached_property
     def is_plain(self) -> bool:
-        """True if positions are indices."""
+        """True if positions equal indices."""
         return bool((self.matrix == np.eye(self.dimension)).all()) and not any(self.origin)
 
     def to_places(self, indices: PointArray) -> PointArray:
@@ -97,23 +97,23 @@ class Grid:
         return places if self.is_plain else (places - self.origin) @ np.linalg.inv(self.matrix).T
 
     def said(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert a position, shape (d,), to the coordinates of messages: pixels for pictures."""
+        """Convert a position, shape (d,), to the coordinates that messages show: pixels for pictures."""
         in_pixels = self.dimension == 2 and self.unit == "pixels"
         return self.to_indices(place[None])[0] if in_pixels else place
 
     def contains(self, places: PointArray, slack: float = 0.0) -> NDArray[np.bool_]:
-        """Mark positions in a sample, or at most `slack` samples beyond the outermost ones, shape (n,)."""
+        """Return True for each position, shape (n,), within the grid or at most `slack` samples beyond its edge."""
         indices = self.to_indices(places)
         low, high = -0.5 - slack, np.array(self.size) - 0.5 + slack
         return np.asarray(((indices >= low) & (indices <= high)).all(axis=1))
 
     def samples(self, most: int) -> PointArray:
-        """Return the positions of at most `most` samples along each axis, including the first and the last."""
+        """Return the positions, shape (n, d), of up to `most` samples per axis, spread from the first to the last."""
         lines = [np.unique(np.linspace(0, length - 1, min(most, length)).round()) for length in self.size]
         return self.to_places(mesh(lines))
 
     def portions(self, most: int) -> Iterator[tuple[slice, PointArray]]:
-        """Yield parts of at most `most` samples, columns fastest, and the positions of their samples."""
+        """Yield slices of at most `most` successive samples, columns fastest, and the positions of these samples."""
         for begin in range(0, self.count, most):
             part = slice(begin, min(begin + most, self.count))
             indices = np.unravel_index(np.arange(part.start, part.stop), self.shape)
@@ -125,7 +125,7 @@ Extent: TypeAlias = Sequence[int] | Grid
 
 
 def grid_of(extent: Extent) -> Grid:
-    """Return the grid of an extent, in pixels for a shape; LandmarkError for a shape without pixels."""
+    """Return a grid unchanged, or the grid in pixels of a shape; LandmarkError for a shape without pixels."""
     if isinstance(extent, Grid):
         return extent
     height, width = (int(length) for length in tuple(extent)[:2])
@@ -135,7 +135,7 @@ def grid_of(extent: Extent) -> Grid:
 
 
 def mesh(lines: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return all combinations of the coordinates on lines, the first one changing fastest, shape (n, d)."""
+    """Return all points whose k-th coordinate is in `lines[k]`, shape (n, d); the first changes fastest."""
     axes = np.meshgrid(*lines[::-1], indexing="ij")[::-1]
     return np.stack([axis.ravel() for axis in axes], axis=1)
 
@@ -146,28 +146,28 @@ def short(unit: str) -> str:
 
 
 def place_text(place: NDArray[np.float64], digits: int = 1) -> str:
-    """Format a point, rounded."""
+    """Format a point with `digits` decimals."""
     return f"({', '.join(f'{x:.{digits}f}' for x in place)})"
 
 
 MARGINS = {2: 0.25, 3: 1.0}
-"""The margin of the disc, relative to the distance of the farthest corner, by dimension.
+"""The margin of the disc, relative to the largest distance of a corner or landmark from its centre, by dimension.
 
-In space the Green's function decays more slowly. Errors between 40 or 150 landmarks of smooth maps were 10 to 25 %
-larger with 0.25; with 1 they were about as large as with thin plates.
+In space the Green's function decays more slowly. Between 40 or 150 landmarks of smooth maps a margin of 0.25 made
+errors 10 to 25 % larger than a margin of 1, whose errors were about as large as errors of thin-plate splines.
 """
 
 
 @dataclass(frozen=True)
 class Frame:
-    """The centre of the disc, or of the ball, and its radius, in pixels of the fixed image."""
+    """The centre and radius of the disc, or of the ball, in pixels of the fixed image."""
 
     centre: tuple[float, ...]
     radius: float
 
     @property
     def scale(self) -> float:
-        """Units of the disc per pixel."""
+        """The length of a pixel in the unit disc."""
         return 1.0 / self.radius
 
     def to_disc(self, points: PointArray) -> PointArray:
@@ -182,8 +182,8 @@ class Frame:
     def around(cls, points: PointArray, margin: float = MARGINS[2]) -> Frame:
         """Return the frame in which points, shape (n, d), are within the radius 1/(1 + margin).
 
-        Its centre is the centre of the bounding box. LandmarkError if the margin is not positive, or if all points
-        coincide.
+        Its centre is the centre of their bounding box. Raises LandmarkError if the margin is not positive, or if all
+        points coincide.
         """
         if not 0.0 < margin < np.inf:
             raise LandmarkError(f"the margin is {margin!r}", "give a positive number")
@@ -196,19 +196,19 @@ class Frame:
 
 
 def corners(extent: Extent) -> PointArray:
-    """Return the outer corners of an image, half a pixel beyond the centres of pixels."""
+    """Return the corners of an image, shape (2^d, d), half a pixel beyond the centres of the outermost pixels."""
     grid = grid_of(extent)
     ends = [(-0.5, length - 0.5) for length in grid.size[::-1]]
     return grid.to_places(np.array([corner[::-1] for corner in product(*ends)]))
 
 
 def pixel_grid(shape: Sequence[int]) -> PointArray:
-    """Return all pixels of an image of shape (height, width, ...), row by row, shape (height * width, 2)."""
+    """Return the points (x, y) of all pixels of an image of shape (height, width, ...), row by row, shape (n, 2)."""
     height, width = shape[:2]
     return mesh([np.arange(float(width)), np.arange(float(height))])
 
 
 def coarse_grid(extent: Extent, count: int = 17) -> PointArray:
-    """Return a grid of `count` points along each axis of an image, from edge to edge, columns fastest."""
+    """Return equally spaced points, shape (n, d), from edge to edge of an image, `count` per axis, columns fastest."""
     grid = grid_of(extent)
     return grid.to_places(mesh([np.linspace(-0.5, length - 0.5, count) for length in grid.size]))

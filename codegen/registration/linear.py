@@ -1,24 +1,23 @@
-"""The linear theory of a matching, for small momenta: it predicts residuals and leave-one-out errors without a solve.
+"""The linear theory of registrations with small momenta, which predicts residuals and leave-one-out errors.
 
-The displacements of the landmarks are a sample of a Gaussian field with the covariance H_pp, the Green's function at
-the landmarks, plus errors of one variance. Smoothing is then ridge regression, and everything follows from one
-eigendecomposition: Wahba (1990), Spline Models for Observational Data, chapters 1 and 4. The "ridge" is added to the
-diagonal of the covariance, in units of the disc: sigma^2 times the strength, see `Matching`.
+The displacements of the landmarks are a sample of a Gaussian field, plus independent errors of equal variance. The
+covariance H_pp of the field is the Green's function at the landmarks. Smoothing is then ridge regression, and all
+results follow from one eigendecomposition: Wahba (1990), Spline Models for Observational Data, chapters 1 and 4. The
+ridge is added to the diagonal of the covariance: sigma^2 times the strength of roughness, in units of the disc.
 
-The choice of the alignment: an affine map leaves less for the flow than a similarity, but it has more parameters and
-follows the errors of few landmarks. The alignment with the least leave-one-out error is chosen. In the linear theory
-the prediction of a landmark by all others needs no solve.
+Choice of the alignment: an affine map leaves less deformation to the flow than a similarity. But it has more parameters
+and follows the errors of few landmarks. The alignment with the least leave-one-out error is chosen. In the linear
+theory the prediction of a landmark by all others needs no solve.
 
 Degrees of freedom: residuals are smaller than the errors of landmarks, because the fit follows errors, too. In the
-linear theory the residuals are a matrix I - A times the positions, A for the alignment and the smoothing after it. Of n
-landmarks with d coordinates tr(I - A) coordinates are free, so that errors of standard deviation sigma leave residuals
-of about
+linear theory the residuals are (I - A) times the positions, where A is the matrix of alignment and smoothing. Of the
+n d coordinates of n landmarks, tr(I - A) are free. Errors of standard deviation sigma leave residuals of about
 
     sigma sqrt(tr(I - A) / (n d)),
 
-as a straight line leaves n - 2: Wahba (1983), J. R. Stat. Soc. B 45(1), section 4. The trace is evaluated where the
-residuals are as large as sigma. As an equation for A itself this is ill-posed: with a sigma 20 % too small both sides
-decrease together while the map follows the errors, until landmarks are met.
+as a straight line through n points leaves n - 2 degrees of freedom: Wahba (1983), J. R. Stat. Soc. B 45(1), section 4.
+The trace is evaluated for the ridge whose residuals are as large as sigma. Solving for A itself would be ill-posed: if
+sigma is 20 % too small, both sides decrease together, and the map follows the errors until landmarks are met.
 """
 
 from __future__ import annotations
@@ -37,21 +36,21 @@ from codegen.registration.matching import TRUSTED, Matching
 from codegen.registration.pairs import LandmarkPairs
 
 RIDGES = np.logspace(-14.0, 2.0, 321)
-"""Ridges of cross-validation, as fractions of the largest eigenvalue of the covariance."""
+"""Ridges that cross-validation compares, as fractions of the largest eigenvalue of the covariance."""
 LEAST_FREE = 0.02
-"""Least share of degrees of freedom of the errors; with fewer, the errors are not determined."""
+"""Least degrees of freedom per coordinate for which cross-validation determines the errors."""
 EXACT = 1e-13
-"""The ridge of exact landmarks, as a fraction of the largest eigenvalue: the rounding error of zero."""
+"""The least ridge, as a fraction of the largest eigenvalue: the rounding error of an eigenvalue of zero."""
 LEAST = 0.8
-"""The least size of residuals, in units of sigma, since few landmarks determine no smaller one."""
+"""The least expected residual, in units of sigma, because few landmarks do not determine a smaller value."""
 CANDIDATES: tuple[Kind, ...] = ("similarity", "affine", "none")
-"""Alignments that are compared; of equal errors, the first one is chosen."""
+"""Alignments that are compared, in order of preference."""
 FEWEST = 4
-"""Fewer landmarks do not determine every candidate after one is left out."""
+"""Fewest landmarks for the comparison, because after one is left out the others must determine each candidate."""
 MOST = 500
-"""Landmarks that decide; of more landmarks a sample decides, since time grows with the cube of their number."""
+"""Most landmarks in the comparison; a random sample represents more, because time grows with their number cubed."""
 CLEARLY = 0.98
-"""The factor by which the error of another alignment than the first must be smaller."""
+"""The ratio of errors below which another candidate is preferred to the first one."""
 
 Array = NDArray[np.float64]
 
@@ -60,7 +59,8 @@ Array = NDArray[np.float64]
 class Linear:
     """The covariance of n displacements, shape (n, n), and the displacements in pixels, shape (n, d).
 
-    `fitted` is the number of parameters of the alignment, which follows a part of the errors.
+    `fitted` is the number of parameters of the alignment, which reduce the degrees of freedom. A ridge is the parameter
+    of the smoothing: the number that is added to the diagonal of the covariance.
     """
 
     covariance: Array
@@ -69,32 +69,32 @@ class Linear:
 
     @classmethod
     def of(cls, matching: Matching) -> Linear:
-        """Return the theory of landmarks after their alignment, in their frame."""
+        """Return the linear theory of the aligned landmarks of a matching."""
         start, target = matching.ends
         return cls(matching.covariance, (target - start) * matching.frame.radius, matching.alignment.parameters)
 
     @cached_property
     def parts(self) -> tuple[Array, Array, Array]:
-        """Eigenvalues, orthonormal eigenvectors in columns, and squares of the displacements along the latter."""
+        """Eigenvalues and eigenvectors (orthonormal columns) of the covariance; squared displacements along them."""
         values, vectors = np.linalg.eigh(self.covariance)
         return np.maximum(values, 0.0), vectors, ((vectors.T @ self.displacements) ** 2).sum(axis=1)
 
     @property
     def largest(self) -> float:
-        """The largest eigenvalue."""
+        """The largest eigenvalue of the covariance."""
         return float(self.parts[0][-1])
 
     def unfitted(self, ridges: Array) -> Array:
-        """Return the share of each component in the residuals, shape (number of ridges, n)."""
+        """Return the fraction of the displacement along each eigenvector that each ridge leaves, shape (ridges, n)."""
         return ridges[:, None] / (self.parts[0] + ridges[:, None])
 
     def residual(self, ridge: float) -> float:
-        """Return the root mean square of the residuals of coordinates, in pixels."""
+        """Return the root mean square of the residuals that a ridge leaves in a coordinate, in pixels."""
         unfitted = self.unfitted(np.array([ridge]))[0]
         return float(np.sqrt((unfitted**2 * self.parts[2]).sum() / self.displacements.size))
 
     def by_cross_validation(self) -> float:
-        """Return the ridge of least generalised cross-validation: squared residuals by degrees of freedom squared."""
+        """Return the ridge that minimises squared residuals / (degrees of freedom)^2: generalised cross-validation."""
         ridges = RIDGES * self.largest
         unfitted = self.unfitted(ridges)
         squares = (unfitted**2 * self.parts[2]).sum(axis=1)
@@ -104,12 +104,12 @@ class Linear:
         return float(ridges[np.argmin(scores)])
 
     def precision(self, ridge: float) -> Array:
-        """Return the inverse of covariance plus ridge, shape (n, n)."""
+        """Return the inverse of the covariance plus `ridge` times the identity, shape (n, n)."""
         values, vectors, _ = self.parts
         return np.asarray((vectors / (values + max(ridge, EXACT * self.largest))) @ vectors.T)
 
     def continued(self, velocities: Array, before: float, after: float) -> Array:
-        """Convert initial velocities of a nearly linear solution, shape (n, d), to another ridge."""
+        """Convert initial velocities, shape (n, d), of a solution with ridge `before` to the ridge `after`."""
         values, vectors, _ = self.parts
         return np.asarray(vectors @ (((values + before) / (values + after))[:, None] * (vectors.T @ velocities)))
 
@@ -118,7 +118,7 @@ class Linear:
 class Freedom:
     """The linear theory of the trusted landmarks, and their degrees of freedom after the alignment.
 
-    `free`, shape (n,), has for each eigenvector of the covariance the number of free coordinates along it, from 0 to d.
+    `free`, shape (n,), has the number of coordinates, 0 to d, that the alignment leaves free along each eigenvector.
     """
 
     linear: Linear
@@ -126,7 +126,7 @@ class Freedom:
 
     @classmethod
     def of(cls, matching: Matching) -> Freedom:
-        """Return the degrees of freedom of landmarks after their alignment, in their frame."""
+        """Return the degrees of freedom of the trusted landmarks of a matching, or of all if none is trusted."""
         trusted = matching.weights >= TRUSTED
         kept = trusted if trusted.any() else ~trusted
         whole = Linear.of(matching)
@@ -136,16 +136,16 @@ class Freedom:
         return cls(linear, matching.pairs.dimension - (along**2).sum(axis=(1, 2)))
 
     def coordinates(self, ridge: float) -> float:
-        """Return the degrees of freedom of the residuals of a ridge, tr(I - A)."""
+        """Return tr(I - A), the degrees of freedom of the residuals that a ridge leaves."""
         return float(self.linear.unfitted(np.array([ridge]))[0] @ self.free)
 
     def target(self, sigma: float) -> float:
-        """Return the root mean square of residuals, in pixels, for errors of standard deviation `sigma`."""
+        """Return the expected root mean square residual, in pixels, for errors of standard deviation `sigma`."""
         whole = self.linear.displacements.size
         return sigma * max(LEAST, float(np.sqrt(self.coordinates(self.ridge_for(sigma)) / whole)))
 
     def ridge_for(self, residual: float) -> float:
-        """Return the ridge of a root mean square residual in pixels; a very large one if residuals stay smaller."""
+        """Return the ridge that leaves a root mean square residual, in pixels; a very large ridge if none does."""
         largest = self.linear.largest
         low, high = 1e-20 * largest, 1e12 * largest
         if largest == 0.0 or self.linear.residual(high) <= residual:
@@ -158,7 +158,7 @@ class Freedom:
 
 @dataclass(frozen=True)
 class AlignmentChoice:
-    """The chosen alignment, and the mean leave-one-out error of each possible one, in pixels."""
+    """The chosen alignment, and the mean leave-one-out error of each candidate, in `unit`."""
 
     kind: Kind
     errors: dict[str, float]
@@ -213,11 +213,11 @@ def chosen_alignment(pairs: LandmarkPairs, shape: Extent, **options: Any) -> Ali
             for k in range(len(pairs)):
                 displacements = align(pairs.without(k), kind).apply(pairs.moving) - pairs.fixed
                 predictions[k] = np.linalg.norm(precision[k] @ displacements) / precision[k, k]
-        except LandmarkError:  # without one of the landmarks the others mirror the image
+        except LandmarkError:  # without one of the landmarks, the others mirror the image
             continue
         if matching.alignment.kind == kind:
             errors[kind] = float(np.mean(predictions))
-    if not errors:  # its use gives the reason
+    if not errors:  # fitting the alignment gives the reason
         return AlignmentChoice(CANDIDATES[0], {})
     best = min(errors, key=lambda kind: errors[kind] if kind == CANDIDATES[0] else errors[kind] / CLEARLY)
     return AlignmentChoice(next(kind for kind in CANDIDATES if kind == best), errors, grid_of(shape).unit)

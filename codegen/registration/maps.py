@@ -1,6 +1,6 @@
-"""Registrations: the maps from the moving to the fixed image, their inverses, and the number of steps.
+"""Registrations: the maps from the moving to the fixed image, their inverses, and the choice of the number of steps.
 
-Pictures whose pixels are not square are registered on grids, as volumes are, and their maps are between pixels.
+Pictures whose pixels are not square are registered on grids, as volumes are, but their maps lead from pixels to pixels.
 Distances in such pixels are not isotropic: rotations, the disc, roughness and errors would be measured in a stretched
 picture. Landmarks are therefore registered in coordinates whose unit is the side of a square with the area of a pixel.
 Areas, and so det J, are the same in both coordinates. For square pixels, and for files without a spacing, the
@@ -24,33 +24,33 @@ from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
 from codegen.registration.solver import Flow
 
 TOLERANCE = 0.01
-"""Largest error of the scheme, in pixels, for the automatic number of steps."""
+"""Largest error of the time discretisation, in pixels, for the automatic number of steps."""
 ROUND_TRIP = 1e-8
-"""Largest error of a round trip in pixels."""
+"""Largest error, in pixels, of a point after the map and its inverse."""
 MISSED = 1e-4
-"""Largest residual, in pixels, of landmarks that are met."""
+"""Largest residual, in pixels, of landmarks that count as met exactly."""
 PROBED = {2: 17, 3: 9}
-"""Points along each axis of the grid at which maps are compared."""
+"""Points along each axis of the coarse grid on which maps are compared, by dimension."""
 FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 4, 32, 256
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Registration:
-    """A map from the moving image to the fixed one, and its inverse: the alignment, then the reversed flow.
+    """The map from the moving to the fixed image (the alignment, then the reversed flow) and its inverse.
 
-    The flow itself runs from the fixed image to the moving one; see `Matching`.
+    The flow itself runs from the fixed image to the moving image; see `Matching`.
 
     `pairs` are the landmarks, and `grid` and `fixed_grid` the grids of the images, which define the coordinates of all
-    points: pixels for pictures. `sides` are the sides of pixels of both images in the coordinates of the matching. They
-    are 1 unless the pixels of a picture are not square; then distances, sigma, the alignment and the frame are in sides
-    of a square of the area of a pixel.
+    points: pixels for pictures. `sides` are the sides of a pixel of the moving and of the fixed image, shape (d,), in
+    the coordinates of the matching. Sides are 1 if pixels are square. Otherwise the unit of distances, sigma, alignment
+    and frame is the side of a square with the area of a pixel.
 
-    `misses` lead from the fixed landmarks to the carried moving ones, in pixels of the fixed image, shape (n, d).
-    `error` estimates the distance from the map of infinitely many steps, in pixels; NaN for a given number of steps.
-    `round_trip` is the largest error of the round trip of landmarks and of a coarse grid, in pixels. `rung` is the
-    successful attempt of the solver, `message` its message, and `solves` the number of solves of the search for a
-    strength. The `status` is "solved", or "folded" if the map should meet the landmarks but misses some, because its
-    few steps have no inverse there.
+    `misses` are the vectors from fixed to mapped moving landmarks, in pixels of the fixed image, shape (n, d). `error`
+    estimates the distance from the map of infinitely many steps, in pixels; NaN for a given number of steps.
+    `round_trip` is the largest error, in pixels, of landmarks and of a coarse grid after the map and its inverse.
+    `rung` names the successful attempt of the solver, `message` is its message. `solves` counts the solves of the
+    search for a strength. `status` is "solved", or "folded" if the map misses landmarks that it should meet exactly,
+    because a step has no inverse there.
     """
 
     matching: Matching
@@ -76,7 +76,7 @@ class Registration:
 
     @cached_property
     def residuals(self) -> NDArray[np.float64]:
-        """Distances of the carried moving landmarks from the fixed ones, in pixels of the fixed image, shape (n,)."""
+        """Distances between mapped moving landmarks and fixed landmarks, in pixels of the fixed image, shape (n,)."""
         return np.asarray(np.linalg.norm(self.misses, axis=1))
 
     @property
@@ -86,7 +86,7 @@ class Registration:
 
     @property
     def sigma(self) -> float:
-        """The standard deviation of a landmark's error, in pixels."""
+        """The standard deviation of the error of a landmark's coordinate, in pixels."""
         return self.matching.sigma
 
     @property
@@ -114,7 +114,7 @@ class Registration:
         return self.positions(1.0, xy, inverse=True)
 
     def positions(self, time: float, xy: ArrayLike, inverse: bool = False) -> PointArray:
-        """Return the positions of points of the moving image at a time.
+        """Return the positions of points of the moving image at a time of their motion to the fixed image.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class Registration:
             raise LandmarkError(f"the time is {time!r}", "give a number from 0 to 1")
         alignment, (moving, fixed) = self.alignment, self.sides
         part = alignment.part(time, self.matching.pairs.moving.mean(axis=0))
-        sides = moving * (fixed / moving) ** time  # they change from one image to the other
+        sides = moving * (fixed / moving) ** time  # from the moving to the fixed image
         if inverse:
             points = as_points(xy, self.pairs.dimension) * sides
             aligned = points if part is alignment else alignment.apply(part.apply_inverse(points))
@@ -148,31 +148,31 @@ class Registration:
         return np.asarray((carried if part is alignment else part.apply(alignment.apply_inverse(carried))) / sides)
 
     def jacobian(self, xy: ArrayLike, inverse: bool = False) -> NDArray[np.float64]:
-        """Return the derivative of the map or of its inverse at points in pixels, shape (n, d, d), rows x, y, ..."""
+        """Return the Jacobian of the map or of its inverse at points in pixels, shape (n, d, d), rows x, y, ..."""
         moving, fixed = self.sides
         ratio = fixed / moving[:, None] if inverse else moving / fixed[:, None]
         return np.asarray(self._with_derivative(xy, inverse)[1] * ratio)
 
     def determinant(self, xy: ArrayLike, inverse: bool = False) -> NDArray[np.float64]:
-        """Return the growth of areas by the map, or by its inverse, at points in pixels, shape (n,)."""
+        """Return det J of the map, or of its inverse, at points in pixels, shape (n,): the enlargement of areas."""
         return _determinant(self.jacobian(xy, inverse))
 
     def arriving(self, xy: ArrayLike) -> tuple[PointArray, NDArray[np.float64]]:
-        """Map points of the fixed image, in pixels, to the moving image, and return the growth of areas by the map.
+        """Return the points of the moving image that the map carries to the points `xy`, in pixels, and its det J.
 
-        The growth, shape (n,), is the reciprocal of the growth by the inverse map, which costs less than `determinant`.
+        det J, shape (n,), is computed from the derivative of the inverse map, at less cost than by `determinant`.
         """
         places, jacobians = self._with_derivative(xy, inverse=True)
         with np.errstate(divide="ignore"):
             return places, 1.0 / _determinant(jacobians)
 
     def leaving(self, xy: ArrayLike) -> tuple[PointArray, NDArray[np.float64]]:
-        """Map points of the moving image, in pixels, to the fixed image, and return the growth of areas, shape (n,)."""
+        """Return the points of the fixed image to which the map carries the points `xy`, in pixels, and det J (n,)."""
         places, jacobians = self._with_derivative(xy, inverse=False)
         return places, _determinant(jacobians)
 
     def _with_derivative(self, xy: ArrayLike, inverse: bool) -> tuple[PointArray, NDArray[np.float64]]:
-        """Map points, and return the derivatives in the coordinates of the matching; areas are the same there."""
+        """Return mapped points in pixels, and Jacobians in the coordinates of the matching, where det J is the same."""
         points, (moving, fixed), frame = as_points(xy, self.pairs.dimension), self.sides, self.matching.frame
         if inverse:
             points = points * fixed
@@ -186,17 +186,17 @@ class Registration:
         return self._moved(aligned, before, after) / fixed, jacobians @ self.alignment.matrix
 
     def _carried(self, points: PointArray, start: float, stop: float) -> PointArray:
-        """Carry points in pixels of the fixed image by the flow."""
+        """Carry points, in pixels of the fixed image, by the flow from time `start` to time `stop`."""
         before = self.matching.frame.to_disc(points)
         return self._moved(points, before, self.flow.carry(before, start, stop))
 
     def _moved(self, points: PointArray, before: PointArray, after: PointArray) -> PointArray:
-        """Move points in pixels as in the disc, so that fixed points remain exactly unchanged."""
+        """Add the motion from `before` to `after` in the disc to points in pixels; zero motions change no digit."""
         return points + self.matching.frame.radius * (after - before)
 
 
 def _determinant(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Determinants of 2 by 2 or 3 by 3 matrices, shape (n, d, d)."""
+    """Return the determinants of 2 by 2 or 3 by 3 matrices, shape (n, d, d)."""
     if matrices.shape[1] == 3:
         first, second, third = (matrices[:, k] for k in range(3))
         return np.asarray((first * np.cross(second, third)).sum(axis=1))
@@ -206,7 +206,7 @@ def _determinant(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
 def in_steps(
     matching: Matching, steps: int, velocities: NDArray[np.float64] | None = None, quick: bool = False
 ) -> Registration:
-    """Register in a given number of steps; `velocities` and `quick` are arguments of `Matching.solve`."""
+    """Return the registration in a given number of steps; `velocities` and `quick` are as in `Matching.solve`."""
     flow, solution, rung = matching.solve(steps, velocities, quick)
     nothing = np.empty((0, matching.pairs.dimension))
     ones = np.ones(matching.pairs.dimension)
@@ -222,7 +222,7 @@ def in_steps(
     residual = result.residuals[worst]
     if matching.sigma > 0.0 or residual <= MISSED * matching.fixed_grid.pixel:
         return result
-    # The solver has met the landmarks by the inverse map, but the map itself misses them.
+    # The solver met the landmarks by the inverse map, but the map itself misses them.
     place = place_text(matching.grid.said(matching.pairs.moving[worst]))
     where = f"landmark {matching.pairs.names[worst]}, at {place}, by {residual:.2g} {matching.fixed_grid.unit}"
     message = f"the map folds in {steps} steps and misses {where}; take more steps"
@@ -230,7 +230,7 @@ def in_steps(
 
 
 def _probe(matching: Matching) -> PointArray:
-    """Points at which maps are compared: moving landmarks, then a coarse grid over the moving image."""
+    """Return the points at which maps are compared: moving landmarks, then a coarse grid over the moving image."""
     return np.vstack([matching.pairs.moving, coarse_grid(matching.grid, PROBED[matching.pairs.dimension])])
 
 
@@ -242,9 +242,9 @@ def solved(
     quick: bool = False,
     first: int = FIRST_STEPS,
 ) -> Registration:
-    """Register in a given number of steps, or in as many as an error below `tolerance` pixels takes.
+    """Return the registration in `steps` steps, or in enough steps for an error of the map below `tolerance` pixels.
 
-    Without a number of steps it is doubled from `first` until the error is small; the smallest sufficient one is kept.
+    If `steps` is None, the first sufficient number of `first`, 2 `first`, 4 `first`, ... is taken.
     """
     if steps is not None:
         return in_steps(matching, steps, velocities, quick)
@@ -263,7 +263,7 @@ def solved(
             coarse, steps = None, 2 * steps
             continue
         if coarse is not None:
-            # Richardson's estimate of the errors of both.
+            # Richardson's estimates of the errors of both maps.
             change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
             gain = 2.0 ** float(fine.flow.module.metadata.order)
             coarse = replace(coarse, error=change * gain / (gain - 1.0))
@@ -277,11 +277,11 @@ def solved(
 
 
 SQUARE = 1e-6
-"""Relative difference of the sides of a pixel up to which it is square, because of rounding in files."""
+"""Largest relative difference between the sides of a square pixel, because files round the sides."""
 
 
 def square_grid(extent: Extent, spacing: Spacing | None) -> Grid:
-    """Return the grid of a picture of shape (height, width, ...), in sides of a square of the area of a pixel."""
+    """Return the grid of a picture; the unit of its coordinates is the side of a square with the area of a pixel."""
     plain = grid_of(extent)
     if spacing is None or abs(spacing.x / spacing.y - 1.0) <= SQUARE:
         return plain
@@ -289,14 +289,14 @@ def square_grid(extent: Extent, spacing: Spacing | None) -> Grid:
 
 
 def in_squares(pairs: LandmarkPairs, grid: Grid, fixed_grid: Grid) -> LandmarkPairs:
-    """Convert landmarks in pixels to the coordinates of such grids."""
+    """Convert landmarks in pixels to the coordinates of grids from `square_grid`."""
     if grid.is_plain and fixed_grid.is_plain:
         return pairs
     return LandmarkPairs(grid.to_places(pairs.moving), fixed_grid.to_places(pairs.fixed), pairs.names)
 
 
 def in_pixels(registration: Registration) -> Registration:
-    """Convert the map of pictures that were registered on grids to pixels; maps of volumes are unchanged."""
+    """Convert a registration of pictures on grids of `square_grid` to pixels; volumes are returned unchanged."""
     grid, fixed_grid, pairs = registration.grid, registration.fixed_grid, registration.pairs
     if pairs.dimension != 2 or (grid.is_plain and fixed_grid.is_plain):
         return registration

@@ -1,11 +1,11 @@
-"""A matching: landmarks, their alignment and the frame, for any number of steps; and its solution.
+"""The matching of landmarks by an alignment and a flow: the problem, for any number of steps, and its solution.
 
-Coincident landmarks: nearly identical pairs are carried as one. Two points so close have nearly the same rows in the
-Green's function. Below about 1e-5 pixels rounding makes their momenta arbitrary, and the solver fails.
+Coincident landmarks: nearly identical pairs are carried as one point. Very close points have nearly equal rows in the
+matrix of the Green's function. Below about 1e-5 pixels rounding makes their momenta arbitrary, and the solver fails.
 
 Landmarks in another order: two files whose rows do not correspond are the most frequent cause of a failed registration.
-Partners that fit much better are found by the method of iterative closest points (Besl and McKay 1992, IEEE Trans.
-Pattern Anal. Mach. Intell. 14(2)), but one to one (the assignment problem), from several alignments.
+Partners that fit much better are found by iterative closest points (Besl and McKay 1992, IEEE Trans. Pattern Anal.
+Mach. Intell. 14(2)) from several alignments. The partners are one to one (the assignment problem).
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from codegen.registration.solver import DEFAULT_SCHEME, Flow, FlowCase, FlowModu
 from codegen.solving.drivers.shared import quiet_single_thread
 
 ONE = 1e-4
-"""Largest distance, in pixels of both images, of two pairs that are carried as one."""
+"""Largest distance, in pixels in each image, between two pairs that are carried as one point."""
 
 
 def groups_of(moving: NDArray[np.float64], fixed: NDArray[np.float64], pixel: float = 1.0) -> NDArray[np.intp]:
-    """Return the number of the group of each pair, from zero in the order of their first members, shape (n,).
+    """Return the number of the group of each pair, shape (n,); pairs within `ONE` pixels of each other form a group.
 
-    `pixel` is the size of a pixel in the units of the points.
+    Groups are numbered from zero in the order of their first pairs. `pixel` is the side of a pixel in units of points.
     """
     close = KDTree(fixed).query_pairs(ONE * pixel, output_type="ndarray")
     close = close[np.linalg.norm(moving[close[:, 0]] - moving[close[:, 1]], axis=1) <= ONE * pixel]
@@ -51,20 +51,20 @@ def groups_of(moving: NDArray[np.float64], fixed: NDArray[np.float64], pixel: fl
 
 
 FEWEST, MOST = 4, 1000
-"""Numbers of landmarks for which another order is searched; with more it takes too long."""
+"""Fewest and most landmarks for which a better order is searched; with more, the search takes too long."""
 MOST_TURNED = 200
 """Most landmarks for which rotations are tried."""
 BETTER = 0.25
-"""The largest ratio of the squared distances of other partners to the squared distances of the given partners."""
-ROUNDS = 20
+"""The ratio of squared distances, other partners to given partners, below which other partners fit much better."""
+ROUNDS = 20  # most iterations of closest points
 NAMED = 5
 """Most landmarks in a message."""
 
 
 def partners(pairs: LandmarkPairs) -> NDArray[np.intp] | None:
-    """Return the number of the fixed landmark that fits each moving one, shape (n,); None if no order fits much better.
+    """Return the index of the fixed landmark that fits each moving one, shape (n,); None if no order fits much better.
 
-    The criterion are squared distances after the best similarity.
+    The criterion is the sum of squared distances after the best similarity.
     """
     count = len(pairs)
     if not FEWEST <= count <= MOST:
@@ -88,7 +88,7 @@ def partners(pairs: LandmarkPairs) -> NDArray[np.intp] | None:
 
 
 def said_of_partners(pairs: LandmarkPairs) -> str:
-    """Name the landmarks that fit other partners much better; empty if there are none."""
+    """Return a message with the landmarks that fit other partners much better, or an empty string."""
     order = partners(pairs)
     if order is None:
         return ""
@@ -102,7 +102,7 @@ def said_of_partners(pairs: LandmarkPairs) -> str:
 
 
 def _starts(pairs: LandmarkPairs) -> Iterator[PointArray]:
-    """Yield first positions of moving landmarks: unchanged; with the mean and size of the fixed ones, rotated."""
+    """Yield initial positions of moving landmarks: unchanged; with mean and spread of the fixed, in some rotations."""
     yield pairs.moving
     middle, spread = pairs.fixed.mean(axis=0), pairs.fixed.std()
     centred = (pairs.moving - pairs.moving.mean(axis=0)) * (spread / pairs.moving.std())
@@ -121,7 +121,7 @@ def _assigned(moved: PointArray, fixed: PointArray) -> NDArray[np.intp]:
 
 
 def _squared_distances(pairs: LandmarkPairs, order: NDArray[np.intp]) -> float:
-    """Return the squared distances after the best similarity; infinite if there is none."""
+    """Return the sum of squared distances after the best similarity for an `order`; infinite without a similarity."""
     reordered = LandmarkPairs(pairs.moving, pairs.fixed[order])
     try:
         return float(((align(reordered).apply(pairs.moving) - reordered.fixed) ** 2).sum())
@@ -132,27 +132,27 @@ def _squared_distances(pairs: LandmarkPairs, order: NDArray[np.intp]) -> float:
 TRUSTED = 0.5
 """The least weight of landmarks that determine the alignment."""
 FAR = 1.5
-"""The ratio of misses to misses of the linear theory above which another solution is searched."""
+"""The ratio of misses to the prediction of the linear theory above which other initial momenta are tried."""
 IN_ORDER = "give landmarks of both images in the same order"
 PATIENCE = 20
-"""Most iterations of shooting from the first momenta."""
+"""Most iterations of shooting from one initial guess of the momenta."""
 
 
 @dataclass(frozen=True, eq=False)
 class Matching:
     """Landmarks to be matched by an alignment and a flow in the frame.
 
-    The flow runs from the fixed to the moving image, the direction in which warped images are looked up: it carries the
-    fixed landmarks to the aligned moving ones. So explicit schemes need no iterations for images.
+    The flow carries the fixed landmarks to the aligned moving ones. The values of warped images are read in this
+    direction, from fixed to moving, so that explicit schemes need no iterations for images.
 
     All distances in pixels are in the coordinates of `grid` and `fixed_grid`, which are pixels for pictures. `sigma` is
     the standard deviation of the error of a coordinate in pixels. If it is not zero, the motion minimises
 
         strength * roughness / 2 + sum_k weights_k |miss_k|^2 / (2 sigma^2).
 
-    The misses are those at the end of the flow, in pixels of the fixed image. The roughness is the squared length of
-    the motion, in units of the radius of the disc, as sigma is there. Pairs closer than `ONE` pixels in both images are
-    carried as one; `groups`, shape (n,), has the number of the group of each pair.
+    A miss is the error of a landmark at the end of the flow, in the unit of sigma. The roughness is the squared length
+    of the motion in units of the radius of the disc. Pairs closer than `ONE` pixels in both images are carried as one
+    point; `groups`, shape (n,), has the number of the group of each pair.
     """
 
     pairs: LandmarkPairs
@@ -176,8 +176,8 @@ class Matching:
     ) -> Matching:  # fmt: skip
         """Align the landmarks and lay the frame around both images; LandmarkError for unusable arguments.
 
-        `shape` and `fixed_shape`, by default the same, are shapes of pictures or grids. Only landmarks of a weight of
-        at least `TRUSTED` determine the alignment.
+        `shape` and `fixed_shape`, by default equal, are shapes of pictures or grids. Only landmarks with a weight of at
+        least `TRUSTED` determine the alignment. `margin` is the margin of the disc around the images, as in `register`.
         """
         grid = grid_of(shape)
         fixed_grid = grid if fixed_shape is None else grid_of(fixed_shape)
@@ -207,16 +207,16 @@ class Matching:
 
     @property
     def ends(self) -> tuple[PointArray, PointArray]:
-        """Start and target of the pairs in the disc: the fixed and the aligned moving landmarks."""
+        """Starts and targets of the flow in the disc: the fixed landmarks, and the aligned moving landmarks."""
         return self.frame.to_disc(self.pairs.fixed), self.frame.to_disc(self.alignment.apply(self.pairs.moving))
 
     @cached_property
     def covariance(self) -> NDArray[np.float64]:
-        """The Green's function at the starts of the pairs, shape (n, n)."""
+        """The Green's function between the starts of all pairs, shape (n, n)."""
         return self._covariance(self._case(1))[np.ix_(self.groups, self.groups)]
 
     def _covariance(self, case: FlowCase) -> NDArray[np.float64]:
-        """The Green's function at the starts of the groups, shape (m, m)."""
+        """Return the Green's function between the starts of all groups, shape (m, m)."""
         matrix = np.empty((len(case.start), len(case.start)))
         state = np.stack([case.start, np.zeros_like(case.start)])
         self.module.momentum_matrix(state, case.own, case.parameters, matrix)
@@ -224,22 +224,22 @@ class Matching:
 
     @property
     def ridge(self) -> float:
-        """The square of the miss of a landmark of weight 1 per unit of momentum, in units of the disc."""
+        """sigma^2 times the strength, in units of the disc: the miss of a landmark of weight 1 per unit of momentum."""
         return float((self.sigma * self.frame.scale) ** 2 * self.strength)
 
     def realigned(self, trusted: NDArray[np.bool_]) -> Alignment:
-        """Return the alignment of the same kind that fits the marked landmarks, shape (n,)."""
+        """Return the alignment of the same kind that fits the landmarks marked in `trusted`, shape (n,)."""
         return _aligned(self.pairs.chosen(trusted), self.align)
 
     def matched(self, pairs: LandmarkPairs, weights: NDArray[np.float64]) -> Matching:
-        """Replace the pairs and their weights, shape (n,), and align the trusted landmarks in a new frame."""
+        """Return the matching of other pairs and weights, shape (n,), with the same options and a new alignment."""
         return Matching.of(
             pairs, self.grid, fixed_shape=self.fixed_grid, align=self.align, sigma=self.sigma, scheme=self.scheme,
             margin=self.margin, strength=self.strength, weights=weights,
         )  # fmt: skip
 
     def _grouped(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the weighted means of values of pairs, shape (n, d), in groups, shape (m, d)."""
+        """Return the weighted mean of each group, shape (m, d), from values of all pairs, shape (n, d)."""
         if len(self.pairs) == self.groups.max() + 1:
             return values
         sums = [np.bincount(self.groups, self.weights * column) for column in values.T]
@@ -248,11 +248,11 @@ class Matching:
     def solve(
         self, steps: int, velocities: NDArray[np.float64] | None = None, quick: bool = False
     ) -> tuple[Flow, FlowSolution, str]:
-        """Solve for the motion in a number of steps; return flow, generated solution and name of the attempt.
+        """Solve for the motion in a number of steps; return the flow, the solution and the name of the attempt.
 
-        The solver starts from the initial `velocities` of the pairs, shape (n, d), if there are any, from
-        straight lines, and from a path of least action. Unless `quick`, the generated solver makes further attempts.
-        Raises RegistrationError, with the most difficult landmarks, if no attempt succeeds.
+        The initial guesses are the initial `velocities` of the pairs, shape (n, d), if not None, then straight lines,
+        then a path of least action. If they fail and `quick` is False, the generated solver makes further attempts.
+        Raise RegistrationError, with the most difficult landmarks, if no attempt succeeds.
         """
         module, case = self.module, self._case(steps)
         with quiet_single_thread():
@@ -283,9 +283,9 @@ class Matching:
     def _cheapest(self, case: FlowCase, velocities: NDArray[np.float64] | None) -> tuple[FlowSolution, str] | None:
         """Return the solution of least cost with the name of its attempt; None if no attempt has a solution.
 
-        With a sigma any stationary point of the cost solves the equations, for instance two landmarks that should
-        exchange their positions and meet half way. A solution that misses by more than the linear theory predicts is
-        compared with those from other momenta.
+        With a sigma, every stationary point of the cost solves the equations, also a motion in which two landmarks meet
+        halfway instead of exchanging their positions. If the misses of a solution are larger than the linear theory
+        predicts, solutions from other initial momenta are tried.
         """
         module, least = self.module, np.inf
         best: tuple[FlowSolution, str] | None = None
@@ -297,7 +297,7 @@ class Matching:
                     best, least = (solution, f"shooting from {name}"), penalised
                 if self.ridge == 0.0:
                     break
-                # The root mean square of misses, and its prediction by the linear theory.
+                # The norm of the misses relative to sigma, and its prediction by the linear theory.
                 start, target = self.ends
                 ridges = self.ridge / self.weights
                 pulls = np.linalg.solve(self.covariance + np.diag(ridges), target - start)
@@ -308,7 +308,7 @@ class Matching:
         return best
 
     def _case(self, steps: int) -> FlowCase:
-        """Make the problem of the generated module."""
+        """Return the data of the problem for the generated module."""
         fixed, moving = self._grouped(self.pairs.fixed), self._grouped(self.alignment.apply(self.pairs.moving))
         start, target = self.frame.to_disc(fixed), self.frame.to_disc(moving)
         sigma = np.sqrt(self.ridge / np.bincount(self.groups, self.weights))
@@ -320,7 +320,7 @@ class Matching:
     def _first_momenta(
         self, case: FlowCase, velocities: NDArray[np.float64] | None
     ) -> Iterator[tuple[str, NDArray[np.float64]]]:
-        """Yield names and momenta from which shooting starts, the cheapest first."""
+        """Yield the names and values of initial momenta for shooting, shape (m, d), the cheapest to compute first."""
         module = self.module
         if velocities is not None:
             yield "a known registration", module.momenta_of(case, case.start, velocities)
@@ -342,4 +342,4 @@ class Matching:
         return self.module.momenta_of_least_action(self._case(1))
 
 
-_aligned = align  # a parameter of `Matching.of` has that name
+_aligned = align  # because a parameter of `Matching.of` is also named `align`

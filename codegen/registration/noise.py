@@ -1,19 +1,19 @@
-"""Errors of landmarks: robust losses, their standard deviation by restricted likelihood, and outliers.
+"""Errors of landmarks: robust losses, the standard deviation of errors by restricted likelihood, and outliers.
 
-Standard deviation: displacements are an affine trend, a smooth Gaussian field and errors of one variance. Without the
-trend they have a restricted likelihood (Patterson and Thompson 1971, Biometrika 58(3)), from which the variance of the
-field is eliminated. With few landmarks its maximum is often at zero errors. Therefore the estimate is the mean
-variance, with uniform priors for the standard deviation of errors (Gelman 2006, Bayesian Analysis 1(3)) and for the
-length of the field.
+Standard deviation: displacements are the sum of an affine trend, a smooth Gaussian field and errors of equal variance.
+Without the trend they have a restricted likelihood (Patterson and Thompson 1971, Biometrika 58(3)), from which the
+variance of the field is eliminated. With few landmarks the likelihood is often largest for zero errors. Therefore the
+estimate is the mean variance, with uniform priors for the standard deviation of errors (Gelman 2006, Bayesian Analysis
+1(3)) and for the correlation length of the field.
 
 The covariance of the field is 1/(1 + r^2/(2 l^2)), a mixture of Gaussian covariances of all lengths about l (Rasmussen
 and Williams 2006, Gaussian Processes for Machine Learning, equation 4.19). The Green's function of the maps would
 attribute a part of the deformation to errors, since it is rougher than most deformations. Lengths l are at least the
 distance between landmarks: shorter variations cannot be distinguished from errors.
 
-Outliers: the linear theory predicts each landmark from the trusted ones. A landmark is an outlier if its error is far
-above what the errors of its neighbours and its distance from them explain. Outliers predict no other landmarks. This is
-repeated until nothing changes, and needs no solve of a flow. Masking is rare, because outliers are never trusted.
+Outliers: the linear theory predicts each landmark from the other trusted landmarks. A landmark is an outlier if its
+prediction error is far larger than the errors and distances of its neighbours explain. The test is repeated without the
+outliers until nothing changes, and solves no flow. Masking is rare, because outliers are never trusted.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ from codegen.registration.pairs import LandmarkPairs
 Loss: TypeAlias = Literal["linear", "huber", "cauchy", "tukey"]
 LOSSES: tuple[Loss, ...] = ("linear", "huber", "cauchy", "tukey")
 LEAST = 1e-6
-"""The least weight, so that all landmarks have positions in the flow."""
+"""The least weight of a landmark, so that every landmark has a determined position in the flow."""
 
 
 def typical_distance(dimension: int, share: float = 0.5) -> float:
-    """Return the quantile of the distance of points with standard normal coordinates (Rayleigh, Maxwell)."""
+    """Return the quantile `share` of the norm of a standard normal vector (Rayleigh or Maxwell distribution)."""
     return float(np.sqrt(-2.0 * np.log(1.0 - share)) if dimension == 2 else chi.ppf(share, dimension))
 
 
 def weights_of(loss: Loss, distances: NDArray[np.float64], dimension: int = 2) -> NDArray[np.float64]:
-    """Return the weights of iteratively reweighted least squares, for distances in units of sigma, shape (n,).
+    """Return weights of iteratively reweighted least squares for residual distances in units of sigma, shape (n,).
 
-    Tuning constants are the usual ones (Holland and Welsch 1977, Commun. Stat. A 6(9)) times the square root of the
-    dimension. Raises ArgumentError for an unknown loss.
+    Tuning constants are the usual constants (Holland and Welsch 1977, Commun. Stat. A 6(9)) times the square root of
+    the dimension. Raises ArgumentError for an unknown loss.
     """
     if loss not in LOSSES:
         raise ArgumentError(f"the loss is {loss!r}", f"use {', '.join(LOSSES)}")
@@ -66,30 +66,30 @@ def weights_of(loss: Loss, distances: NDArray[np.float64], dimension: int = 2) -
 
 
 def scale_of(loss: Loss, distances: NDArray[np.float64], dimension: int = 2) -> float:
-    """Estimate the standard deviation of a coordinate from distances of landmarks; robust losses use their median."""
+    """Estimate the standard deviation of a coordinate from residual distances; robust losses use their median."""
     if loss == "linear":
         return float(np.sqrt((distances**2).mean() / dimension))
     return float(np.median(distances) / typical_distance(dimension))
 
 
 OUTLIERS_FEWEST = 8
-"""Fewest landmarks with outliers."""
+"""Fewest landmarks among which outliers are searched."""
 FAR = 4.0
-"""Least error of outliers, in units of its standard deviation: one in 3000 by chance."""
+"""Least error of an outlier, in units of its standard deviation: one landmark in 3000 exceeds it by chance."""
 LEAST_ERROR = 0.5
-"""The least standard deviation of an error, in pixels."""
+"""The least standard deviation that is assumed for an error, in pixels."""
 MOST_AT_ONCE = 0.1
-"""The largest share of landmarks that become outliers in one round: the most outlying ones."""
+"""The largest share of landmarks that become outliers in one round: the landmarks with the largest errors."""
 MOST = 1.0 / 3.0
-"""The share of outliers above which landmarks contradict each other, so that none is named."""
+"""The largest share of outliers; above it landmarks contradict each other, and no outlier is named."""
 ROUNDS = 30
 TAIL = 0.8
-"""The quantile of errors that widens their scale if they are not normal."""
+"""The quantile of errors that raises the scale of errors if large errors are frequent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outliers:
-    """The numbers of the outliers, counted from zero, by decreasing errors, and the errors of all landmarks.
+    """The numbers of the outliers, counted from zero and sorted by decreasing errors, and the errors of all landmarks.
 
     `errors`, shape (n,), are distances between predicted and given landmarks, in pixels of the fixed image. `message`
     is the reason if no outliers could be determined.
@@ -130,7 +130,7 @@ def find_outliers(
 
 
 def outliers_of(matching: Matching) -> Outliers:
-    """Search for outliers in a matching, with its frame and its kind of alignment."""
+    """Search for outliers among the landmarks of a matching, with its frame and kind of alignment."""
     count = len(matching.pairs)
     if count < OUTLIERS_FEWEST:
         return Outliers(
@@ -138,7 +138,7 @@ def outliers_of(matching: Matching) -> Outliers:
         )
     pairs, whole, trusted = matching.pairs, matching.covariance, np.ones(count, dtype=bool)
     for _ in range(ROUNDS):
-        # Errors of predictions from the other trusted landmarks, in pixels, and their standard deviations.
+        # Errors of the predictions by the other trusted landmarks, in pixels, and standard deviations of errors.
         alignment = matching.realigned(trusted)
         displacements = alignment.apply(pairs.moving) - pairs.fixed
         linear = Linear(whole[np.ix_(trusted, trusted)], displacements[trusted], alignment.parameters)
@@ -169,20 +169,20 @@ def outliers_of(matching: Matching) -> Outliers:
 
 
 LONGEST, STEP = 4.0, np.sqrt(2.0)
-"""The longest length in units of the radius of the landmarks, and the ratio of successive lengths."""
+"""Longest correlation length of the field, in units of the landmarks' radius, and ratio of successive lengths."""
 RATIOS = np.logspace(-8.0, 2.0, 401)
-"""Variances of errors, in units of the largest eigenvalue of the covariance of the field."""
+"""Variances of errors that are compared, in units of the largest eigenvalue of the covariance of the field."""
 BLOCK = 500
-"""Most landmarks of a block; blocks are halves of the image, and halves of these, and treated as independent."""
+"""Most landmarks in a block; more landmarks are halved repeatedly into blocks, which are treated as independent."""
 NOTHING = 1e-9
-"""Displacements below this share of the radius of the landmarks are rounding errors."""
+"""Displacements below this fraction of the radius of the landmarks are rounding errors."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LikelySigma:
-    """The standard deviation of errors in pixels, and the bounds of its 68 percent interval.
+    """The standard deviation of errors in pixels, and the bounds `low` and `high` of its 68 percent interval.
 
     `may_be_zero` is True if the smallest standard deviation has the largest likelihood.
     """
@@ -194,10 +194,10 @@ class LikelySigma:
 
 
 def likely_sigma(places: Array, displacements: Array) -> LikelySigma:
-    """Estimate the errors of displacements, shape (n, d) in pixels, at `places` of at least four landmarks."""
+    """Estimate the standard deviation of errors in `displacements` at `places`, both (n, d) in pixels with n >= 4."""
     blocks = []
     for k in _blocks(places):
-        # The landmarks without their trend: data in an orthonormal basis of its complement.
+        # Displacements without the trend: data in an orthonormal basis of the complement of the trend.
         trend = np.ones((len(k), 1))
         if len(k) >= 2 * (places.shape[1] + 1):  # an affine map would follow the errors of fewer landmarks
             trend = np.hstack([trend, places[k] - places[k].mean(axis=0)])
@@ -235,7 +235,7 @@ def likely_sigma(places: Array, displacements: Array) -> LikelySigma:
 
 
 def _blocks(places: Array) -> list[NDArray[np.intp]]:
-    """Return the numbers of landmarks in blocks of at most `BLOCK`, by halves of the longest extent."""
+    """Divide points, shape (n, d), into blocks of at most `BLOCK` by halving the longest extent; return indices."""
     blocks, waiting = list[NDArray[np.intp]](), [np.arange(len(places))]
     while waiting:
         block = waiting.pop()
@@ -251,11 +251,11 @@ def _blocks(places: Array) -> list[NDArray[np.intp]]:
 FEWEST = 4
 """Fewest landmarks whose errors can be estimated."""
 FEW = 15
-"""Fewest landmarks without a warning of the uncertainty of the estimate."""
+"""Fewest landmarks for an estimate without a warning of its uncertainty."""
 UNSURE = 1.5
-"""The factor of uncertainty, by a standard error, above which there is a warning."""
+"""The factor by which a bound of the 68 percent interval may differ from its middle without a warning."""
 LARGE = 0.1
-"""Errors above this share of the spread of the landmarks are implausible."""
+"""Errors above this fraction of the spread of the landmarks are implausible."""
 
 
 @dataclass(frozen=True)
@@ -267,7 +267,7 @@ class SigmaEstimate:
 
 
 def estimate_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> SigmaEstimate:
-    """Estimate the errors of landmarks from the differences between neighbours.
+    """Estimate the standard deviation of the errors of landmarks from the differences between neighbours.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ def estimate_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> Sigma
     shape : sequence of int or Grid
         The shape or grid of the moving image, as in `register`.
     **options
-        Other arguments of `Matching.of`. Errors do not depend on the alignment; at least a similarity is fitted.
+        Other arguments of `Matching.of`. Any `align` other than "affine" is replaced by "similarity".
 
     Returns
     -------

@@ -1,14 +1,14 @@
 """Registration from pairs of landmarks, and leave-one-out errors.
 
-From sigma to a map: the strength of roughness is chosen such that landmarks are missed by about their standard error.
-A cost of misfit and roughness has a free factor, the strength of the latter. The discrepancy principle (Morozov 1966)
-determines it: the map is as smooth as residuals of the given size allow, corrected for the degrees of freedom of the
-fit (`codegen.registration.linear`). Residuals grow with the strength. So few solves suffice, each started from the
-previous one; the linear theory gives the first strength.
+From sigma to a map: the cost has two terms, misfit and roughness, and the strength of roughness is a free factor. The
+discrepancy principle (Morozov 1966) determines the strength: the residuals are about as large as the standard deviation
+sigma of the landmarks' errors. So the map is as smooth as sigma allows, corrected for the degrees of freedom of the fit
+(`codegen.registration.linear`). The linear theory gives the first strength. Residuals grow with the strength, so a few
+more solves suffice, each with a warm start from the previous solution.
 
-Leave-one-out: the map of all other landmarks predicts each landmark. The error of the prediction is a target
-registration error; the residual at a landmark of the fit is not. A landmark with an outlying error was probably
-misplaced.
+Leave-one-out: the map of all other landmarks predicts each landmark. The error of this prediction is a target
+registration error; the residual of a landmark that takes part in the fit is not. A landmark with an outlying error was
+probably misplaced.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.solver import DEFAULT_SCHEME
 
 MOST_SOLVES = 20
-"""Most solves of the search for a strength."""
+"""Most solves in the search for the strength of roughness."""
 CLOSE = 0.05
-"""Relative tolerance of the size of residuals."""
+"""Relative tolerance of the root mean square residual."""
 STALLED = 4
 """Solves without progress after which the search ends."""
 EASIER = 16.0
-"""The factor by which the strength is raised if there is no solution."""
+"""The factor by which the strength is raised if the solver finds no solution."""
 ALIGNED = 1e4
-"""The largest ridge, as a multiple of the largest eigenvalue of the covariance: nearly the alignment alone."""
+"""The largest ridge, as a multiple of the largest eigenvalue of the covariance; the map is nearly the alignment."""
 ENOUGH = 0.1
-"""Error of a map, in pixels, below which its number of steps is large enough for predictions of landmarks."""
+"""Largest error of a map, in pixels, that is small enough for predictions of landmarks."""
 MOST_LEFT_OUT = 100
-"""Most landmarks that are left out in turn: each of them takes a registration."""
+"""Most landmarks for which leave-one-out is affordable, because each landmark takes a registration."""
 OUTLIER = 3.5
-"""Modified z-score of outliers: Iglewicz and Hoaglin (1993), How to detect and handle outliers."""
+"""Modified z-score above which an error is outlying: Iglewicz and Hoaglin (1993), How to detect and handle outliers."""
 
 Progress = Callable[[str], None]
 
@@ -78,26 +78,26 @@ def register(
     fixed_shape : sequence of int or Grid, optional
         The shape of the fixed image if it differs.
     align : {"auto", "none", "similarity", "affine"}
-        The alignment before the flow; "auto" takes the one with the least leave-one-out error.
+        The alignment before the flow; "auto" takes the alignment with the least leave-one-out error.
     sigma : float or "auto"
-        The standard deviation of the error of a coordinate, in pixels of the fixed image. Zero: landmarks are met
-        exactly. "auto": the result of `estimate_sigma`.
+        The standard deviation of the error of a coordinate, in pixels of the fixed image. Zero means that landmarks are
+        met exactly; "auto" takes the result of `estimate_sigma`.
     loss : {"linear", "huber", "cauchy", "tukey"}
-        A robust loss reduces the weight of landmarks that miss by many sigmas.
+        All losses but "linear" are robust: they reduce the weight of landmarks with residuals of many sigmas.
     scheme : str
-        The scheme of the flow.
+        The integration scheme of the flow.
     steps : int, optional
-        The number of steps of the flow; by default so many that the error of the map is below `tolerance`.
+        The number of steps of the flow; by default large enough for an error of the map below `tolerance`.
     tolerance : float
-        In pixels.
+        The largest error of the map, in pixels.
     margin : float, optional
         The distance from the images to the rim of the disc, relative to the radius of the images.
     start : Registration, optional
-        An earlier registration of as many landmarks, from which the solver starts.
+        An earlier registration with the same number of landmarks, for a warm start.
     quick : bool
-        Give up early.
+        With `steps`: give up after the first attempts (sigma zero), or keep the strength of a `start` of equal sigma.
     progress : function of str, optional
-        Receives a line after each solve; with a sigma there are up to 20.
+        Receives a line of text after each solve; if sigma is positive, there are up to 20 solves.
 
     Returns
     -------
@@ -111,13 +111,13 @@ def register(
     ArgumentError
         For an unknown alignment or loss.
     RegistrationError
-        If there is no solution, or none whose residuals are as small as sigma.
+        If no solution is found, or no solution with residuals as small as sigma.
 
     Notes
     -----
-    With a sigma the map is the smoothest one whose residuals have this size after correction for the degrees of freedom
-    of the fit, that is 0.8 to 1 sigma, within 5 percent. The cost is documented in `Matching`, and the strength of its
-    roughness is `Registration.matching.strength`.
+    If sigma is positive, the map is the smoothest map with residuals, within 5 percent, of 0.8 to 1 sigma. The factor
+    is the correction for the degrees of freedom of the fit. `Matching` documents the cost, and
+    `Registration.matching.strength` is the strength of roughness.
     """
     if align == "auto":
         align = chosen_alignment(pairs, shape, fixed_shape=fixed_shape, scheme=scheme, margin=margin).kind
@@ -145,7 +145,7 @@ def register(
 
 
 def _first_velocities(matching: Matching, start: Registration) -> NDArray[np.float64]:
-    """Initial velocities from a registration of similar landmarks: differences move along straight lines."""
+    """Return initial velocities from a registration of similar landmarks, plus straight motions of the differences."""
     (first, target), (start_first, start_target) = matching.ends, start.matching.ends
     return np.asarray(start.velocities + (target - first) - (start_target - start_first))
 
@@ -158,7 +158,7 @@ def _smoothest(
     velocities: NDArray[np.float64] | None,
     progress: Progress | None,
 ) -> Registration:
-    """Search for the strength, and for a robust loss the weights, whose residuals have the size of sigma."""
+    """Return the registration with the strength (and weights of a robust loss) whose residuals agree with sigma."""
     sigma, unit, pairs = matching.sigma, matching.fixed_grid.unit, matching.pairs
     solves = 0
     while True:  # the first strength with a solution
@@ -227,10 +227,10 @@ def _smoothest(
 
 @dataclass(frozen=True, eq=False)
 class LeaveOneOut:
-    """Errors of landmarks that were left out, as vectors from the fixed landmarks in pixels, shape (n, d).
+    """The errors of landmarks that were left out: `misses`, shape (n, d), from fixed to predicted landmarks in pixels.
 
     They are NaN if the other landmarks determine no map. `ranking` has the numbers of the landmarks, counted from zero,
-    in the order of decreasing errors, and `outliers` the numbers of outlying errors.
+    in the order of decreasing errors, and `outliers` has the numbers of the landmarks with outlying errors.
     """
 
     misses: NDArray[np.float64]
@@ -252,7 +252,7 @@ def leave_one_out(
     start: Registration | None = None,
     **options: Any,
 ) -> LeaveOneOut:
-    """Register once with all landmarks and once without each.
+    """Predict each landmark by a registration of all other landmarks.
 
     Parameters
     ----------
@@ -263,9 +263,9 @@ def leave_one_out(
     steps : int, optional
         The number of steps of the flow, as in `register`.
     tolerance : float
-        The error of the map in pixels; larger than in `register`, since errors of predictions are some pixels.
+        The largest error of the map in pixels; larger than in `register`, since predictions err by some pixels.
     start : Registration, optional
-        An earlier registration of as many landmarks.
+        An earlier registration with the same number of landmarks, for a warm start.
     **options
         Other arguments of `register`.
 
@@ -299,7 +299,7 @@ def leave_one_out(
 
 
 def out_of_place(outliers: Outliers | None, left_out: LeaveOneOut | None) -> tuple[int, ...]:
-    """Return the numbers of the outliers; of few landmarks the outliers of leave-one-out."""
+    """Return the numbers of the outliers, or the outliers of leave-one-out if landmarks were too few for a search."""
     if outliers is not None and not np.isnan(outliers.errors).all():
         return outliers.numbers
     return left_out.outliers if left_out is not None else ()

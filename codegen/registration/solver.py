@@ -1,15 +1,15 @@
-"""The generated solver of registrations: its problem file, its build and compilation, and the flow of its solution.
+"""The generated solver of registrations: its problem file, its compilation, and the flow of its solution.
 
 The problem file is in `problems/` of a checkout, and in `codegen/gallery/` of an installation from a wheel. The
-derived module is stored in the build cache ($CODEGEN_CACHE_DIR, or a folder in the cache directory of the user)
-together with its machine code. So only the first registration on a machine derives and compiles it.
+generated module is stored in the build cache ($CODEGEN_CACHE_DIR, or a folder in the cache directory of the user)
+together with its machine code. So only the first registration on a machine derives and compiles the module.
 
 The flow: the generated solver moves landmarks, and its kernels carry any other point. A point x without momentum moves
 by x' = sum_j G(x, q_j) p_j and has no effect on landmarks. So the solved motion of the landmarks carries any number of
-points, forwards and backwards. Points make the same steps as landmarks, and on the way back their exact inverses.
+points, forwards and backwards. Forwards, points take the same steps as landmarks; backwards, the exact inverse steps.
 
-Many points are divided among threads. Generated kernels hold no lock. Threads that live for one call are safe in a
-server with several sessions and in a process that forks; the thread pool of numba is not.
+Many points are divided among threads, because generated kernels hold no lock. Threads that live for one call are safe
+in a server with several sessions and in a process that forks. The thread pool of numba is not safe there.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from codegen.solving.loading import Case, ConnectModule, GeneratedModule, is_con
 
 _THREADS: ContextVar[int] = ContextVar("threads", default=os.cpu_count() or 1)
 THREADED = 400_000
-"""Evaluations of the kernel of a landmark and a point above which several threads are used."""
+"""Number of evaluations of the Green's function above which several threads are used."""
 
 
 class FlowCase(Case, Protocol):
-    """The problem of a generated module, the named tuple of `make_case`; start and target have shape (m, d)."""
+    """The data of a problem, a named tuple from `make_case` of the module; start and target have shape (m, d)."""
 
     _replace: Callable[..., FlowCase]
 
 
 class FlowSolution(Protocol):
-    """The solution of a case; positions and momenta have shape (N + 1, m, d)."""
+    """The solution of a case in N steps; positions `q` and momenta `p` have shape (N + 1, m, d)."""
 
     status: str
     message: str
@@ -55,7 +55,7 @@ class FlowSolution(Protocol):
 
 
 class FlowModule(ConnectModule, Protocol):
-    """A generated module that carries tracer points; modules of implicit schemes lack the last three functions."""
+    """A generated module that carries tracer points; modules of implicit schemes lack the last three members."""
 
     __file__: str
     solve_case: Callable[..., FlowSolution]
@@ -72,7 +72,7 @@ class FlowModule(ConnectModule, Protocol):
 
 
 def require_tracers(module: GeneratedModule) -> FlowModule:
-    """Return the module if it carries tracer points; ModuleError otherwise."""
+    """Return the module if it carries tracer points; raise ModuleError otherwise."""
     if not is_connect(module) or not module.metadata.passive:
         raise ModuleError("the module carries no points", "build it with --set passive=True")
     return cast(FlowModule, module)
@@ -80,7 +80,7 @@ def require_tracers(module: GeneratedModule) -> FlowModule:
 
 @contextmanager
 def threads_at_most(number: int) -> Iterator[None]:
-    """Limit the threads of flows that are made in the block, for instance with one process per processor."""
+    """Limit the threads of each flow that is created in this context, for instance if every core has a process."""
     token = _THREADS.set(number)
     try:
         yield
@@ -90,10 +90,10 @@ def threads_at_most(number: int) -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """The solved motion of landmarks in the disc, or in the ball, from t = 0 to 1 in equal steps.
+    """The solved motion of landmarks in the disc, or in the ball, from t = 0 to 1 in N equal steps.
 
-    `path`, shape (N + 1, 2, n, d), has the positions and momenta of the landmarks at the nodes, and `points` the states
-    at which the scheme evaluates the field. `threads` is the largest number of threads.
+    `path`, shape (N + 1, 2, n, d), has the positions and momenta of the landmarks at the nodes. `points`, shape
+    (N POINTS, 2, n, d), has positions and momenta at all stages of the scheme. `threads` is the largest number used.
     """
 
     module: FlowModule
@@ -116,7 +116,7 @@ class Flow:
         return np.asarray(matrix @ momenta)
 
     def carry(self, points: PointArray, start: float = 0.0, stop: float = 1.0) -> PointArray:
-        """Carry points of the disc as `carry_with_jacobian`, without derivatives."""
+        """Return the final positions of `carry_with_jacobian`, without derivatives."""
         return self.carry_with_jacobian(points, start, stop, derive=False)[0]
 
     def carry_with_jacobian(
@@ -124,9 +124,9 @@ class Flow:
     ) -> tuple[PointArray, NDArray[np.float64]]:
         """Carry points of the disc, shape (n, d), from time `start` to time `stop`.
 
-        Returns final positions and, unless `derive` is False, their derivatives by initial positions, shape (n, d, d).
-        Points on the rim and outside do not move. A point becomes NaN if a step is too long to have a solution there.
-        Raises NumericsError for unusable points or times.
+        Return the final positions and, unless `derive` is False, their derivatives with respect to the initial
+        positions, shape (n, d, d). Points on the rim and outside do not move. A point becomes NaN if the equations of a
+        long step have no solution there. Raise NumericsError for unusable points or times.
         """
         points = np.ascontiguousarray(points, dtype=float)
         first, last = start * self.steps, stop * self.steps
@@ -139,7 +139,7 @@ class Flow:
             if self.threads < 2 or work < THREADED:
                 return part(points)
             part(points[:1])  # compiles the kernel, or reads it from disk, before several threads use it
-            # Whole blocks for each thread, so that results do not depend on the number of threads.
+            # Each thread gets whole blocks, so that results do not depend on the number of threads.
             blocks = -(-len(points) // self.module.BLOCK)
             ends = [self.module.BLOCK * (blocks * k // self.threads) for k in range(1, self.threads)]
             with ThreadPoolExecutor(self.threads) as pool:
@@ -151,7 +151,7 @@ class Flow:
 
 
 def of_steps(flow: Flow, gradients: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return bounds of |D Phi - I| of each step, from bounds of the gradients at all stages, shape (N POINTS,)."""
+    """Bound |D Phi - I| for each step Phi, shape (N,), by bounds of velocity gradients at stages, shape (N POINTS,)."""
     module = flow.module
     h, bounds = flow.case.duration / flow.steps, np.zeros(flow.steps)
     for k, stages in enumerate(gradients.reshape(flow.steps, module.POINTS)):
@@ -168,12 +168,12 @@ DEFAULT_SCHEME = "rk4"
 
 
 def arguments_of(dimension: int) -> dict[str, str]:
-    """Return the arguments of the problem for pictures (2) or volumes (3)."""
+    """Return the arguments of the problem file for pictures (`dimension` 2) or volumes (3)."""
     return {"passive": "True"} if dimension == 2 else {"passive": "True", "dimension": str(dimension)}
 
 
 def problem_file() -> Path:
-    """Return the problem file of registrations; ModuleError if it is missing."""
+    """Return the path of the problem file; raise ModuleError if the file is missing."""
     folder = Path(__file__).parent
     for candidate in (folder.parent / "gallery" / PROBLEM, folder.parents[1] / "problems" / PROBLEM):
         if candidate.is_file():
@@ -182,7 +182,7 @@ def problem_file() -> Path:
 
 
 def is_compiled(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> bool:
-    """Return True if the module of a scheme and its machine code are on disk."""
+    """Return True if the generated module of a scheme and its machine code are on disk."""
     from codegen.solving.compiler import build, stored
     from codegen.solving.machine_code.compilation import has_machine_code
 
@@ -193,9 +193,9 @@ def is_compiled(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> bool:
 
 @cache
 def registration_module(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> FlowModule:
-    """Return the generated module of a scheme; its first use on a machine derives and compiles it.
+    """Return the generated module of a scheme; the first call on a machine derives and compiles the module.
 
-    The compilation is announced on stderr. Raises SchemeError for a scheme without fixed steps.
+    Announce the compilation on stderr. Raise SchemeError for a scheme without fixed steps.
     """
     from codegen.solving.compiler import build
     from codegen.solving.machine_code.compilation import compile_all, has_machine_code

@@ -1,20 +1,20 @@
 """Volumes: files with orientation and spacing, displacement fields, and warped volumes.
 
-SimpleITK reads NIfTI, MetaImage and NRRD, tifffile reads stacks of TIFF. Spacing, origin and orientation of a file
-become a grid in LPS coordinates, as in ITK: x to the left of the patient, y to the back, z to the head, in millimetres.
-Landmarks and reports are in these coordinates. Size and type are checked before samples are read. Slices of a stack are
-the pages of a file. Its coordinates are column, row and slice times the spacing that ImageJ writes, or times 1.
+SimpleITK reads NIfTI, MetaImage and NRRD, and tifffile reads TIFF stacks. Spacing, origin and orientation of a file
+become a grid in LPS coordinates, as in ITK. They are in millimetres: x to the left of the patient, y to the back, z to
+the head. Landmarks and reports are in these coordinates. Size and type are checked before samples are read. The slices
+of a TIFF stack are its pages. Its coordinates are column, row and slice times the spacing from ImageJ, or times 1.
 
-Displacement fields are files that ITK, and so 3D Slicer, elastix and ANTs, read as a transform. A field is a volume of
-vectors on the grid of the result: x, y and z in LPS and in the unit of the file, from the position of a voxel to the
-position in the source at which its value is read. NIfTI files have the intent `vector`, whose components ITK takes
-without a change of sign. Numbers are 32-bit floats.
+Displacement fields are files that ITK, and so 3D Slicer, elastix and ANTs, read as a transform. A field has a vector
+for each voxel of the result: x, y and z in LPS and in the unit of the file. It leads from the voxel to the position in
+the source whose value the voxel gets. NIfTI files have the intent `vector`, whose components ITK reads without a change
+of sign. Numbers are 32-bit floats.
 
-Positions of voxels: cubic splines between exactly mapped nodes, and exact positions where the splines are inaccurate.
-As for pictures (`codegen.registration.warp`), errors are estimated, not proved: a quarter of the error of the spline
-through every second node. Cells above a bound and their neighbours are mapped voxel by voxel. In space a map has a kink
-at every landmark, so all cells with landmarks are mapped exactly. Nodes are spaced as equally in all directions as the
-spacing allows. Only one slab of positions is in memory at a time.
+Positions of voxels are interpolated by cubic splines between exactly mapped nodes. Where the splines are inaccurate,
+positions are exact. As for pictures (`codegen.registration.warp`), errors are estimated, not proved: a quarter of the
+error of the spline through every second node. Cells with errors above a bound, and their neighbours, are mapped voxel
+by voxel. In space a map has a kink at every landmark, so all cells with landmarks are mapped exactly. Nodes are spaced
+as equally in all directions as the spacing allows. Only one slab of positions is in memory at a time.
 """
 
 from __future__ import annotations
@@ -55,31 +55,31 @@ from codegen.registration.warp import (
 Array: TypeAlias = NDArray[np.float64]
 
 ITK = "SimpleITK", "which reads and writes volumes,"
-"""Arguments of `library`."""
+"""Name and purpose of the library, as arguments of `library`."""
 TIFF = (".tif", ".tiff")
 WRITTEN = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
 _UNCOMPRESSED = (".nii", ".mhd")
 MOST_VOXELS = 1 << 30
 THINNEST = 2
-"""Least number of samples of a volume along each axis."""
+"""Fewest samples of a volume along each axis."""
 _IMAGEJ = frozenset(np.dtype(name) for name in ("u1", "u2", "f4"))
-"""Types of samples of stacks with a spacing."""
+"""Sample types of TIFF stacks that ImageJ reads; only such stacks are written with their spacing."""
 _UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _STACK_UNITS = {"micron": "µm", "microns": "µm", "um": "µm", "\\u00b5m": "µm", "pixel": "pixels", "": "pixels"}
 _STDERR = threading.Lock()
 
 BOUND = 5e-4
-"""Largest error of a position, in finest spacings: a thousandth of a voxel is promised, and fields are rounded."""
+"""Largest error of a position, in finest spacings: half of the promised 0.001 voxels, because fields are rounded."""
 LARGEST = 16
-"""Most voxels between nodes."""
+"""Largest distance between nodes, in finest spacings."""
 FEWEST = 6
-"""Fewest intervals along an axis: every second node must determine a cubic spline."""
+"""Fewest intervals between nodes along an axis, so that every second node determines a cubic spline."""
 CHEAP = 12
-"""Voxels per node above which half the distance pays, with eight times as many nodes."""
+"""Exactly mapped voxels per node above which half the node distance, with eight times as many nodes, is cheaper."""
 CHECKED, NODES_PORTION = 256, 32
-"""Cells at whose centres the spline is compared with the map, and the number of simultaneous ones."""
+"""Cells at whose centres the spline is compared with the map, and the number of cells that are evaluated together."""
 BLOCKS_PORTION = 1 << 19
-"""Voxels whose positions are in memory at once."""
+"""Voxels whose positions are in memory at the same time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Volume:
 
 
 class VolumeReader(Protocol):
-    """The functions of SimpleITK's ImageFileReader that describe a file."""
+    """The methods of SimpleITK's ImageFileReader that describe a file."""
 
     GetSize: Callable[[], tuple[int, ...]]
     GetDimension: Callable[[], int]
@@ -101,12 +101,12 @@ class VolumeReader(Protocol):
 
 
 def suffix_of(path: Path, suffixes: tuple[str, ...]) -> str | None:
-    """Return the longest of the suffixes with which a file name ends."""
+    """Return the longest of the lower-case suffixes that the file name has, ignoring case, or None if it has none."""
     return max((suffix for suffix in suffixes if path.name.lower().endswith(suffix)), key=len, default=None)
 
 
 def is_volume(path: Path) -> bool:
-    """Return True for the name of a volume, and for a TIFF file of several grey slices."""
+    """Return True for a file name with the suffix of a volume, and for a TIFF file of several grey slices."""
     if suffix_of(path, VOLUMES) is not None:
         return True
     if suffix_of(path, TIFF) is None:
@@ -114,15 +114,15 @@ def is_volume(path: Path) -> bool:
     try:
         with tifffile().TiffFile(path) as file:
             return bool(len(file.series[0].shape) == 3 and file.pages[0].samplesperpixel == 1)
-    except Exception:  # reading it as an image gives the better message
+    except Exception:  # reading the file as an image gives a better message
         return False
 
 
 def read_volume(path: Path, most: int = MOST_VOXELS) -> Volume:
-    """Read a volume of one number per voxel.
+    """Read a volume with one number per voxel.
 
-    Raises ImageError for other files, damaged files, more than `most` voxels, several numbers per voxel, several times,
-    and axes that are not orthogonal; ExtraError if SimpleITK or tifffile is missing.
+    Raise ImageError for other files, damaged files, more than `most` voxels, several numbers per voxel, several points
+    in time, and axes that are not orthogonal. Raise ExtraError if SimpleITK or tifffile is missing.
     """
     if suffix_of(path, TIFF) is not None:
         return _read_stack(path, most)
@@ -147,7 +147,7 @@ def read_volume(path: Path, most: int = MOST_VOXELS) -> Volume:
             finding = f"{path} has {reader.GetNumberOfComponents()} numbers in each voxel"
             raise ImageError(finding, "give a volume of one number a voxel")
         require_whole(path, reader)
-        if reader.GetDimension() == 4:  # with a single time
+        if reader.GetDimension() == 4:  # with a single point in time
             reader.SetExtractSize((*reader.GetSize()[:3], 0))
         image = reader.Execute()
         samples = itk.GetArrayFromImage(image)
@@ -157,7 +157,7 @@ def read_volume(path: Path, most: int = MOST_VOXELS) -> Volume:
 
 
 def _read_stack(path: Path, most: int) -> Volume:
-    """Read a TIFF stack; ImageError for other files, damaged files and too many voxels."""
+    """Read a TIFF stack; raise ImageError for other files, damaged files and more than `most` voxels."""
     try:
         with tifffile().TiffFile(path) as file:
             series, page = file.series[0], file.pages[0]
@@ -188,7 +188,7 @@ def _read_stack(path: Path, most: int) -> Volume:
 
 
 def require_whole(path: Path, reader: VolumeReader, name: str = "") -> None:
-    """Refuse truncated NIfTI files, which SimpleITK completes with zeros; errors call them `name`."""
+    """Raise ImageError, with `name` for `path`, for a truncated NIfTI file, which SimpleITK would fill with zeros."""
     kind = suffix_of(path, VOLUMES)
     if kind not in (".nii", ".nii.gz"):
         return
@@ -198,7 +198,7 @@ def require_whole(path: Path, reader: VolumeReader, name: str = "") -> None:
     if kind == ".nii.gz":
         with gzip.open(path) as file:
             size = 0
-            while size < needed and (part := file.read(1 << 22)):  # what follows the samples is not read
+            while size < needed and (part := file.read(1 << 22)):  # bytes after the samples are not read
                 size += len(part)
     if size < needed:
         raise ImageError(f"{name or path} is cut off: {size} bytes of {needed}", "give a whole file")
@@ -206,7 +206,7 @@ def require_whole(path: Path, reader: VolumeReader, name: str = "") -> None:
 
 @contextmanager
 def library_errors(path: Path | str) -> Iterator[None]:
-    """Convert errors of libraries to an ImageError with their last line."""
+    """Convert exceptions of libraries in this context to an ImageError with the last line of their message."""
     try:
         yield
     except CodegenError:
@@ -225,7 +225,7 @@ def library_errors(path: Path | str) -> Iterator[None]:
 
 @contextmanager
 def silent() -> Iterator[None]:
-    """Discard what C libraries write to stderr in addition to their exceptions; for one thread at a time."""
+    """Discard the output of C libraries on stderr in this context, which only one thread can enter at a time."""
     with _STDERR:
         stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
         try:
@@ -238,7 +238,7 @@ def silent() -> Iterator[None]:
 
 
 def require_written(path: Path, dtype: SampleType | None = None) -> None:
-    """Refuse names of volumes, and samples, that cannot be written; ExtraError if the library is missing."""
+    """Raise ImageError for a file name or sample type that cannot be written, ExtraError if the library is missing."""
     kind = suffix_of(path, (*WRITTEN, *TIFF))
     if kind is None or (kind in WRITTEN and not path.name.endswith(kind)):  # SimpleITK accepts no capitals
         raise ImageError(f"{path}: volumes are not written so", f"let it end in {', '.join((*WRITTEN, '.tif'))}")
@@ -250,8 +250,8 @@ def require_written(path: Path, dtype: SampleType | None = None) -> None:
 def write_volume(path: Path, samples: Pixels, grid: Grid) -> None:
     """Write samples, shape (slices, rows, columns), on a grid in the format of the suffix.
 
-    On failure an existing file stays unchanged. Raises ImageError for an unknown suffix or type of samples, and
-    FileError if the file system refuses.
+    On failure an existing file remains unchanged. Raise ImageError for an unknown suffix or sample type, and FileError
+    if the file cannot be written.
     """
     require_written(path, samples.dtype)
     with replacing_volume(path) as temporary, library_errors(path):
@@ -269,7 +269,7 @@ def write_volume(path: Path, samples: Pixels, grid: Grid) -> None:
 
 
 def require_field(path: Path) -> None:
-    """Refuse names of displacement fields that cannot be written; ArgumentError names the file."""
+    """Raise ArgumentError for the name of a displacement field that cannot be written, ExtraError without SimpleITK."""
     if not path.name.endswith(WRITTEN):  # SimpleITK accepts no capitals
         finding = f"--field {path}: displacements of volumes are not written so"
         raise ArgumentError(finding, f"let it end in {', '.join(WRITTEN)}")
@@ -284,7 +284,7 @@ def write_field(path: Path, field: NDArray[np.float32], grid: Grid, direction: s
 
 
 def _write_by_itk(path: Path, samples: Pixels, grid: Grid, note: str = "") -> None:
-    """Write samples, shape (slices, rows, columns), or vectors along a fourth axis."""
+    """Write samples, shape (slices, rows, columns), or vectors, shape (slices, rows, columns, 3), with a `note`."""
     itk, kind = library(*ITK), suffix_of(path, VOLUMES)
     image = itk.GetImageFromArray(samples, isVector=samples.ndim == 4)
     image.SetSpacing(grid.spacing)
@@ -298,11 +298,11 @@ def _write_by_itk(path: Path, samples: Pixels, grid: Grid, note: str = "") -> No
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Every n-th sample of a grid along each axis, with n in `steps`, and the displacements of these nodes.
+    """A coarse grid of nodes, every n-th sample along each axis with n in `steps`, and their exact displacements.
 
-    `lines` are the indices of the nodes and `shifts` their displacements, shape (slices, rows, columns, 3), both with
-    slices first. `doubtful` marks the cells that are mapped exactly. `bound` is the largest estimated error of the
-    other cells, in the unit of the grid.
+    `function` maps points, shape (n, 3). `lines` has the indices of the nodes along each axis, slices first, and
+    `shifts` their displacements, shape (slices, rows, columns, 3). `doubtful` is True for cells between nodes in which
+    all voxels are mapped exactly. `bound` is the largest estimated error in the other cells, in the unit of the grid.
     """
 
     function: Map
@@ -315,7 +315,7 @@ class Nodes:
 
     @classmethod
     def of(cls, function: Map, grid: Grid, singular: PointArray, bound: float = BOUND) -> Nodes:
-        """Map nodes, and halve their distance while that reduces the number of evaluations.
+        """Map the nodes, and halve their distance while that reduces the number of evaluations.
 
         `function` maps points, shape (n, 3), and is not smooth at the points `singular`. `bound` is in finest spacings.
         """
@@ -344,7 +344,7 @@ class Nodes:
         )
         places = grid.to_places(mesh(lines[::-1]))
         shifts = (function(places) - places).reshape(*map(len, lines), 3)
-        # The estimated error of the spline in each cell: the largest at its corners.
+        # The estimated error of the spline in each cell is the largest estimate at its corners.
         coarse = shifts[::2, ::2, ::2]
         for axis, line in enumerate(lines):
             coarse = np.asarray(make_interp_spline((line[::2]), coarse, k=3, axis=axis)(line))
@@ -358,7 +358,7 @@ class Nodes:
         return cls(function, grid, steps, lines, shifts, doubtful, float(np.where(doubtful, 0.0, errors).max()))
 
     def _checked(self, bound: float) -> Nodes:
-        """Compare the spline with the map at centres of cells, and mark inaccurate cells and their neighbours."""
+        """Compare the spline with the map at centres of cells; return nodes with inaccurate cells made doubtful."""
         trusted = np.argwhere(~self.doubtful)
         cells = trusted[np.random.default_rng(0).permutation(len(trusted))[:CHECKED]]
         if not len(cells):
@@ -381,7 +381,7 @@ class Nodes:
 
     @property
     def exact(self) -> float:
-        """The share of samples that are mapped exactly."""
+        """The fraction of samples that are mapped exactly."""
         volumes = [np.diff(np.minimum(line, length)) for line, length in zip(self.lines, self.grid.shape, strict=True)]
         return float(np.einsum("zyx,z,y,x->", self.doubtful.astype(float), *volumes) / self.grid.count)
 
@@ -390,7 +390,7 @@ class Nodes:
         return spline_coefficients(self.lines, self.shifts)
 
     def slab(self, part: slice) -> Array:
-        """Return the displacements of some slices, shape (slices, rows, columns, 3)."""
+        """Return the displacements of all samples in the slices `part`, shape (slices, rows, columns, 3)."""
         indices = [np.arange(part.start, part.stop), *(np.arange(length) for length in self.grid.shape[1:])]
         shifts = spline_on_grid(self.lines, self._coefficients, [at.astype(float) for at in indices])
         cells = [np.minimum(at // step, len(line) - 2) for at, step, line in zip(indices, self.steps[::-1], self.lines)]
@@ -403,10 +403,10 @@ class Nodes:
 
 @dataclass(frozen=True, eq=False)
 class Warped:
-    """Samples of the result, shape (slices, rows, columns), and the number of samples from outside the source.
+    """The warped samples, shape (slices, rows, columns), and the number of positions `outside` the source.
 
-    `field`, shape (slices, rows, columns, 3), or None, has the displacements from the voxels of the result to the
-    positions in the source at which their values are read.
+    `field`, shape (slices, rows, columns, 3), has the displacements from the voxels of the result to the positions in
+    the source at which their values are read. `field` is None if it was not requested.
     """
 
     samples: Pixels
@@ -415,10 +415,10 @@ class Warped:
 
 
 def warped(source: Volume, nodes: Nodes, interpolation: str, with_field: bool = False) -> Warped:
-    """Warp a volume to the grid of the nodes, whose map leads to the source.
+    """Warp a volume to the grid of the nodes, whose map leads from the result to the source.
 
-    The result has the dtype of the source; voxels whose position is outside the source are zero. `with_field` adds the
-    displacement field.
+    The result has the dtype of the source; voxels whose position is outside the source are zero. `with_field` requests
+    the displacement field.
     """
     grid, order = nodes.grid, ORDERS[interpolation]
     columns, rows, _ = grid.size

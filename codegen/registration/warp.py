@@ -1,16 +1,16 @@
 """The effect of a map on all pixels of an image: positions, warped images and displacement fields.
 
-Every pixel of a warped image is looked up at the position that the inverse map assigns to it.
+Every pixel of a warped image gets the value of the image at the position that the inverse map assigns to the pixel.
 
 Positions from a coarse grid: the map is smooth except at landmarks, where its second derivative grows like a logarithm.
-The map is evaluated at every `spacing`-th pixel, and a cubic spline through these nodes gives the other pixels. Cells
-in which the error of the spline is too large are evaluated pixel by pixel, together with their neighbours. The bound is
-four times smaller in cells with landmarks.
+The map is evaluated at every `spacing`-th pixel, and a cubic spline through these nodes gives the positions of other
+pixels. Cells in which the error of the spline is above a bound, and their neighbours, are evaluated pixel by pixel. The
+bound is four times smaller in cells with landmarks.
 
 The error of the spline is estimated, not proved. The error of the spline through every second node in each direction is
-measured at all nodes. A quarter of it is the estimate for the spline through all nodes: halving the spacing divides the
-error of a cubic spline by four if second derivatives are bounded, and by sixteen where the map is smooth. In addition
-the spline is compared with the map at the centres of the worst cells.
+measured at all nodes. A quarter of this error is the estimate for the spline through all nodes. The reason: half the
+spacing divides the error of a cubic spline by four if second derivatives are bounded, and by sixteen where the map is
+smooth. In addition the spline is compared with the map at the centres of the cells with the largest errors.
 
 Displacement fields: a field on the fixed frame, made with `inverse=True`, is the input of resampling programs such as
 ITK. Added to the position of a fixed pixel, it gives the position in the moving image. NIfTI, MetaImage and NRRD files
@@ -55,36 +55,37 @@ ORDERS: dict[str, int] = {"nearest": 0, "linear": 1, "cubic": 3}
 BOUND = 0.01
 """Largest error, in pixels, of positions from a coarse grid."""
 LARGEST, SMALLEST = 32, 2
-"""Pixels between nodes."""
+"""Most and fewest pixels between nodes."""
 HALVING = 4.0
-"""The least factor by which half the spacing reduces the error of a cubic spline; see above."""
+"""The least factor by which half the spacing reduces the error of a cubic spline; see the module's docstring."""
 SINGULAR = 4.0
-"""The factor by which the bound is smaller in cells with a landmark, where the error varies within a cell."""
+"""The factor by which the error bound is smaller in cells with a landmark, where the error varies within a cell."""
 PORTION = 1 << 20
 """Pixels that are mapped at once: a multiple of the block size of the flow."""
 CHECKED = 256
 """Cells at whose centres the spline is compared with the map."""
 BAND_ROWS = 64
-"""Rows of the result that one thread looks up at a time."""
+"""Rows of the result that one thread fills at a time."""
 SPLINE_PADDING = 12
-"""Pixels by which an image is continued before a spline is fitted, as in scipy.ndimage for this boundary mode."""
+"""Pixels of padding at each edge before a spline is fitted, as in scipy.ndimage for this boundary mode."""
 
 FIELD_KINDS = (".npz", ".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
 _FIELDS = "which writes this kind of file,"
 _NIFTI_VECTOR = "vector"  # the intent whose components ITK takes without a change of sign
 _META_HEADER, _META_SAMPLES, _META_KEY = ".mhd", ".raw", "ElementDataFile"
 _SAMPLE_KEYS = {_META_HEADER: ("=", (_META_KEY,)), ".nhdr": (":", ("data file", "datafile"))}
-"""By kind of header: the text between a key and its value, and the keys of files of samples."""
+"""The separator of keys and values, and the keys that name the file of samples, by suffix of the header."""
 _MOST_HEADER = 1 << 16
-"""Bytes of a header that are searched."""
+"""Bytes of a header file that are searched for keys."""
 
 
 @dataclass(frozen=True, eq=False)
 class Positions:
     """The positions to which the pixels of a grid are mapped, shape (h, w, 2), and their accuracy.
 
-    `spacing` is 1 if all pixels were mapped exactly. Otherwise `exact` is the share of exactly mapped pixels. `bound`
-    is the largest error of the others, in pixels: estimated, or measured at the centres of the worst cells.
+    `spacing` is the number of pixels between nodes, or 1 if all pixels were mapped exactly. `exact` is the fraction of
+    pixels in exactly mapped cells. `bound` is the largest error of the other pixels, in pixels, either estimated or
+    measured at the centres of the cells with the largest errors.
     """
 
     places: Array
@@ -97,9 +98,8 @@ class Positions:
 class WarpReport:
     """The accuracy of a warped image.
 
-    Positions were evaluated at every `spacing`-th pixel and at a share `exact` of the others. `bound` is the largest
-    error of an interpolated position, in pixels; see `codegen.registration.warp`. `outside` counts the pixels of the
-    result whose position is outside the image.
+    `spacing`, `exact` and `bound` are as in `Positions`. `outside` is the number of pixels of the result whose position
+    is outside the image.
     """
 
     spacing: int
@@ -136,7 +136,7 @@ def warp(
     shape : sequence of int, optional
         Height and width of the result; by default of the other image.
     spacing : int or "auto", optional
-        Pixels between the nodes of a coarse grid from which positions are interpolated; by default none are.
+        Pixels between the nodes of a coarse grid that interpolates positions; by default all positions are exact.
     bound : float
         The largest error of an interpolated position, in pixels.
     fill : float
@@ -144,7 +144,7 @@ def warp(
     time : float
         The time of `Registration.positions`, from 0 to 1.
     positions : Positions, optional
-        Known positions, as from `certify_with_positions`; `inverse`, `shape`, `spacing` and `time` have no effect then.
+        Positions from `certify_with_positions`, which make `inverse`, `shape`, `spacing` and `time` ineffective.
 
     Returns
     -------
@@ -169,7 +169,7 @@ def warp_reported(
     shape: Sequence[int] | None = None, spacing: Spacing = None, bound: float = BOUND, fill: float = 0.0,
     time: float = 1.0, positions: Positions | None = None,
 ) -> tuple[Pixels, WarpReport]:  # fmt: skip
-    """Warp an image as `warp` does, and report the accuracy."""
+    """Warp an image as `warp` does, and return the image and a report of its accuracy."""
     image = np.asarray(pixels)
     if interpolation not in ORDERS:
         raise ArgumentError(f"interpolation is {interpolation!r}", f"use {', '.join(ORDERS)}")
@@ -187,7 +187,7 @@ def warp_reported(
     def band(rows: slice) -> int:
         return sample_band(layers, places[rows], image.shape, order, fill, warped[rows])
 
-    # Interpolation holds no lock, and the positions of a band stay in the cache of the processor.
+    # Interpolation holds no lock, and the positions of a band fit into the cache of the processor.
     bands = [slice(k, k + BAND_ROWS) for k in range(0, len(warped), BAND_ROWS)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         outside = sum(pool.map(band, bands))
@@ -202,7 +202,7 @@ def sources(
     bound: float = BOUND,
     time: float = 1.0,
 ) -> Positions:
-    """Return the positions in the source image of the pixels of a warped image."""
+    """Return the position in the source image of each pixel of a warped image; arguments are as in `warp`."""
     pairs = registration.pairs
     singular = pairs.moving if inverse else registration.positions(time, pairs.moving)
 
@@ -222,7 +222,7 @@ def displacement_field(
     registration : Registration
         The map.
     shape : sequence of int, optional
-        Height and width; by default of the image.
+        Height and width of the field; by default of the moving image, or of the fixed image with `inverse`.
     inverse : bool
         Return the displacements of the inverse map at the pixels of the fixed image.
     spacing : int or "auto", optional
@@ -241,7 +241,7 @@ def displacement_field(
 
 
 def displacements(positions: Positions) -> Array:
-    """Subtract the pixels from their positions, shape (h, w, 2)."""
+    """Return the vectors from pixels to their positions, shape (h, w, 2)."""
     return np.asarray(positions.places - pixel_grid(positions.places.shape).reshape(positions.places.shape))
 
 
@@ -262,7 +262,7 @@ def write_field(path: Path | str, field: Array, direction: str = "") -> None:
     ArgumentError
         For another suffix.
     ImageError
-        If the array is no field.
+        If the array has another shape.
     ExtraError
         If the library is missing: nibabel for NIfTI, SimpleITK for MetaImage and NRRD.
     FileError
@@ -294,12 +294,12 @@ def write_field(path: Path | str, field: Array, direction: str = "") -> None:
 
 
 def written_with(path: Path) -> Path | None:
-    """Return the file of samples that is written together with a header; None for volumes in one file."""
+    """Return the file of samples that is written with the header `path`; None for formats with a single file."""
     return path.with_suffix(_META_SAMPLES) if path.suffix.lower() == _META_HEADER else None
 
 
 def read_with(path: Path) -> Path | None:
-    """Return the file of samples that a header names; None if it names none or is not readable."""
+    """Return the file of samples that the header `path` names; None without such a name, or if it is unreadable."""
     separator, keys = _SAMPLE_KEYS.get(path.suffix.lower(), ("", ()))
     if not keys:
         return None
@@ -315,7 +315,7 @@ def read_with(path: Path) -> Path | None:
 
 @contextmanager
 def replacing_volume(path: Path) -> Iterator[Path]:
-    """Replace a volume as `codegen.files.replacing` does; a header is replaced after its samples."""
+    """Yield a path whose content replaces a volume as in `codegen.files.replacing`, a header after its samples."""
     samples = written_with(path)
     if samples is None:
         with replacing(path) as temporary:
@@ -336,11 +336,11 @@ def replacing_volume(path: Path) -> Iterator[Path]:
 def map_grid(
     function: Map, shape: Sequence[int], singular: PointArray, spacing: Spacing = None, bound: float = BOUND
 ) -> Positions:
-    """Map every pixel of an image of shape (height, width, ...) by a function of points.
+    """Map every pixel of an image of shape (height, width, ...) by a function of points, shape (n, 2).
 
-    `singular` are the points, shape (n, 2), at which the function is not smooth. Without a `spacing` all pixels are
-    mapped exactly. With "auto" the spacing is halved while that reduces the number of evaluations. Raises ArgumentError
-    for a spacing other than "auto" and the powers of two from 2 to 32.
+    `singular` are the points, shape (n, 2), at which the function is not smooth. If `spacing` is None, all pixels are
+    mapped exactly. "auto" halves the spacing while that reduces the number of evaluations. `bound` is the largest
+    error in pixels. Raise ArgumentError for a spacing other than "auto" and the powers of two from 2 to 32.
     """
     height, width = int(shape[0]), int(shape[1])
     largest = LARGEST
@@ -367,9 +367,9 @@ def map_grid(
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Exactly mapped nodes, from pixel 0 to beyond the last one, with an even number of cells in each direction.
+    """Exactly mapped nodes, `spacing` pixels apart, from pixel 0 to beyond the last pixel, with even numbers of cells.
 
-    `shifts`, shape (rows, columns, 2), are the displacements of the nodes; splines preserve zero displacements.
+    `shifts`, shape (rows, columns, 2), are the displacements of the nodes; splines keep zero displacements exactly.
     """
 
     shape: tuple[int, int]
@@ -380,7 +380,7 @@ class _Grid:
 
     @classmethod
     def of(cls, function: Map, shape: tuple[int, int], spacing: int, coarser: _Grid | None = None) -> _Grid:
-        """Map all nodes, apart from the nodes of a coarser grid of twice the spacing."""
+        """Map all nodes; displacements of nodes of a `coarser` grid, with twice the spacing, are copied."""
         y, x = (spacing * np.arange(2 * -(-length // (2 * spacing)) + 1.0) for length in shape)
         shifts = np.full((y.size, x.size, 2), np.nan)
         if coarser is not None:
@@ -399,7 +399,7 @@ class _Grid:
         return np.asarray(np.linalg.norm(coarse - self.shifts, axis=-1) / HALVING)
 
     def doubtful(self, errors: Array, singular: PointArray, bound: float) -> NDArray[np.bool_]:
-        """Mark cells with a large error, cells with a singular point and an error that is not small, and neighbours."""
+        """Mark cells with errors above `bound`, cells with a singular point and moderate errors, and all neighbours."""
         in_cells = _at_cells(errors)
         large = ~(in_cells <= bound)
         columns, rows = np.floor(singular / self.spacing).astype(int).T
@@ -409,7 +409,7 @@ class _Grid:
         return np.asarray(binary_dilation(large, np.ones((3, 3))))
 
     def completed(self, function: Map, singular: PointArray, bound: float) -> Positions:
-        """Interpolate all pixels, and map the pixels of doubtful cells exactly."""
+        """Return the positions of all pixels, interpolated or, in doubtful cells, mapped exactly."""
         height, width = self.shape
         errors, lines = self.errors(), (self.y, self.x)
         coefficients = spline_coefficients(lines, self.shifts)
@@ -439,14 +439,14 @@ def _at_cells(errors: Array) -> Array:
 
 
 def spline_coefficients(lines: Sequence[Array], values: Array) -> Array:
-    """Fit the cubic spline ("not a knot" at its ends) through values on a grid, shape (*lengths of lines, c)."""
+    """Return coefficients of the cubic spline ("not a knot") through values on a grid, shape (*lengths of lines, c)."""
     for axis, line in enumerate(lines):
         values = np.moveaxis(make_interp_spline(line, np.moveaxis(values, axis, 0), k=3).c, 0, axis)
     return values
 
 
 def spline_on_grid(lines: Sequence[Array], coefficients: Array, points: Sequence[Array]) -> Array:
-    """Evaluate a spline on another grid, whose coordinates along each axis are `points`."""
+    """Evaluate the spline with nodes `lines` on another grid, whose coordinates along each axis are `points`."""
     bases = [basis(line, at) for line, at in zip(lines, points, strict=True)]
     out = np.empty((*map(len, points), coefficients.shape[-1]))
     for component in range(out.shape[-1]):
@@ -459,7 +459,7 @@ def spline_on_grid(lines: Sequence[Array], coefficients: Array, points: Sequence
 
 
 def spline_at(lines: Sequence[Array], coefficients: Array, points: Array) -> Array:
-    """Evaluate a spline at points in the order of the lines, shape (n, d)."""
+    """Evaluate the spline with nodes `lines` at points, shape (n, d), whose coordinates have the order of `lines`."""
     (line, *others), (at, *rest) = lines, points.T
     values = (basis(line, at) @ coefficients.reshape(len(line), -1)).reshape(len(points), *coefficients.shape[1:])
     for line, at in zip(others, rest, strict=True):
@@ -468,13 +468,13 @@ def spline_at(lines: Sequence[Array], coefficients: Array, points: Array) -> Arr
 
 
 def basis(nodes: Array, at: Array) -> csr_array:
-    """Evaluate the cubic B-splines of nodes at points: a sparse matrix."""
+    """Return the values of the cubic B-splines of nodes (columns) at the points `at` (rows), a sparse matrix."""
     knots = np.concatenate([[nodes[0]] * 4, nodes[2:-2], [nodes[-1]] * 4])
     return BSpline.design_matrix(at, knots, 3).tocsr()
 
 
 def spline_of(layer: Pixels, order: int) -> Pixels:
-    """Return the values, or the coefficients of the cubic spline through the continued values."""
+    """Return the image for `order` below 2, or else coefficients of the spline through the padded image."""
     if order < 2:
         return layer
     wide = np.pad(layer.astype(np.float64), SPLINE_PADDING, mode="edge")
@@ -484,10 +484,10 @@ def spline_of(layer: Pixels, order: int) -> Pixels:
 def sample_band(
     layers: Sequence[Pixels], sources: Array, shape: Sequence[int], order: int, fill: float, warped: Pixels
 ) -> int:
-    """Fill rows of the result, or of a slice, from positions (x, y, ...); return the number of pixels from outside.
+    """Fill the rows `warped` of the result with values of the image at `sources`, and count pixels from outside.
 
-    A pixel reaches half a pixel from its centre. Beyond the outermost centres, but within their pixels, the image has
-    the value at the edge.
+    `layers` are channels from `spline_of`, `shape` the shape of the image and `sources` positions (x, y, ...). A pixel
+    reaches half a pixel from its centre; beyond the outermost centres the image has the value at the edge.
     """
     axes = sources.shape[-1]
     places = np.moveaxis(sources[..., ::-1], -1, 0).copy()
