@@ -5,7 +5,7 @@ import pytest
 from dense_problem import INFINITY, guess_of
 from known_optima import nlp, x1, x2, x3
 
-from codegen.runtime.search.descent import fill_newton_system, move
+from codegen.runtime.search.descent import fill_newton_system, lower_barrier, move
 from codegen.runtime.search.grid import primal_unknowns
 from codegen.runtime.search.iterates import pushed_inside, search_on
 
@@ -51,3 +51,17 @@ def test_start_is_pushed_inside() -> None:
     grid = nlp((-5, 9, 0.5), x1 + x2 + x3, [], [], {x1: (0, 1), x2: (-INFINITY, 4), x3: (0, 1)})
     pushed = pushed_inside(search_on(grid), guess_of(grid), 1e-2)
     np.testing.assert_allclose(pushed[primal_unknowns(grid)], [0.01, 4 - 0.04, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("mu", "error", "products", "expected"),
+    [
+        (0.1, 2.0, (0.1, 0.1), 0.1),  # the barrier problem is not solved: 2 > 10 mu
+        (0.1, 0.5, (0.02, 0.1), 0.02),  # 0.2 mu is less than mu^1.5; then the error is too large
+        (0.1, 0.5, (0.1, 2.0), 0.1),  # a product of a distance and its dual is far from mu
+        (1e-4, 0.0, (1e-4, 1e-4), 1e-6),  # mu^1.5 is less than 0.2 mu; then the products are too large
+        (1e-9, 0.0, (0.0, 0.0), 1e-10),  # not below the least parameter
+    ],
+)
+def test_the_barrier_parameter_follows_the_rule_of_waechter_and_biegler(mu, error, products, expected):
+    assert lower_barrier.py_func(mu, 1e-10, error, 1.0, *products) == pytest.approx(expected, rel=1e-12)

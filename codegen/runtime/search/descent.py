@@ -99,6 +99,8 @@ PATIENCE = 8  # iterations with the last weight after which the convergence test
 VAIN = 20  # full steps in turn without effect on the violation, after which equations count as contradictory
 
 # The barrier.
+ERROR_FACTOR = 10.0  # the barrier parameter mu decreases if the error is below this multiple of mu
+DECREASE, POWER = 0.2, 1.5  # the next parameter is the smaller of DECREASE * mu and mu**POWER
 LEAST_PART = 0.025  # the last weight, relative to the tolerance; with 0.1, the cost of a crane problem is off by 2e-9
 RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # largest and least relaxation of a bound, relative to max(1, |bound|)
 PER_WEIGHT = 1e-2  # the relaxation between these limits, relative to the barrier's weight
@@ -145,6 +147,20 @@ def sum_of_logarithms(distance):
             total += np.log(product)
             product = 1.0
     return total + np.log(product)
+
+
+@njit(error_model="numpy")
+def lower_barrier(mu, least, error, dual_scale, lowest, highest):
+    """Return the next barrier parameter, at least `least`; mu itself if the barrier problem is not solved well enough.
+
+    `error` is the scaled error of feasibility and optimality, `lowest` and `highest` are the products of a distance and
+    its dual variable. Source: Wächter and Biegler (2006), Mathematical Programming 106, equations (5) and (7).
+    """
+    while mu > least and error <= ERROR_FACTOR * mu:
+        if max(highest - mu, mu - lowest) / dual_scale > ERROR_FACTOR * mu:
+            break
+        mu = max(least, min(DECREASE * mu, mu**POWER))
+    return mu
 
 
 @njit(cache=True, error_model="numpy")
@@ -988,14 +1004,8 @@ def descend(
             break
         # Update of the barrier's weight, and of the relaxation of bounds.
         if m > 0:
-            new = mu
-            if residual <= 10.0 * mu:
-                scaled = max(stationarity / max(1.0, mean / 100.0), residual)
-                dual_scale = max(1.0, mean_dual / 100.0)
-                while new > least_mu and scaled <= 10.0 * new:
-                    if max(highest - new, new - lowest) / dual_scale > 10.0 * new:
-                        break
-                    new = max(least_mu, min(0.2 * new, new**1.5))
+            scaled = max(stationarity / max(1.0, mean / 100.0), residual)
+            new = lower_barrier(mu, least_mu, scaled, max(1.0, mean_dual / 100.0), lowest, highest)
             if new < mu:
                 integers[PAIRS], integers[REFUSED], integers[IN_TURN] = 1, 0, 0
                 integers[SHORTENED], integers[WATCHING] = 0, 0

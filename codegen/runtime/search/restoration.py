@@ -9,6 +9,7 @@ Biegler (2006), section 3.3.
 
 import numpy as np
 
+from codegen.runtime.search.descent import DECREASE, ERROR_FACTOR, POWER
 from codegen.runtime.search.iterates import FROM_GUESS, begin, moved, newton_system, step_along
 from codegen.runtime.search.linear_system import factor_kkt, is_factored
 from codegen.runtime.search.point import evaluate
@@ -128,12 +129,12 @@ def restoration_error(search, current, residual_slope):
 
 
 def lower_weight(nu, error):
-    """Return the weight of the restoration's barrier for the next step.
+    """Return the barrier parameter of the restoration for the next step, by the rule of `descent.lower_barrier`.
 
-    `error` is the error of the optimality conditions with the weight `nu`.
+    `error` is the error of the optimality conditions with the parameter `nu`.
     """
-    while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
-        nu = max(1e-14, min(0.2 * nu, nu**1.5))
+    while nu > 1e-14 and max(error, 0.0) <= ERROR_FACTOR * nu:
+        nu = max(1e-14, min(DECREASE * nu, nu**POWER))
     return nu
 
 

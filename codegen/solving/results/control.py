@@ -12,7 +12,7 @@ from codegen.runtime.record import ControlRecord
 from codegen.runtime.search import point as derivatives
 from codegen.runtime.search.bounds import bounds_of, prescribed_beyond
 from codegen.runtime.search.grid import plain_grid
-from codegen.runtime.search.messages import tables_beyond, worst_row
+from codegen.runtime.search.messages import OUTSIDE_TABLE, REMEDIES, tables_beyond, worst_row
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import STEEP, corrected_cost
 from codegen.solving.loading import ControlModule, Entries, Grid, Vector, time_grid
@@ -76,10 +76,8 @@ def control_verdict(module: ControlModule, driver: str, run: Run, attempt: Contr
     elif metadata.inequalities and (beyond := prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
     elif status == "solved" and (outside := ("" if grid.problem.inputs is None else tables_beyond(grid, unknowns))):
-        status = "outside a table"
-        message = (
-            f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
-        )
+        status = OUTSIDE_TABLE
+        message = f"{status}: {outside}; {REMEDIES[status]}"
     elif status != "solved" and not attempt.generated and not attempt.is_explained:
         # Messages of other optimisers number the equations; the module knows the name of the worst one.
         message += f"; {worst_row(grid, module.evaluate(grid, unknowns))}"
