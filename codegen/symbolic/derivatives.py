@@ -253,7 +253,7 @@ def values_of(values: Sequence[Expr]) -> StraightLine:
 
 
 def program_of(graph: Graph, roots: Sequence[int]) -> StraightLine:
-    """Return a program for the values of nodes, which assigns to symbols x0, x1, ... that the graph does not contain."""
+    """Return a program for the values of nodes; its symbols are x0, x1, ..., apart from names of the graph's leaves."""
     taken = {str(node.expression) for node in graph.nodes if isinstance(node, Leaf)}
     smaller, numbers = shared(graph, roots)
     fresh = (Symbol(f"x{i}", real=True) for i in count() if f"x{i}" not in taken)

@@ -141,7 +141,7 @@ def sinc_derivative(order: int, x: mpmath.mpf | float) -> mpmath.mpf:
 
 
 def rewritten(expression: Expr, what: str) -> Expr:
-    """Return an expression in printable functions; ExpressionError names `what` if a sum or integral has no closed form."""
+    """Return an expression in printable functions; ExpressionError about `what` if it has a sum without closed form."""
     for part in sorted(expression.atoms(sympy.Sum, sympy.Product, sympy.Integral, sympy.Derivative), key=str):
         if isinstance(part, sympy.Derivative) and not set(part.variables) <= part.expr.free_symbols:
             finding = f"{what} has {_short(part)}, which is zero: symbols depend on no other symbol"

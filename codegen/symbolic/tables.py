@@ -259,7 +259,7 @@ _BASES: dict[str, tuple[tuple[int, ...], ...]] = {"linear": ((1, -1), (0, 1))}
 def derivative(
     table: TableData, order: Sequence[int], at: Sequence[Number], real: Callable[[Number], Number]
 ) -> Number:
-    """Return a derivative at the inputs `at`, `order[i]` times with respect to input i; `real` returns the real part."""
+    """Return a derivative at the inputs `at`, `order[i]` times with respect to input i; `real` returns real parts."""
     kind, heights = table.shape.kind, table.heights
     if kind == "steps":
         before = np.searchsorted(table.axes[0], np.asarray(real(at[0]), dtype=float), side="right") - 1
