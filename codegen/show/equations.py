@@ -143,7 +143,7 @@ def equations(
 ) -> str:
     """Return the equations of a problem and of its discretisation, as text of about 100 columns or as LaTeX.
 
-    LaTeX needs the package amsmath. Raises CodegenError for an unusable problem or choice.
+    LaTeX needs the package amsmath. Raises CodegenError for an unusable problem, scheme, method or controls.
     """
     source = source_of(problem)
     model = load_problem(source, settings_of(source, arguments))

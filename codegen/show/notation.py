@@ -40,7 +40,7 @@ class _Printer(PrettyPrinter):  # type: ignore[misc]
 
 @dataclass(frozen=True)
 class Block:
-    """A heading, equations left = right, and remarks, each as plain text and as LaTeX."""
+    """A heading, equations as pairs (left, right), and remarks as pairs (plain text, LaTeX)."""
 
     heading: str
     equations: tuple[tuple[Expr, Expr], ...] = ()

@@ -26,10 +26,10 @@ PRINTABLE = (
     *(sympy.erf, sympy.erfc, functions.gamma, functions.lgamma, functions.OrderedBase),
     *(TableBase, EachBodyBase),
 )
-"""Functions that the printer writes as numba code."""
+"""Functions that the printer can write as numba code."""
 
 _TINY = 1e-50
-"""Values below this size may be remainders of cancellation and are checked again."""
+"""Values below this size may be rounding errors after cancellation and are checked again."""
 _ARITHMETIC = (
     *(sympy.Symbol, sympy.Number, sympy.NumberSymbol, sympy.Add, sympy.Mul, sympy.Pow),
     *(sympy.functions.elementary.piecewise.ExprCondPair, sympy.core.relational.Relational),
@@ -37,7 +37,7 @@ _ARITHMETIC = (
 )
 
 _WIDE = 100
-"""Decimal exponent of factors that are moved into the exponent of an exponential."""
+"""Decimal exponent, positive or negative, beyond which factors are moved into an exponential."""
 
 
 def checked(value: object, what: str) -> sympy.Expr:

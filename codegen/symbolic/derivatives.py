@@ -126,7 +126,7 @@ def _curvatures(graph: Graph, number: int) -> list[tuple[int, int, int]]:
 
 
 def slopes(graph: Graph, value: int, unknowns: Sequence[int]) -> dict[int, int]:
-    """Return a value's first derivatives as nodes, by the unknown; unknowns without influence are left out."""
+    """Return the first derivative of a value, as a node, for each unknown on which the value depends."""
     wanted = set(unknowns)
     order = [node for node in graph.reachable([value]) if graph.varies[node]]
     depending = set[int]()
@@ -148,7 +148,7 @@ def slopes(graph: Graph, value: int, unknowns: Sequence[int]) -> dict[int, int]:
 
 
 def slopes_of_node(graph: Graph, number: int) -> Slopes:
-    """Return the first derivatives of a node with respect to its varying arguments."""
+    """Return the first derivatives of a node with respect to its varying arguments, as `Slopes`."""
     node, varies = graph.nodes[number], graph.varies
     if isinstance(node, Sum):
         return [(term, None, coefficient) for term, coefficient in node.terms if varies[term]]
@@ -211,7 +211,7 @@ class MixedDerivatives:
 
 
 def mixed_derivatives(scalar: Expr, unknowns: Sequence[Symbol], data: Sequence[Symbol]) -> MixedDerivatives:
-    """Return a program for the derivatives of a scalar that contain data, without those that are identically zero."""
+    """Return a program as in `MixedDerivatives`, without derivatives that are identically zero."""
     graph, count = Graph([*unknowns, *data]), len(unknowns)
     leaves = range(count + len(data))
     adjoints = accumulate(graph, graph.of(scalar), leaves)
@@ -253,7 +253,7 @@ def values_of(values: Sequence[Expr]) -> StraightLine:
 
 
 def program_of(graph: Graph, roots: Sequence[int]) -> StraightLine:
-    """Return a program for the values of nodes; its symbols are x0, x1, ..., apart from names of the graph's leaves."""
+    """Return a program for the values of nodes; its symbols x0, x1, ... skip the names of the graph's leaves."""
     taken = {str(node.expression) for node in graph.nodes if isinstance(node, Leaf)}
     smaller, numbers = shared(graph, roots)
     fresh = (Symbol(f"x{i}", real=True) for i in count() if f"x{i}" not in taken)
@@ -282,7 +282,7 @@ def variation(function: Expr, displacements: Mapping[Symbol, Expr]) -> Expr:
 
 
 def _along(function: Expr, directions: Sequence[Mapping[Symbol, Expr]]) -> tuple[Expr, ...]:
-    """Return the derivatives of a function along directions, each as one expression."""
+    """Return the derivatives of a function along directions, which map symbols to displacements."""
     graph = Graph(sorted(set().union(*directions), key=lambda symbol: symbol.name))
     value = graph.of(function)
     order = [node for node in graph.reachable([value]) if graph.varies[node]]

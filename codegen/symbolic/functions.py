@@ -30,7 +30,7 @@ STEMS = ("polygamma", "sinc_derivative")
 
 
 class OrderedBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-    """Member number `order` of the family `stem`; the derivative of each member is the next member."""
+    """A function of one variable: member `order` of the family `stem`, whose derivative is the next member."""
 
     nargs = 1
     stem = ""

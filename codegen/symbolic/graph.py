@@ -91,7 +91,7 @@ class Graph:
         return self.add(Sum(value, ()))
 
     def sum(self, terms: Iterable[tuple[int, Fraction]], constant: Fraction = ZERO) -> int:
-        """Return the node of constant + sum of coefficient * node."""
+        """Return the node of constant + sum of coefficient * node for pairs (node, coefficient)."""
         total: dict[int, Fraction] = {}
         for node, coefficient in terms:
             factor, core = self.scaled(node)
@@ -118,7 +118,7 @@ class Graph:
         return core if content == 1 else self.add(Sum(ZERO, ((core, content),)))
 
     def product(self, factors: Iterable[tuple[int, Fraction]], coefficient: Fraction = ONE) -> int:
-        """Return the node of coefficient * product of node ** exponent."""
+        """Return the node of coefficient * product of node ** exponent for pairs (node, exponent)."""
         total: dict[int, Fraction] = {}
         for node, exponent in factors:
             if exponent.denominator == 1:
@@ -142,7 +142,7 @@ class Graph:
         return self.product([(node, ONE) for node in nodes])
 
     def call(self, template: Expr, indices: tuple[int, ...]) -> int:
-        """Return the node of a template at the nodes `indices`; log(1 + x) becomes log1p(x), which keeps all digits."""
+        """Return the node of a template with nodes `indices` as arguments; log(1 + x) becomes the accurate log1p(x)."""
         if len(set(indices)) < len(indices):  # merge equal arguments, such as in atan2(x, x)
             once = {argument(i): argument(indices.index(node)) for i, node in enumerate(indices)}
             return self.of(template.xreplace(once), {argument(i): node for i, node in enumerate(indices)})

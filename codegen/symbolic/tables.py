@@ -31,13 +31,13 @@ KINDS = {
     "linear": "straight lines, whose slope jumps at every breakpoint",
     "steps": "the value of the breakpoint before, with a slope of zero",
 }
-"""Kinds of interpolation between breakpoints, and their continuity."""
+"""Kinds of interpolation between breakpoints, and the properties of each kind."""
 OUTSIDE = {
     "error": "a solution that reads it outside its range is no solution",
     "clamp": "outside it has the value at the edge, and the slope zero",
     "extend": "outside the outermost polynomials go on",
 }
-"""Values outside the first and the last breakpoint."""
+"""Rules for inputs before the first or after the last breakpoint, and their effect."""
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,7 @@ def without_cancellation(expression: Expr) -> Expr:
     """
     logs = sorted(expression.atoms(sympy.log), key=sympy.default_sort_key)
     if not logs:
-        # The expression or its factored form, whichever has fewer operations.
+        # Choose the form with the fewest operations.
         candidates = [expression, sympy.factor_terms(expression)]
         if not expression.has(sympy.Piecewise, sympy.Abs, sympy.Min, sympy.Max):
             candidates.append(_rational(expression))
@@ -238,7 +238,7 @@ class Invariants:
         return dict(zip(self.second[:half], self.first[:half], strict=True))
 
     def coincidence(self) -> tuple[Expr | None, bool]:
-        """Return the limit where both particles meet, and True if the gradient tends to the gradient of the limit.
+        """Return the term's limit where both particles meet, and True if its gradient tends to the limit's gradient.
 
         The limit is None if it is not finite, or if more than one scalar vanishes. It is taken in the squared distance
         s from above. The gradient of s has the size of sqrt(s), so f_s sqrt(s) must tend to zero. A scalar of either
@@ -298,5 +298,5 @@ class EachBodyBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
 
 def value_counts(expression: Expr) -> set[int]:
-    """Return the numbers of values that functions of the body's number have in an expression."""
+    """Return the set of value counts that the `EachBodyBase` functions in an expression have."""
     return {len(function.args) - 1 for function in expression.atoms(EachBodyBase)}

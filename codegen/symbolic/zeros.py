@@ -279,7 +279,7 @@ def _by_digits(graph: Graph, roots: Sequence[int]) -> set[int]:
 
 
 def _verdicts(graph: Graph, roots: Sequence[int], generator: random.Random, trial: int) -> dict[int, int]:
-    """Return verdicts on nodes at a random point: 1 if only rounding error, 0 if terms were absorbed, -1 otherwise."""
+    """Return verdicts on nodes at a random point: 1 if only rounding error, 0 or none if undecided, -1 otherwise."""
     order, verdicts = graph.reachable(roots), dict[int, int]()
     symbols = [node.expression for node in map(graph.nodes.__getitem__, order) if isinstance(node, Leaf)]
     point = {symbol: _drawn(generator, trial) for symbol in symbols if symbol.is_Symbol}

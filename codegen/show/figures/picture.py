@@ -79,7 +79,7 @@ STYLES = {
     "paper": Style(7.1 / 12.0, 7.5, 0.7, 300.0, has_title=False, has_details=False),
     "talk": Style(13.3 / 12.0, 15.0, 1.7, has_details=False, is_slide=True),
 }
-"""Styles by use: a page on a screen; the two columns of a journal, 180 mm wide; slides."""
+"""Styles by use: a page on a screen, both columns of a journal page (180 mm), and slides."""
 
 _used: ContextVar[Style] = ContextVar("style", default=STYLES["page"])
 

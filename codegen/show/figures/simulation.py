@@ -141,7 +141,7 @@ MOST_NAMED = 80
 
 
 def specimen_figure(points: NDArray[np.float64], names: Sequence[str], share: float) -> Figure:
-    """Return a map of specimens at points (m, 2), in geodesic distance; `share` is its fraction that the map shows."""
+    """Return a map of specimens at points (m, 2); `share` is the fraction of geodesic distances that it explains."""
     figure = new_figure(7.0, 6.0)
     axes = figure.add_subplot()
     axes.scatter(points[:, 0], points[:, 1], s=18, color=BLUE)
@@ -158,7 +158,7 @@ MOST_STATES, MOST_INPUTS = 12, 8
 """Largest numbers of panels for states and for inputs."""
 
 References: TypeAlias = Mapping[str, Callable[[float], float]]
-"""References of states or inputs by name, as functions of time."""
+"""Reference trajectories of states or inputs by name, as functions of time."""
 
 _MILLI = 1e3
 _COLUMNS = (1, 1, 2, 3, 4, 3, 3, 4, 4)

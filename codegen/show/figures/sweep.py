@@ -102,7 +102,7 @@ MOST_PANELS, MOST_TRAJECTORIES, MOST_CASES = 15, 60, 4000
 MOST_CONTROLS = 6
 """Number of controls that are drawn even if the states alone would fill all panels."""
 BANDS = ((0.05, 0.95, 0.18), (0.25, 0.75, 0.35))
-"""Quantiles that bound the bands of a fan, and their opacity."""
+"""Lower quantile, upper quantile and opacity of each band of a fan."""
 _COLUMNS = {"q": ("coordinate", "state"), "u": ("control", "control")}
 
 
@@ -382,7 +382,7 @@ def _axis_places(data: Dataset, dim: str) -> tuple[Numbers, NDArray[np.intp], li
 
 
 def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
-    """Draw measures over quantity dims[0], with a line for each value of dims[1], and trajectories of all cases."""
+    """Draw measures over dims[0], with a line for each value of dims[1], or one line and all trajectories."""
     x, order, words = _axis_places(data, dims[0])
     by = dims[1] if len(dims) > 1 else None
     measures, (groups, _) = measures_of(data), groups_of(data)
