@@ -51,8 +51,8 @@ class Block:
 class Notation:
     """The translation of internal symbols to printed symbols; `velocities` maps the name dq to the name q.
 
-    Internal names end in `_k`, `_k1`, `_k-1` at nodes, in `_stage1` inside a step, in `@0` and `@T` at the start and
-    the end, and in `@-` and `@+` before and after a switch of phases. Before these endings `@t-1/2` marks a past value.
+    Internal names end in `_k`, `_k1`, `_k-1` at nodes and in `_stage1` inside a step. They end in `@0` and `@T` at the
+    start and end, in `@-` and `@+` before and after a switch of phases. Before these, `@t-1/2` marks a past value.
     The prefix `rate ` marks the first time derivative, `acceleration ` the second, and `f `, `f- ` or `f+ ` forces.
     """
 

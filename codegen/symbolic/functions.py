@@ -226,7 +226,7 @@ _REMEDIES = {
 class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
     """A table as a sympy function, or its partial derivative: `order` counts the derivatives for each input.
 
-    The name ends in Base, because printers of sympy then find their methods by this class.
+    The name ends in Base, so that printers of sympy look for methods of this class.
     """
 
     is_real = True

@@ -329,7 +329,7 @@ LOSSES = {
 class Layout:
     """The names of the columns that a module reads: times, measured values, and their standard deviations.
 
-    Each standard deviation is a number, a column, or None if unknown. Errors are not scaled in the last case.
+    A standard deviation is a number, a column, or None if unknown; then errors are not scaled.
     """
 
     time: str

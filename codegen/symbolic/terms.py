@@ -276,7 +276,7 @@ def _is_quadratic(term: Expr, moving: set[Symbol]) -> bool:
 class EachBodyBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
     """A number that differs between bodies: the arguments are the body's index, then the value for each body.
 
-    The name ends in Base, because printers of sympy then find their methods by this class.
+    The name ends in Base, so that printers of sympy look for methods of this class.
     """
 
     is_real = True

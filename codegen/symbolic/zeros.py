@@ -1,7 +1,7 @@
 """Proof that values vanish identically although their expressions do not show it.
 
-A value counts as zero only after a proof by exact arithmetic in finite fields, or if only rounding errors remain when
-the number of digits grows, at points of many magnitudes. The size of a value itself never matters.
+A value counts as zero after a proof by exact arithmetic in finite fields. A second test accepts a value that shrinks as
+fast as the number of digits grows, at points of many magnitudes. The size of a value itself never matters.
 
 In a finite field a value is zero only if its expression is zero, except with a probability of 1e-15. Symbols have
 random values; sums, products and fractions are exact. A function becomes a random map with its algebraic laws: exp(a)
