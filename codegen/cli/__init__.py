@@ -1,6 +1,6 @@
 """The command line: one file and one row of COMMANDS for each command.
 
-Exit status 0: success; 1: the numerics or a check failed; 2: the input was wrong. Errors are one line on stderr.
+The exit status is 0 for success, 1 if a solve or a check failed, and 2 for wrong input. Errors are one line on stderr.
 Commands import slow packages in their functions, so that `codegen --help` is instant.
 """
 
@@ -14,7 +14,7 @@ import typer
 from codegen.terminal import OneLineErrors
 
 HELP_WIDTH = 120
-"""Largest number of columns of help texts, which use the width of the terminal."""
+"""Largest width of help texts in columns; otherwise they have the width of the terminal."""
 main = typer.Typer(
     cls=OneLineErrors,
     help="Derive, emit and solve discrete mechanics: problems in sympy become self-contained numba solvers.",
@@ -24,9 +24,9 @@ main = typer.Typer(
 COMMANDS = (
     "new", "build", "solve", "sweep", "check", "show", "analyse", "report", "stress", "warp", "distances", "app",
 )  # fmt: skip
-"""Names of files of this folder, in the order of help.
+"""Names of commands in the order of the help text.
 
-Each file has a function of that name, and examples in EXAMPLES.
+The file of a command has a function with the same name, and examples in EXAMPLES.
 """
 
 for name in COMMANDS:

@@ -1,4 +1,4 @@
-"""The command `codegen app`: the web page of image registration, on this machine only."""
+"""The command `codegen app`: the web page for image registration, served to this machine only."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def check(
     with working("Checking"):
         from codegen.evidence import checks
 
-        # Check the module in the folder as it is, since it may have been edited by hand; else one of the cache.
+        # Check an existing module in the folder as it is, even if edited by hand; otherwise a module of the cache.
         choices = naming.chosen(scheme, method, controls.value, sensitivities=sensitivities)
         module = (out or compiler.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
         if not module.is_file():

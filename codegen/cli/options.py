@@ -10,7 +10,7 @@ import typer
 
 
 def positive(text: str | int) -> int:
-    """Return a positive integer; typer also passes defaults."""
+    """Return the positive integer in an option's text; typer also passes default values, which are integers."""
     if isinstance(text, int):
         return text
     if not (text.isascii() and text.isdigit() and len(text) < 13 and int(text) > 0):
@@ -61,5 +61,5 @@ PAGE = "Statuses and errors"
 
 
 def on_statuses(*statuses: str) -> str:
-    """Return the end of a message about failures, which names the page about statuses."""
+    """Return the end of an error message: a reference to the documentation page that explains the statuses."""
     return f'; the guide explains {", ".join(statuses)}: see "{PAGE}"'

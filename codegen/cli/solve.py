@@ -162,7 +162,7 @@ def solve(
 
 
 def _pairs(items: Sequence[str], option: str, what: str, example: str) -> dict[str, str]:
-    """Return the items NAME=... of an option as a dict; raises ArgumentError for another form or a repeated name."""
+    """Return items NAME=text as a dict; other or repeated items raise ArgumentError with the form NAME=`what`."""
     pairs: dict[str, str] = {}
     for item in items:
         name, equals, text = item.partition("=")
@@ -176,7 +176,7 @@ def _pairs(items: Sequence[str], option: str, what: str, example: str) -> dict[s
 
 
 def with_options(outcome: Outcome) -> Outcome:
-    """Return the outcome with options of the command in its messages, in place of arguments of `codegen.solve`."""
+    """Return the outcome with messages that name command-line options instead of arguments of `codegen.solve`."""
 
     def replaced(message: str) -> str:
         message = re.sub(r"\b(guesses|scaling)='?(\w+)'?", r"--\1 \2", message)
@@ -192,7 +192,7 @@ def with_options(outcome: Outcome) -> Outcome:
 
 @dataclass(frozen=True)
 class Pictures:
-    """The requested picture files, and the model of the problem for its drawing."""
+    """The requested files of pictures, and the model with the drawing of the problem; `unit` is the unit of time."""
 
     plot: Path | None = None
     animation: Path | None = None
@@ -215,7 +215,7 @@ class Pictures:
 
 
 def requested(request: Request, plot: Path | None, animation: Path | None, style: str = "page") -> Pictures:
-    """Check the requested pictures before the solve.
+    """Return the requested pictures after checks that need no solution.
 
     Raises ArgumentError for files that cannot be written, for a film .mp4 without ffmpeg, and for a film of a problem
     without a drawing. Raises the errors of the problem file.
@@ -246,7 +246,7 @@ def requested(request: Request, plot: Path | None, animation: Path | None, style
 
 
 def _with_progress(frames: Iterable[Frame], count: int) -> Iterable[Frame]:
-    """Show a progress bar on a terminal."""
+    """Return the frames, with a progress bar if the error output is a terminal."""
     if not sys.stderr.isatty():
         return frames
     from rich.console import Console

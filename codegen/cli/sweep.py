@@ -1,4 +1,4 @@
-"""The command `codegen sweep`: many solves of one problem in several processes, into one file."""
+"""The command `codegen sweep`: solve many cases of one problem in several processes, and store them in one file."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def sweep(
 
 
 def _once(option: str, pairs: Sequence[tuple[str, Value]]) -> dict[str, Value]:
-    """Return the pairs as a dict; raises ArgumentError for a repeated name."""
+    """Return the pairs (name, value) of an option as a dict; raises ArgumentError for a repeated name."""
     values: dict[str, Value] = {}
     for name, value in pairs:
         if name in values:

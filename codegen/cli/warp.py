@@ -15,7 +15,7 @@ from codegen.terminal import console, progress, working
 if TYPE_CHECKING:
     from codegen.registration.job import Options
 
-# Functions import codegen.registration, which imports numba.
+# Import codegen.registration only inside functions, because it imports numba.
 EXAMPLES = (
     "codegen warp moving.png --landmarks pairs.csv --out warped.png --report report.html",
     "codegen warp folder --fixed atlas.png --landmarks pairs.csv --out warped --workers 4",
@@ -23,7 +23,7 @@ EXAMPLES = (
 
 
 class Align(StrEnum):
-    """Transformation that is removed before the flow."""
+    """Kind of the map that aligns the landmarks before the flow."""
 
     AUTO = "auto"
     NONE = "none"
@@ -32,7 +32,7 @@ class Align(StrEnum):
 
 
 class Loss(StrEnum):
-    """Loss of landmark residuals; robust losses reduce the influence of outliers."""
+    """Loss function of landmark residuals; all except `linear` reduce the influence of outliers."""
 
     LINEAR = "linear"
     HUBER = "huber"

@@ -1,1 +1,1 @@
-"""The derived equations, laid out for people to read."""
+"""Output for people: derived equations, figures, films, and the display of objects in notebooks."""

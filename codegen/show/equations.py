@@ -1,4 +1,4 @@
-"""The derived equations, continuous and discrete, in blocks of text or LaTeX, for the terminal and for notebooks."""
+"""The derived continuous and discrete equations as text or LaTeX, for the terminal and for notebooks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from codegen.symbolic.terms import Invariants
 
 
 def pairwise_equations(model: PairwiseModel, scheme: str | None, method: str | None, latex: bool) -> str:
-    """Return the Hamiltonian of particles, its scalars, Hamilton's equations and the equations of a step."""
+    """Return as text the Hamiltonian of particles, its scalars, its derivatives and the equations of a step."""
     program = pairwise(model, scheme, method)
     lines = [f"{model.title.rstrip('.')} ({program.method} method, scheme {program.scheme})", ""]
     parts = Invariants.of(model.pair_term, model.first.moving, model.second.moving)
@@ -57,7 +57,7 @@ def pairwise_equations(model: PairwiseModel, scheme: str | None, method: str | N
 
 
 def is_past(name: str) -> bool:
-    """Return True for the name of a past value."""
+    """Return True if a name marks a past (delayed) value."""
     return "@t-" in name
 
 
@@ -95,7 +95,7 @@ def with_past(model: Model) -> Model:
 
 
 def delay_blocks(model: Model) -> Iterator[Block]:
-    """Yield the histories, and the segments of the method of steps."""
+    """Yield blocks with the histories of delayed quantities and the segments of the method of steps."""
     whole, segments = model.authored, model.segments
     if not whole.delays:
         return
@@ -113,7 +113,7 @@ def delay_blocks(model: Model) -> Iterator[Block]:
 
 
 _SHORTEN_LIMIT = 120
-"""Operation count up to which expressions are simplified."""
+"""Largest number of operations of an expression that is simplified."""
 _FLAT_BONUS = 1.6
 
 _EULER_LAGRANGE = (
@@ -143,7 +143,7 @@ def equations(
 ) -> str:
     """Return the equations of a problem and of its discretisation, as text of about 100 columns or as LaTeX.
 
-    LaTeX needs the package amsmath. Raises CodegenError for an unusable problem or choice.
+    LaTeX needs the package amsmath. Raises CodegenError for an unusable problem, scheme, method or controls.
     """
     source = source_of(problem)
     model = load_problem(source, settings_of(source, arguments))
@@ -195,7 +195,7 @@ def equations(
 
 
 def _within(bounds: Iterable[Bounds], notation: Notation) -> tuple[tuple[str, str], ...]:
-    """Return a remark for each quantity with bounds."""
+    """Return a remark (plain text, LaTeX) for each bounded quantity."""
     remarks = []
     for limits in (b for b in bounds if b.conditions):
         parts = [part for part in (limits.lower, limits.symbol, limits.upper) if part is not None]
@@ -206,11 +206,11 @@ def _within(bounds: Iterable[Bounds], notation: Notation) -> tuple[tuple[str, st
 
 
 def _of_phases(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
-    """Yield the equations of each phase in its own time, and of the switches between phases."""
+    """Yield the equations of each phase, in the time of the phase, and of the switches between phases."""
     assert isinstance(program, ControlProgram), "a simulation has a single phase"
     for number, phase in enumerate(model.phases, start=1):
         if number > 1:
-            # Prescribed values before the switch, the cost and conditions there, and values after it.
+            # Prescribed values before the switch, values after it, the terminal cost and the conditions.
             before = model.phases[number - 2]
             rows = [(_named(f"{symbol}@-"), value) for symbol, value in prescribed(before, "end").items()]
             left = {symbol: _named(f"{symbol}@-") for symbol in (*before.coordinates, *before.rates)}
@@ -234,7 +234,7 @@ def _named(name: str) -> Symbol:
 
 
 def _continuous(authored: Model, method: str) -> Iterator[Block]:
-    """Yield the function of the author, its Legendre transform if needed, and the equations of motion."""
+    """Yield the author's Lagrangian or Hamiltonian, its Legendre transform if needed, and the equations of motion."""
     model = _side(authored, method)
     letter = model.form[0].upper()
     forced = "Forced " if any(model.force) else ""
@@ -263,7 +263,7 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
         states = (*model.coordinates, *model.rates)
         rates = tuple((_named(f"rate {x}"), _shortest(e)) for x, e in zip(states, field, strict=True))
         yield Block(f"{forced}Hamilton's equations", rates)
-    # The integrands of the cost and of conditions.
+    # Integrands of the cost, and conditions.
     if model.cost is not None:
         remarks = (_MAXIMISED,) if model.maximised else ()
         pair = (_named("C"), model.cost), (_named("T"), model.duration)
@@ -275,7 +275,7 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
 def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
     side, scheme = _side(model, program.method), schemes.find(program.scheme, program.method)
     controls = program.controlled
-    if scheme.parts:  # the steps of the base method as parts of h
+    if scheme.parts:  # fractions of h that the base method takes one after the other
         rows = []
         for i, row in enumerate(scheme.parts, start=1):
             names = (f"h_{i}",) if len(row) == 1 else (f"h_1({i})", f"h_2({i})")
@@ -299,7 +299,7 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
         momenta = [(_named(f"p_{coordinates[i]}_k"), _shortest(interval.left_momentum[i])) for i in own]
         momenta += [(_named(f"p_{coordinates[i]}_k1"), _shortest(interval.right_momentum[i])) for i in own]
         yield Block("Discrete Legendre transforms", tuple(momenta), (_LEGENDRE,))
-        # The substitution that moves expressions from the interval after node k to the interval before.
+        # This substitution moves expressions from the interval after node k to the interval before node k.
         sites = interval.q
         shift: dict[Symbol, Expr] = dict(zip(sites.left, at_nodes(side.coordinates, "_k-1"), strict=True))
         shift |= dict(zip(sites.right, sites.left, strict=True))
@@ -350,7 +350,7 @@ def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
     for where, end in (("start", program.start), ("end", program.end)):
         remarks += [(f"{bound.condition} at the {where}",) * 2 for _, bound in end.bounds]
     model, shown = program.model, tuple(rows)
-    if model.segments is not None:  # the whole motion, without the conditions that join segments
+    if model.segments is not None:  # show the ends of the whole motion only, without the conditions that join segments
         names = {own: (whole, number) for own, whole, number in model.segments.names}
         outer, last = [], {"0": 1, "T": model.segments.number}
         for symbol, value in rows:
@@ -364,10 +364,10 @@ def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
 
 
 def _shortest(expression: Expr) -> Expr:
-    """Return the shortest of a few equal expressions; a common denominator of all terms would only look short.
+    """Return the shortest of some equal expressions, without a common denominator of all terms.
 
-    Products of sines and cosines are written as sums of both, in which sin^2 + cos^2 is 1. `sympy.simplify` finds
-    little more and takes twenty times as long.
+    Products of sines and cosines become sums, so that sin^2 + cos^2 becomes 1. `sympy.simplify` finds little more and
+    takes twenty times as long.
     """
     if expression.count_ops() > _SHORTEN_LIMIT:
         return expression
@@ -426,7 +426,7 @@ _ESCAPE = re.compile(r"\\([_%&#$^{}])")
 
 
 def as_markdown(latex: str) -> str:
-    """Convert LaTeX of `codegen show --latex` to the Markdown of notebooks, with mathematics between $."""
+    """Return the LaTeX of `codegen show --latex` as Markdown for notebooks, with mathematics between $ signs."""
 
     def heading(match: re.Match[str]) -> str:
         mark = "###" if match[1] == "section*" else "####"

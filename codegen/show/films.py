@@ -1,6 +1,6 @@
 """The drawing of a problem along a solution: scenes, figures and films.
 
-A scene has arrays of numbers for the sympy expressions of a drawing.
+A scene is a drawing with arrays of numbers in place of sympy expressions.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ Array = NDArray[np.float64]
 
 
 def scene(model: Model, result: Result, times: Array | None = None) -> Scene:
-    """Return the model's drawing at some times (n,), by default at the nodes of the result.
+    """Return the drawing of a model along a result at `times` (n,), by default at the nodes of the result.
 
     Coordinates are interpolated linearly between nodes. A control is constant on its interval, or follows the
     polynomial through its stages. Numbers that cannot be evaluated, such as the root of a negative number, are NaN.
     """
     times = result.t if times is None else times
-    # The numbers of every symbol: scalars, and arrays that broadcast to (bodies, times).
+    # Values of all symbols: scalars, and arrays that broadcast to (bodies, times).
     values: dict[sympy.Symbol, float | Array] = dict(model.default_values)
     values |= {symbol: result.parameters[symbol.name] for symbol in values if symbol.name in result.parameters}
     values |= {free.symbol: result.summary[free.symbol.name] for free in model.free_parameters}
@@ -66,7 +66,7 @@ def scene(model: Model, result: Result, times: Array | None = None) -> Scene:
 
 
 def fine_times(t: Array, least: int = 400) -> Array:
-    """Return the times of the nodes and of enough points between them for smooth curves."""
+    """Return the node times with evenly spaced times between them: at least `least` intervals in total."""
     parts = max(1, -(-least // max(t.size - 1, 1)))
     return np.interp(np.arange((t.size - 1) * parts + 1) / parts, np.arange(t.size), t)
 
@@ -78,7 +78,7 @@ def _by_body(rows: Array, bodies: int) -> Array:
 def figure_of(
     module: GeneratedModule, model: Model | PairwiseModel | None, result: Result, unit: str = "", style: str = "page"
 ) -> Figure:
-    """Return the figure of a result, with the drawing of its model, if there is one; `unit` is the unit of the time."""
+    """Return the figure of a result, with the drawing of its model if it has one; `unit` is the unit of time."""
     drawings: Scene | figures.Drawings | None = None
     if isinstance(model, Model) and model.drawing:
         drawings = solution = scene(model.authored, result, fine_times(result.t))
@@ -94,7 +94,7 @@ def save_film(
     path: Path,
     progress: shapes.Progress = lambda frames, count: frames,
 ) -> None:
-    """Film the drawing of a model along a result into a file, .gif or .mp4.
+    """Write a film of the drawing of a model along a result to a file .gif or .mp4; `progress` may show a bar.
 
     Raises ArgumentError for a problem without a drawing, and the errors of `shapes.save`.
     """
@@ -106,7 +106,7 @@ def save_film(
 
 
 def unit_of(source: Source) -> str:
-    """Return "nondimensional" if the docstring of a problem file says so, else nothing."""
+    """Return "nondimensional" if the docstring of a problem file contains this statement, else an empty text."""
     if not isinstance(source, ProblemFile):
         return ""
     docstring = ast.get_docstring(ast.parse(source.path.read_bytes())) or ""

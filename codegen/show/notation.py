@@ -1,4 +1,4 @@
-"""The notation of derived equations: symbols as in a textbook, as pretty text in lines or as LaTeX."""
+"""The notation of derived equations: symbols as in a textbook, written as plain text or as LaTeX."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LATEX_WIDTH = 90
 _INDEX = re.compile(r"^(?P<base>.+?)(?:_stage(?P<stage>\d+))?(?:_k(?P<shift>1|-1)?|@(?P<end>[0T])|@(?P<side>[+-]))?$")
 _WORD = re.compile(r"[^\W\d]\w*")
 _INVISIBLE = re.compile(r"\\(left|right|frac|mathrm|operatorname)|[{}^_\s]")
-"""Parts of LaTeX without width on paper, for an estimate of the width."""
+"""Parts of LaTeX that have no width on paper; estimates of the width ignore them."""
 _GREEK = (
     "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho sigma tau upsilon phi chi "
     "psi omega"
@@ -32,7 +32,7 @@ _HIGH = str.maketrans("0123456789+-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻")
 
 
 class _Printer(PrettyPrinter):  # type: ignore[misc]
-    """Prints symbols by their names, which are in their final form."""
+    """A printer that writes the names of symbols unchanged."""
 
     def _print_Symbol(self, e: Symbol, bold_name: bool = False) -> prettyForm:
         return prettyForm(e.name)
@@ -40,7 +40,7 @@ class _Printer(PrettyPrinter):  # type: ignore[misc]
 
 @dataclass(frozen=True)
 class Block:
-    """A heading, equations left = right, and remarks, each as plain text and as LaTeX."""
+    """A heading, equations as pairs (left, right), and remarks as pairs (plain text, LaTeX)."""
 
     heading: str
     equations: tuple[tuple[Expr, Expr], ...] = ()
@@ -49,11 +49,11 @@ class Block:
 
 @dataclass(frozen=True)
 class Notation:
-    """Translates symbols of the pipeline to printed symbols; `velocities` maps the name dq to the name q.
+    """The translation of internal symbols to printed symbols; `velocities` maps the name dq to the name q.
 
-    Names end in `_k`, `_k1`, `_k-1` at nodes, in `_stage1` inside a step, in `@0` and `@T` at the ends of time, and in
-    `@-` and `@+` before and after a switch. Before these endings `@t-1/2` marks a past value. Names begin with `rate `
-    for the first derivative by time, with `acceleration ` for the second, and with `f `, `f- ` or `f+ ` for forces.
+    Internal names end in `_k`, `_k1`, `_k-1` at nodes and in `_stage1` inside a step. They end in `@0` and `@T` at the
+    start and end, in `@-` and `@+` before and after a switch of phases. Before these, `@t-1/2` marks a past value.
+    The prefix `rate ` marks the first time derivative, `acceleration ` the second, and `f `, `f- ` or `f+ ` forces.
     """
 
     velocities: dict[str, str]
@@ -61,7 +61,7 @@ class Notation:
 
     @classmethod
     def of(cls, *models: Model, latex: bool = False) -> Notation:
-        """Return the notation of a problem; velocities named d<coordinate> are printed with a dot."""
+        """Return the notation of models; a velocity named d<coordinate> is printed as the coordinate with a dot."""
         pairs = [
             pair
             for model in models
@@ -72,7 +72,7 @@ class Notation:
         return cls({v: q for v, q in named if v == f"d{q}"}, latex)
 
     def translated(self, expression: Expr) -> Expr:
-        """Return the expression with printed names as symbols; a prime distinguishes two symbols of one name."""
+        """Return the expression with printed names as symbols; a prime distinguishes symbols that print alike."""
         names = {symbol: self.name(symbol) for symbol in expression.free_symbols}
         unmarked = {name for symbol, name in names.items() if identifiers.MARK not in symbol.name}
         primed = {s for s, name in names.items() if identifiers.MARK in s.name and name in unmarked}
@@ -103,7 +103,7 @@ class Notation:
         return written + (f"({match['end']})" if match["end"] else "")
 
     def _parts(self, base: str) -> tuple[str, str, str, int]:
-        """Return letter, subscript, superscript and number of dots."""
+        """Return the letter, subscript, superscript and number of dots of an internal name."""
         mark, _, rest = base.rpartition(" ")
         if mark in ("f", "f-", "f+"):
             return "f", self._letter(rest), mark[1:], 0
@@ -129,7 +129,7 @@ class Notation:
 
 
 def written(title: str, blocks: Sequence[Block], notation: Notation) -> str:
-    """Return all blocks as text, without a newline at the end."""
+    """Return the title and all blocks as plain text or LaTeX, without a newline at the end."""
     render = _latex_block if notation.latex else _plain_block
     head = rf"\section*{{{_escaped(title)}}}" if notation.latex else textwrap.fill(title, WIDTH)
     return "\n\n".join([head, *("\n".join(render(block, notation)) for block in blocks)])
@@ -167,7 +167,7 @@ def _latex_block(block: Block, notation: Notation) -> Iterator[str]:
 
 
 def _rows(value: Expr, width: Callable[[Expr], int], room: int) -> Iterator[Expr]:
-    """Yield sums that add up to the value, each of at most the width `room`; products are expanded if needed."""
+    """Yield the parts of a sum for lines of at most the width `room`; products are expanded if necessary."""
     if width(value) <= room:
         yield value
         return

@@ -1,7 +1,7 @@
 """The display of problems, solutions, closed loops and findings in notebooks.
 
-A problem is shown as LaTeX as it is written, before anything is derived or checked. Results are shown as HTML tables,
-which need no script, with a figure.
+A problem is shown as LaTeX in the author's form, before anything is derived or checked. Results are shown as HTML
+tables with a figure, without scripts.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 
 class Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
-    """A printer of LaTeX for the expressions of a problem, with names of the two ends of time.
+    """A LaTeX printer for the expressions of a problem; `first` and `last` are the names of the first and last time.
 
-    A velocity with its coordinate's name has a dot. If some names are words, factors are separated by a space.
+    A velocity named d<coordinate> has a dot. If some names are words, factors are separated by a space.
     """
 
     def __init__(self, quantities: list[Quantity], first: str, last: str) -> None:
@@ -59,22 +59,22 @@ class Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
             return rf"\text{{{type(value).__name__}}}"
 
     def relation(self, value: object) -> str:
-        """Return a relation, or an expression that vanishes, which may be a single symbol."""
+        """Return the LaTeX of a relation; any other expression is equated to zero."""
         return self(value) if isinstance(value, Boolean) and not isinstance(value, Quantity) else f"{self(value)} = 0"
 
     def at(self, value: object, time: str) -> str:
-        """Return a quantity or expression at a time."""
+        """Return the LaTeX of a quantity or expression at the time with the given name."""
         return f"{self(value)}({time})" if isinstance(value, Quantity) else f"[{self(value)}]({time})"
 
     def between(self, written: str, limits: Sequence[object]) -> str:
-        """Return a text between a lower and an upper limit, each of which may be None."""
+        """Return a text of LaTeX between the lower and upper limits; a limit may be None."""
         low, high = limits
         lower = rf"{self(low)} \le " if low is not None else ""
         upper = rf" \le {self(high)}" if high is not None else ""
         return f"{lower}{written}{upper}"
 
     def rate(self, state: object) -> str:
-        """Return the derivative of a state by time."""
+        """Return the LaTeX of the time derivative of a state."""
         return rf"\dot{{{self(state)}}}"
 
     def _print_Symbol(self, expr: sympy.Symbol, style: str = "plain") -> str:
@@ -90,11 +90,11 @@ def _name(symbol: sympy.Symbol) -> str:
 
 
 _IN_A_ROW = 4
-"""Number of quantities with units in a row."""
+"""Number of quantities in a row of the list of units."""
 
 
 def latex(problem: Problem | Phases) -> str:
-    """Return the problem as aligned rows, phase by phase; objects without LaTeX are shown by their type."""
+    """Return a problem as aligned rows of LaTeX, phase by phase; unprintable objects are shown by their type."""
     quantities = quantities_in(problem)
     if not isinstance(problem, Phases):
         # Time ends at the symbol of the duration, else at T, or t_f if T is taken.
@@ -120,7 +120,7 @@ def latex(problem: Problem | Phases) -> str:
 
 
 def displayed(problem: Problem | Phases) -> str:
-    """Return the LaTeX between the marks of mathematics in notebooks."""
+    """Return the LaTeX of a problem between $$ signs, for notebooks."""
     body = latex(problem)
     return "$$" + (rf"\begin{{array}}{{l}}{body}\end{{array}}" if isinstance(problem, Phases) else body) + "$$"
 
@@ -132,9 +132,9 @@ def _aligned(rows: Iterator[str] | Sequence[str]) -> str:
 def _rows(
     problem: Problem, print_: Printer, number: int, free: Sequence[FreeParameter], quantities: Sequence[Quantity]
 ) -> Iterator[str]:
-    """Yield the rows of a problem or of a phase, whose `number` is not zero.
+    """Yield the rows of a problem (`number` 0) or of phase 1, 2, ... (`number`), without line ends.
 
-    `free` are its free parameters that no earlier phase has; `quantities` are the quantities of all phases.
+    `free` are the free parameters that no earlier phase has; `quantities` are the quantities of all phases.
     """
     if isinstance(problem, Control):
 
@@ -209,7 +209,7 @@ _LEFT = 'style="text-align:left"'
 
 
 def table(rows: Iterable[Sequence[str]], headings: Sequence[str] = (), caption: str = "") -> str:
-    """Return an HTML table of texts, which are escaped; the first column is the heading of each row."""
+    """Return rows of texts as an HTML table; texts are escaped, and the first column has row headings."""
     head = "".join(f'<th scope="col" {_LEFT}>{escape(text)}</th>' for text in headings)
     lines = [f"<caption {_LEFT}>{escape(caption)}</caption>"] if caption else []
     lines += [f"<thead><tr>{head}</tr></thead>"] if headings else []
@@ -220,12 +220,12 @@ def table(rows: Iterable[Sequence[str]], headings: Sequence[str] = (), caption: 
 
 
 def number(value: float | None, digits: int = 6) -> str:
-    """Return a number as text, or "not available"."""
+    """Return a number as text, or "not available" for None, NaN and infinity."""
     return "not available" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
 
 
 def html(result: Result) -> str:
-    """Return the outcome of a solve as a table, with its figure if possible."""
+    """Return the outcome of a solve as an HTML table, with its figure if the figure can be drawn."""
     units = result.units
     rows = [
         ("problem", f"{result.problem} ({result.task})"),
@@ -285,7 +285,7 @@ def _model(background: Background) -> Model | PairwiseModel | None:
 
 
 def loop_html(loop: Any) -> str:
-    """Return the outcome of a closed loop as a table, with its figure."""
+    """Return the outcome of a closed loop as an HTML table, with its figure."""
     ended = ", ".join(f"{count} {status}" for status, count in loop.counts.items())
     times = f"median {number(1e3 * loop.latency(50), 3)} ms, 99.9 % below {number(1e3 * loop.latency(99.9), 3)} ms"
     rows = [
@@ -301,7 +301,7 @@ def loop_html(loop: Any) -> str:
 
 
 def loop_picture(loop: Any, references: References) -> Picture:
-    """Return the figure of states, inputs and latencies, with their references."""
+    """Return the figure of a closed loop: states and inputs with references, and latencies."""
     from codegen.show.figures.picture import Picture, finished, using
     from codegen.show.figures.simulation import closed_loop_figure
 

@@ -1,4 +1,4 @@
-"""Checks on single sympy expressions: real, finite, printable, of full rank; rounding of authors' numbers."""
+"""Checks of sympy expressions: real, finite, printable, of full rank; rounding errors of authors' numbers."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ PRINTABLE = (
     *(sympy.erf, sympy.erfc, functions.gamma, functions.lgamma, functions.OrderedBase),
     *(TableBase, EachBodyBase),
 )
-"""Functions that the printer writes as numba code."""
+"""Functions that the printer can write as numba code."""
 
 _TINY = 1e-50
-"""Values below this size may be remainders of cancellation and are checked again."""
+"""Values below this size may be rounding errors after cancellation and are checked again."""
 _ARITHMETIC = (
     *(sympy.Symbol, sympy.Number, sympy.NumberSymbol, sympy.Add, sympy.Mul, sympy.Pow),
     *(sympy.functions.elementary.piecewise.ExprCondPair, sympy.core.relational.Relational),
@@ -37,11 +37,11 @@ _ARITHMETIC = (
 )
 
 _WIDE = 100
-"""Decimal exponent of factors that are moved into the exponent of an exponential."""
+"""Decimal exponent, positive or negative, beyond which factors are moved into an exponential."""
 
 
 def checked(value: object, what: str) -> sympy.Expr:
-    """Return a sympified scalar; ExpressionError names `what` if it is no finite real scalar of known functions."""
+    """Return a sympy scalar; ExpressionError names `what` unless it is finite, real and made of printable functions."""
     if hasattr(value, "data") and callable(value) and hasattr(value.data, "shape"):
         call = f"{value.data.shape.name}({', '.join(value.data.shape.inputs)})"
         raise ExpressionError(f"{what} is a {type(value).__name__}", f"call it, as in {call}")
@@ -68,16 +68,16 @@ def checked(value: object, what: str) -> sympy.Expr:
 
 
 def with_exponents_together(expression: sympy.Expr) -> sympy.Expr:
-    """Put large and small factors of exponentials back into the exponents, as in exp(885.85 - 885.85 x).
+    """Return an expression with huge and tiny factors inside exponentials, such as exp(885.85 - 885.85 x).
 
-    sympy evaluates the constant part of a decimal exponent. The result 6.4e384 exp(-885.85 x) overflows, or its
-    product underflows. Fractions in exponents are not evaluated.
+    sympy splits such an exponential into 6.4e384 exp(-885.85 x), which overflows. It does not split exponents whose
+    constant part is a fraction.
     """
     if not any(abs(sympy.log(abs(c), 10).evalf()) > _WIDE for c in expression.atoms(sympy.Float) if not c.is_zero):
         return expression
 
     def joined(product: sympy.Expr) -> sympy.Expr:
-        """Return a product with its decimal factor inside the exponent of an exponential, if one is a direct factor."""
+        """Return a product with its decimal factor inside the exponent, if an exponential is a direct factor."""
         factor, rest = product.as_coeff_Mul()
         powers = [f for f in sympy.Mul.make_args(rest) if isinstance(f, sympy.exp)]
         if not powers or not factor.is_Float or abs(sympy.log(abs(factor), 10).evalf()) <= _WIDE:
@@ -113,8 +113,8 @@ def multiplied_out(expression: sympy.Expr) -> int:
 
 
 def longer_than(limit: int, terms: Sequence[sympy.Expr]) -> bool:
-    """Return True if some expressions together have more operations than the limit; counting ends there."""
-    most = 5 * (limit + len(terms))  # parts; an operation has at most two symbols, a sign and a number
+    """Return True if the terms together have more operations than the limit; counting stops early."""
+    most = 5 * (limit + len(terms))  # five parts for an operation: itself, two symbols, a sign, a number
     parts = (part for term in terms for part in sympy.preorder_traversal(term))
     if sum(1 for _ in islice(parts, most + 1)) > most:
         return True
@@ -122,9 +122,9 @@ def longer_than(limit: int, terms: Sequence[sympy.Expr]) -> bool:
 
 
 def number_at(expression: sympy.Expr, values: Mapping[sympy.Symbol, float]) -> float | None:
-    """Return the value of an expression to 15 digits, or None if it is not a finite real number.
+    """Return the value of an expression at `values` to 15 digits, or None if it is not a finite real number.
 
-    If all terms cancel, the value is a number like 1e-125 instead of zero.
+    If all terms cancel, the result is a number like 1e-125 instead of zero.
     """
     return _real(lambda: expression.evalf(subs=dict(values)))
 
@@ -149,9 +149,9 @@ def _real(evaluate: Callable[[], sympy.Expr]) -> float | None:
 def sample_points(
     symbols: Collection[sympy.Symbol], fixed: Mapping[sympy.Symbol, float], likely: Mapping[sympy.Symbol, float]
 ) -> Iterator[dict[sympy.Symbol, float]]:
-    """Yield points for trial evaluations: first the likely one, then usual ones, then points of all magnitudes.
+    """Yield 32 points for trial evaluations, the same in every run: eight of ordinary size, then of all magnitudes.
 
-    All have the `fixed` values; only the first has the `likely` ones. The points are the same in every run.
+    All points have the `fixed` values. Only the first point has the `likely` values.
     """
     generator = random.Random(1)
     ordered = sorted(symbols, key=str)
@@ -164,11 +164,11 @@ def sample_points(
 
 
 def null_direction(samples: Iterable[np.ndarray | None]) -> np.ndarray | None:
-    """Return the weights of a null direction of a square matrix that is singular in all samples, else None.
+    """Return a null vector of a square matrix if all samples of the matrix are singular, else None.
 
     The numerical rank decides: a matrix that is not identically singular is regular at a random point with probability
     one. A symbolic determinant would take longer. Rows and columns are scaled first, so that large and small masses may
-    occur together. Without a sample of real values the result is None.
+    occur together. The result is also None if every sample is None (no real values).
     """
     direction = None
     for values in samples:
@@ -184,10 +184,10 @@ def null_direction(samples: Iterable[np.ndarray | None]) -> np.ndarray | None:
 
 
 def dependent_rows(matrix: sympy.Matrix, points: Iterable[Mapping[sympy.Symbol, float]]) -> np.ndarray | None:
-    """Return the weights of a vanishing combination of the rows of a symbolic matrix, if one exists at all points.
+    """Return weights of the rows of a symbolic matrix with which their sum vanishes, if the rows are dependent.
 
-    Rows are scaled to unit length first; a row of zeros is a combination by itself. None if the rows are independent at
-    some point, or if the matrix has no real value at any point.
+    Rows are scaled to unit length first; a row of zeros is dependent by itself. Return None if the rows are independent
+    at some point, or if the matrix has no real value at any point.
     """
     combination = None
     for point in points:
@@ -204,7 +204,7 @@ def dependent_rows(matrix: sympy.Matrix, points: Iterable[Mapping[sympy.Symbol, 
 
 
 def values_at(matrix: sympy.Matrix, point: Mapping[sympy.Symbol, float]) -> np.ndarray | None:
-    """Return the entries of a matrix as floats, or None if an entry is not a finite real number."""
+    """Return a matrix at a point as floats, or None if an entry is not a finite real number."""
     try:
         values = np.array(matrix.evalf(subs=point).tolist(), dtype=float).reshape(matrix.shape)
     except (TypeError, ValueError):
@@ -212,7 +212,7 @@ def values_at(matrix: sympy.Matrix, point: Mapping[sympy.Symbol, float]) -> np.n
     for index in np.argwhere((values != 0.0) & (np.abs(values) < _TINY)):
         row, column = map(int, index)
         entry, value = matrix[row, column], float(values[row, column])
-        # A tiny value may be the remainder of cancellation: evalf works with 100 digits.
+        # A tiny value may be a rounding error of evalf, which works with 100 digits.
         terms = [rounded_at(term, point) for term in entry.args] if entry.is_Add else []
         if identically_zero(entry) or abs(value) < 1e-90 * sum(abs(term) for term in terms if term is not None):
             values[row, column] = 0.0
@@ -222,19 +222,19 @@ def values_at(matrix: sympy.Matrix, point: Mapping[sympy.Symbol, float]) -> np.n
 GIVEN = 1e-9
 """Relative error of an author's numbers, which have nine or ten digits."""
 _ROUNDINGS = 200
-"""Rounding errors, in units of epsilon, of computed numbers such as sin(pi) or 0.1 + 0.2 - 0.3."""
+"""Rounding error of computed numbers such as sin(pi) or 0.1 + 0.2 - 0.3, in units of epsilon."""
 
 
 def rounding_of(sizes: Iterable[float]) -> float:
-    """Return the rounding of a sum, or of a comparison, of an author's numbers of some sizes."""
+    """Return the rounding error of a sum or comparison of an author's numbers; `sizes` are the numbers."""
     return max(GIVEN * max(map(abs, sizes), default=0.0), _ROUNDINGS * sys.float_info.epsilon)
 
 
 def rounding_at(expression: Expr, values: Mapping[Symbol, float]) -> float:
-    """Return the rounding of an expression: of its largest term, plus the effect of rounding of each value.
+    """Return the rounding error of an expression at `values`: of its largest term, plus the effect of each value.
 
-    The second part is for terms inside functions and products: x^2 + y^2 - R^2 and sqrt(x^2 + y^2) - R are as uncertain
-    as their terms, however small their difference is.
+    The second part covers terms inside functions and products. For example, x^2 + y^2 - R^2 and sqrt(x^2 + y^2) - R are
+    as uncertain as their terms, however small the difference is.
     """
     middle = rounded_at(expression, values)
     terms = (rounded_at(term, values) for term in Add.make_args(expression))

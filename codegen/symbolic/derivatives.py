@@ -1,17 +1,17 @@
 """Derivatives of long expressions: on a graph of their values, as straight-line programs or as numbers.
 
-Plain differentiation of a tree repeats common parts in every derivative, and finding them afterwards takes longer
-than all the rest. Here common parts are found first, derivatives are accumulated in reverse, and new common parts are
-found again. The time is proportional to the size of the result.
+Plain differentiation of a tree repeats common parts in every derivative, and the later search for them would take most
+of the time. Here common parts are found first, derivatives are accumulated in reverse, and new common parts are found
+again. The time is proportional to the size of the result.
 
-The gradient passes adjoints, the derivatives of the value by its nodes, from each node to its arguments. The Hessian
-passes second derivatives by pairs of nodes in the same sweep. An entry exists only if the pair can be reached, so that
-the pattern of zeros is exact up to cancellation. The adjoint of a multiplier is its equation: linear parts are
-differentiated only once. Source: Gower and Mello (2012), A new framework for the computation of Hessians, Optimization
-Methods and Software 27 (edge pushing).
+The reverse sweep passes adjoints, the derivatives of the value with respect to nodes, from each node to its arguments.
+For the Hessian it also passes second derivatives with respect to pairs of nodes. An entry exists only if the sweep
+reaches the pair, so the pattern of zeros is exact up to cancellation. The adjoint of a multiplier is its equation:
+linear parts are differentiated only once. Source: Gower and Mello (2012), A new framework for the computation of
+Hessians, Optimization Methods and Software 27 (edge pushing).
 
-Derivatives along directions keep the structure of an expression. Along a direction, the speed of a body that many
-coordinates move has one derivative; accumulated in reverse, by every coordinate, it would be multiplied out.
+Derivatives along directions keep the structure of an expression. For example, the speed of a body that many coordinates
+move has one derivative along a direction. A reverse sweep would differentiate it with respect to every coordinate.
 
 Second derivatives as numbers need no expressions, which are long for large systems.
 """
@@ -44,25 +44,25 @@ from codegen.symbolic.zeros import precise, vanishing
 
 Terms = list[tuple[int, Fraction]]
 Slopes = list[tuple[int, int | None, Fraction]]
-"""Derivatives of a node by its arguments: the argument, a node (None stands for 1), and a number that multiplies it."""
+"""Derivatives of a node as triples: argument, a node (None for 1), and a number; the derivative is their product."""
 
 
 @dataclass
 class Adjoints:
-    """Nodes of the derivatives of one value: by every node, and by pairs of nodes (higher rank first)."""
+    """Nodes of a value's derivatives with respect to nodes, and to pairs of nodes (the node nearer the value first)."""
 
     first: dict[int, int] = field(default_factory=dict)
     second: dict[tuple[int, int], int] = field(default_factory=dict)
 
 
 def accumulate(graph: Graph, value: int, unknowns: Sequence[int]) -> Adjoints:
-    """Return first and second derivatives of a value by the unknowns and by all nodes between them and the value.
+    """Return first and second derivatives of a value with respect to all varying nodes that it depends on.
 
-    The reverse sweep collects the contributions to each node or pair as the terms of a sum.
+    `unknowns` are the nodes at which the reverse sweep ends. Contributions to a node or pair become terms of a sum.
     """
     wanted, affine = set(unknowns), set(unknowns)
     varying = [node for node in graph.reachable([value]) if graph.varies[node]]
-    for number in varying:  # nodes that are linear in the unknowns, with coefficients free of unknowns
+    for number in varying:  # find the nodes that are linear in the unknowns, with constant coefficients
         part = graph.nodes[number]
         inside = [a for a in arguments(part) if graph.varies[a]]
         is_linear = isinstance(part, Sum) or (
@@ -70,8 +70,8 @@ def accumulate(graph: Graph, value: int, unknowns: Sequence[int]) -> Adjoints:
         )
         if is_linear and affine.issuperset(inside):
             affine.add(number)
-    # Sums and differences of unknowns, such as midpoints and velocities, come last: they are few, and each of
-    # them would multiply the number of pairs by the number of its unknowns.
+    # Sums and differences of unknowns, such as midpoints and velocities, are few and come last. Each of them
+    # would multiply the number of pairs by the number of its unknowns.
     order = sorted(varying, key=lambda node: (node not in affine, node), reverse=True)
     rank = {node: -index for index, node in enumerate(order)}
     first: dict[int, Terms] = {value: [(graph.number(ONE), ONE)]}
@@ -90,7 +90,7 @@ def accumulate(graph: Graph, value: int, unknowns: Sequence[int]) -> Adjoints:
         adjoints.second |= {(node, other): curvature for other, curvature in row.items()}
         if node in wanted:
             continue
-        # Pass the derivatives by the node on to its arguments.
+        # Pass the derivatives with respect to the node on to its arguments.
         by_arguments, curvatures = slopes_of_node(graph, node), _curvatures(graph, node)
         for argument, slope, factor in by_arguments:
             first.setdefault(argument, []).append((_times(graph, adjoint, slope), factor))
@@ -113,7 +113,7 @@ def _times(graph: Graph, node: int, slope: int | None) -> int:
 
 
 def _curvatures(graph: Graph, number: int) -> list[tuple[int, int, int]]:
-    """Return the second derivatives of a node by pairs of its arguments, each pair once."""
+    """Return the second derivatives (a, b, node) with respect to pairs of varying arguments a and b, each pair once."""
     node, varies = graph.nodes[number], graph.varies
     if isinstance(node, Sum):
         return []
@@ -126,7 +126,7 @@ def _curvatures(graph: Graph, number: int) -> list[tuple[int, int, int]]:
 
 
 def slopes(graph: Graph, value: int, unknowns: Sequence[int]) -> dict[int, int]:
-    """Return the nodes of the first derivatives of a value by the unknowns on which it depends."""
+    """Return the first derivative of a value, as a node, for each unknown on which the value depends."""
     wanted = set(unknowns)
     order = [node for node in graph.reachable([value]) if graph.varies[node]]
     depending = set[int]()
@@ -148,7 +148,7 @@ def slopes(graph: Graph, value: int, unknowns: Sequence[int]) -> dict[int, int]:
 
 
 def slopes_of_node(graph: Graph, number: int) -> Slopes:
-    """Return the first derivatives of a node by its arguments that vary."""
+    """Return the first derivatives of a node with respect to its varying arguments, as `Slopes`."""
     node, varies = graph.nodes[number], graph.varies
     if isinstance(node, Sum):
         return [(term, None, coefficient) for term, coefficient in node.terms if varies[term]]
@@ -159,7 +159,7 @@ def slopes_of_node(graph: Graph, number: int) -> Slopes:
 
 
 def _lowered(graph: Graph, product: Product, *factors: int) -> int:
-    """Return the derivative of a product by factors, one after the other."""
+    """Return the node of the derivative of a product with respect to `factors`, one after the other."""
     exponents, coefficient = dict(product.factors), ONE
     for factor in factors:
         coefficient *= exponents[factor]
@@ -169,10 +169,10 @@ def _lowered(graph: Graph, product: Product, *factors: int) -> int:
 
 @dataclass(frozen=True)
 class SecondDerivatives:
-    """Straight-line programs for a scalar's derivatives.
+    """Straight-line programs for the derivatives of a scalar.
 
-    The values of `gradient` are the derivatives by all unknowns, then the further expressions. The values of
-    `hessian` are the entries of its lower triangle at the `indices` (row, column).
+    The values of `gradient` are the derivatives with respect to all unknowns, then further expressions. The values
+    of `hessian` are the entries of its lower triangle at the `indices` (row, column).
     """
 
     gradient: StraightLine
@@ -181,9 +181,9 @@ class SecondDerivatives:
 
 
 def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequence[Expr] = ()) -> SecondDerivatives:
-    """Differentiate a scalar twice by its unknowns, leaving out second derivatives that are identically zero.
+    """Return programs for the gradient and Hessian of a scalar, without Hessian entries that are identically zero.
 
-    The expressions `beside` are evaluated together with the gradient.
+    The expressions `beside` become further values of the gradient's program.
     """
     graph = Graph(unknowns)
     leaves = range(len(unknowns))
@@ -200,9 +200,9 @@ def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequenc
 
 @dataclass(frozen=True)
 class MixedDerivatives:
-    """A straight-line program for a scalar's derivatives by data, and for second ones by an unknown and a datum.
+    """A straight-line program for derivatives of a scalar with respect to data, and to unknowns and data.
 
-    Its values are those by the data of the indices `slopes`, then those at the `entries` (unknown, datum).
+    Its values are first derivatives at the indices `slopes` of data, then second ones at `entries` (unknown, datum).
     """
 
     program: StraightLine
@@ -211,7 +211,7 @@ class MixedDerivatives:
 
 
 def mixed_derivatives(scalar: Expr, unknowns: Sequence[Symbol], data: Sequence[Symbol]) -> MixedDerivatives:
-    """Differentiate a scalar by data, and by unknowns and data, leaving out derivatives that are identically zero."""
+    """Return a program as in `MixedDerivatives`, without derivatives that are identically zero."""
     graph, count = Graph([*unknowns, *data]), len(unknowns)
     leaves = range(count + len(data))
     adjoints = accumulate(graph, graph.of(scalar), leaves)
@@ -231,9 +231,9 @@ def mixed_derivatives(scalar: Expr, unknowns: Sequence[Symbol], data: Sequence[S
 def jacobian(
     values: Sequence[Expr], unknowns: Sequence[Symbol], constants: Collection[Symbol]
 ) -> tuple[StraightLine, tuple[tuple[int, int], ...]]:
-    """A program for some values and their derivatives by unknowns, and the indices (row, column) of the latter.
+    """Return a program for values and their Jacobian, and the indices (row, column) of the Jacobian's entries.
 
-    What depends on `constants` alone reads no assignment. Derivatives that are identically zero are left out.
+    Values that depend on `constants` alone read no assignment. Entries that are identically zero are left out.
     """
     varying = set[Symbol]().union(*(value.free_symbols for value in values)) - set(unknowns) - set(constants)
     graph = Graph([*unknowns, *sorted(varying, key=lambda symbol: symbol.name)])
@@ -246,14 +246,14 @@ def jacobian(
 
 
 def values_of(values: Sequence[Expr]) -> StraightLine:
-    """Return a program for some values, with common parts from their graph."""
+    """Return a program for expressions, which computes their common parts once."""
     symbols = set[Symbol]().union(*(value.free_symbols for value in values))
     graph = Graph(sorted(symbols, key=lambda symbol: symbol.name))
     return program_of(graph, [graph.of(value) for value in values])
 
 
 def program_of(graph: Graph, roots: Sequence[int]) -> StraightLine:
-    """Return a program for the values of some nodes, with names x0, x1, ... that no leaf of the graph has."""
+    """Return a program for the values of nodes; its symbols x0, x1, ... skip the names of the graph's leaves."""
     taken = {str(node.expression) for node in graph.nodes if isinstance(node, Leaf)}
     smaller, numbers = shared(graph, roots)
     fresh = (Symbol(f"x{i}", real=True) for i in count() if f"x{i}" not in taken)
@@ -261,11 +261,11 @@ def program_of(graph: Graph, roots: Sequence[int]) -> StraightLine:
 
 
 _LONG = 500
-"""Operations from which on derivatives are accumulated on a graph; plain derivatives of shorter ones read better."""
+"""Number of operations from which derivatives are computed on a graph; sympy.diff reads better for shorter ones."""
 
 
 def gradient(function: Expr, symbols: Iterable[Symbol]) -> tuple[Expr, ...]:
-    """Return the derivatives of a function by symbols, each as one expression."""
+    """Return the derivatives of a function with respect to symbols, each as one expression."""
     ordered = tuple(symbols)
     if function.count_ops() < _LONG:
         return tuple(sympy.diff(function, symbol) for symbol in ordered)
@@ -273,7 +273,7 @@ def gradient(function: Expr, symbols: Iterable[Symbol]) -> tuple[Expr, ...]:
 
 
 def variation(function: Expr, displacements: Mapping[Symbol, Expr]) -> Expr:
-    """Return the derivative of a function along displacements of its symbols."""
+    """Return the derivative of a function in the direction in which its symbols have the given displacements."""
     if function.count_ops() >= _LONG:
         return _along(function, [displacements])[0]
     amount = sympy.Dummy("amount", real=True)
@@ -282,7 +282,7 @@ def variation(function: Expr, displacements: Mapping[Symbol, Expr]) -> Expr:
 
 
 def _along(function: Expr, directions: Sequence[Mapping[Symbol, Expr]]) -> tuple[Expr, ...]:
-    """Return the derivatives of a function along directions."""
+    """Return the derivatives of a function along directions, which map symbols to displacements."""
     graph = Graph(sorted(set().union(*directions), key=lambda symbol: symbol.name))
     value = graph.of(function)
     order = [node for node in graph.reachable([value]) if graph.varies[node]]
@@ -308,9 +308,9 @@ _FUNCTIONS = {"Heaviside": lambda x: (1 + mpmath.sign(x)) / 2, "DiracDelta": lam
 def hessian_samples(
     function: Expr, variables: Sequence[Symbol], points: Iterable[Mapping[Symbol, float]]
 ) -> Iterator[np.ndarray | None]:
-    """Yield the matrix of second derivatives at each point, of shape (variables, variables).
+    """Yield the Hessian matrix of a function at each point, shape (n, n) for n variables.
 
-    The matrix is None if an entry is not a finite real number.
+    None replaces the matrix if an entry is not a finite real number.
     """
     graph = Graph(variables)
     second = accumulate(graph, graph.of(function), range(len(variables))).second
@@ -336,7 +336,7 @@ def hessian_samples(
 def _values(
     graph: Graph, order: Sequence[int], point: Mapping[Symbol, float], functions: dict[Expr, Callable[..., mpmath.mpf]]
 ) -> dict[int, mpmath.mpf]:
-    """Return the values of nodes in the order of computation; ArithmeticError if a node has no value."""
+    """Return the values of the nodes `order`; `functions` caches templates. ArithmeticError if a node has no value."""
     values: dict[int, mpmath.mpf] = {}
     for number in order:
         node = graph.nodes[number]

@@ -4,8 +4,8 @@
 have a derivative of every order, which modules evaluate themselves: the derivatives of sin(x)/x, without a quotient
 that fails at zero, and the polygamma functions.
 
-A table is an opaque function to sympy: equal arguments have equal values, and nothing else is assumed. Its numbers are
-looked up when an expression is evaluated. The look-ups in kernels are written in `codegen/emit/lower/kernels.py`.
+A table is an opaque function to sympy: equal arguments have equal values, and nothing else is assumed. Numerical
+evaluation interpolates the table. `codegen/emit/lower/kernels.py` writes the generated functions that do the same.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from codegen.identifiers import in_latex
 from codegen.symbolic.tables import DEGREE, Number, TableData, derivative
 
 STEMS = ("polygamma", "sinc_derivative")
-"""The families; `codegen.runtime.special` has a function for each."""
+"""Names of the families; `codegen.runtime.special` has a function for each family."""
 
 
 class OrderedBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-    """The member `order` of a family of functions of one variable, each the derivative of the one before."""
+    """A function of one variable: member `order` of the family `stem`, whose derivative is the next member."""
 
     nargs = 1
     stem = ""
@@ -59,7 +59,7 @@ class OrderedBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
 
 class gamma(sympy.Function):  # type: ignore[misc]
-    """The gamma function, whose derivative is written with members of the family of polygamma functions."""
+    """The gamma function, whose derivative is written with the polygamma family of this module."""
 
     nargs = 1
     is_real = True
@@ -97,13 +97,13 @@ class lgamma(sympy.Function):  # type: ignore[misc]
 
 @cache
 def member(stem: str, order: int) -> type[Expr]:
-    """Return the member of a family with a number: `polygamma_0`, `sinc_derivative_2`, ..."""
+    """Return a member of a family as a sympy function, named `polygamma_0`, `sinc_derivative_2`, ..."""
     function: type[Expr] = type(sympy.Function)(f"{stem}_{order}", (OrderedBase,), {"stem": stem, "order": order})
     return function
 
 
 def by_name(name: str) -> Callable[..., mpmath.mpf]:
-    """Return the function of mpmath for a name of `math`, or for a member of a family."""
+    """Return the mpmath function for a name of the module `math`, or for a family member such as `polygamma_0`."""
     stem, _, order = name.rpartition("_")
     if stem in STEMS:
         return lambda x: value(stem, int(order), x)
@@ -113,16 +113,16 @@ def by_name(name: str) -> Callable[..., mpmath.mpf]:
 
 _SINC = np.vectorize(lambda order, x: float(sinc_derivative(int(order), x)), otypes=[float])
 NUMPY = [{"sinc_derivative": _SINC}, "scipy", "numpy"]
-"""Modules for lambdify with all printable functions."""
+"""Modules for sympy.lambdify that together have all functions of checked expressions."""
 
 
 def value(stem: str, order: int, x: mpmath.mpf) -> mpmath.mpf:
-    """Return a member of a family at a number of mpmath, to the digits of that number."""
+    """Return member `order` of the family `stem` at `x`, to the working precision of mpmath."""
     return mpmath.psi(order, x) if stem == "polygamma" else sinc_derivative(order, x)
 
 
 def sinc_derivative(order: int, x: mpmath.mpf | float) -> mpmath.mpf:
-    """Return the derivative of sin(x)/x: its series near zero, elsewhere x s_n = sin(x + n pi/2) - n s_(n-1)."""
+    """Return a derivative s_n of sin(x)/x: a series if |x| < 30, else x s_n = sin(x + n pi/2) - n s_(n-1)."""
     with mpmath.extradps(30 + 2 * order):
         x = mpmath.mpf(x)
         if abs(x) < 30:
@@ -141,7 +141,7 @@ def sinc_derivative(order: int, x: mpmath.mpf | float) -> mpmath.mpf:
 
 
 def rewritten(expression: Expr, what: str) -> Expr:
-    """Return an expression in printable functions; ExpressionError if a sum or integral has no closed form."""
+    """Return an expression in printable functions; ExpressionError about `what` if it has a sum without closed form."""
     for part in sorted(expression.atoms(sympy.Sum, sympy.Product, sympy.Integral, sympy.Derivative), key=str):
         if isinstance(part, sympy.Derivative) and not set(part.variables) <= part.expr.free_symbols:
             finding = f"{what} has {_short(part)}, which is zero: symbols depend on no other symbol"
@@ -159,7 +159,7 @@ def rewritten(expression: Expr, what: str) -> Expr:
 
 
 def refusal(part: Expr, what: str) -> ExpressionError:
-    """Return the error of a function that no generated module can evaluate."""
+    """Return the error for a function that modules cannot evaluate; `what` names its expression."""
     name = part.func.__name__
     remedy = _REMEDIES.get(name, "use elementary functions, erf, erfc, sinc, gamma, loggamma or polygamma")
     return ExpressionError(f"{what} uses {_short(part)}, which cannot be printed", remedy)
@@ -171,7 +171,7 @@ def _short(part: Expr) -> str:
 
 
 def _signed_root(product: Expr) -> Expr:
-    """Return a product with sign(x) |x|^r as x |x|^(r - 1), whose derivatives have no steps."""
+    """Return a product with sign(x) |x|^r rewritten as x |x|^(r - 1), whose derivatives have no jumps."""
     for sign in (factor for factor in product.args if isinstance(factor, sympy.sign)):
         x = sign.args[0]
         for root in product.args:
@@ -224,9 +224,9 @@ _REMEDIES = {
 
 
 class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-    """A table, or its derivative of an `order` by each of its inputs.
+    """A table as a sympy function, or its partial derivative: `order` counts the derivatives for each input.
 
-    Printers of sympy ask for a base class by its name if that ends in Base.
+    The name ends in Base, so that printers of sympy look for methods of this class.
     """
 
     is_real = True
@@ -234,7 +234,7 @@ class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
     order: tuple[int, ...] = ()
 
     def fdiff(self, argindex: int = 1) -> Expr:
-        """Return the derivative by an input; beyond the degree of the polynomials it is zero."""
+        """Return the derivative with respect to an input, which is zero above the degree of the polynomials."""
         index = argindex - 1
         if self.order[index] == DEGREE:
             return sympy.S.Zero
@@ -261,24 +261,24 @@ class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
 
 def table_value(table: TableData, order: tuple[int, ...], at: Iterable[Number]) -> Number:
-    """Return a derivative at numbers of mpmath or of Python, or at arrays, real or complex."""
+    """Return a partial derivative at the inputs `at`: numbers of mpmath or Python, or arrays, real or complex."""
     return derivative(table, order, list(at), lambda number: getattr(number, "real", number))
 
 
 def table_name(table: TableData, order: tuple[int, ...]) -> str:
-    """Return the name of a derivative in messages and descriptions: thrust, thrust_mach, thrust_mach_altitude."""
+    """Return the name of a table or derivative in messages: thrust, thrust_mach, thrust_mach_altitude."""
     by = [name for name, o in zip(table.shape.inputs, order, strict=True) for _ in range(o)]
     return "_".join((table.shape.name, *by))
 
 
 @cache
 def table_function(table: TableData, order: tuple[int, ...]) -> type[Expr]:
-    """Return the derivative of a table of an order, as a function; equal tables have the same function."""
+    """Return a partial derivative of a table as a sympy function; equal tables have the same function."""
 
     def evaluated(*at: Number) -> Number:
         return table_value(table, order, at)
 
-    # Functions of lambdify are found by the class, whose name no other function may have.
+    # lambdify finds `_imp_` by the name of the class, so the name must be unique.
     name = f"table_{table_name(table, (0,) * len(order))}_{'_'.join(map(str, order))}"
     attributes = {"table": table, "order": order, "nargs": len(order), "_imp_": staticmethod(evaluated)}
     function: type[Expr] = type(sympy.Function)(name, (TableBase,), attributes)
@@ -286,7 +286,7 @@ def table_function(table: TableData, order: tuple[int, ...]) -> type[Expr]:
 
 
 def tables_of(*holders: object) -> tuple[TableData, ...]:
-    """Return the tables in expressions, in the order of their names; the expressions may be nested in dataclasses."""
+    """Return the tables in expressions, sorted by name; expressions may be nested in dataclasses, lists and tuples."""
     tables: dict[TableData, None] = {}
     waiting: list[object] = list(holders)
     while waiting:
@@ -301,5 +301,5 @@ def tables_of(*holders: object) -> tuple[TableData, ...]:
 
 
 def numbers_of(*holders: object) -> tuple[float, ...]:
-    """Return the numbers of all tables in expressions, one table after the other, as modules keep them."""
+    """Return the numbers of all tables in expressions as one tuple, in the order in which modules store them."""
     return tuple(number for table in tables_of(*holders) for number in table.numbers)

@@ -1,14 +1,14 @@
 """Expressions as a graph in which equal values have one node (value numbering), and as straight-line programs.
 
-A tree repeats common parts, and its derivatives repeat them more often still. In the graph every value has a number,
-its node. Nodes have a canonical form: a sum has its terms once, in order of their numbers, and no common factor; a
-product has its factors once, in order, and no number; numbers are exact fractions. So an equal value is stored once. A
-node's arguments have lower numbers than the node: values can be computed in the order of numbers.
+A tree repeats common parts, and its derivatives repeat them more often still. In the graph every value is a node with a
+number. Nodes have a canonical form. A sum has each term once, in order of their node numbers, and no common factor. A
+product has each factor once, in order, and no numerical factor. Numbers are exact fractions. So equal values are stored
+once. Arguments have lower numbers than their node, so values can be computed in the order of numbers.
 
-A straight-line program has short assignments in order, and values in terms of them. Parts of sums and products that
-occur together more than once are computed once: the pair of factors, or of terms, that most products, or sums, have in
-common becomes a node, and so on until no pair occurs twice. Source: Breuer (1969), Generation of optimal code for
-expressions via factorization, Communications of the ACM 12.
+A straight-line program has short assignments in order, and values in terms of their symbols. Common parts of sums and
+of products are computed once. The most frequent pair of factors (in products) or terms (in sums) becomes a node, until
+no pair occurs twice. Source: Breuer (1969), Generation of optimal code for expressions via factorization,
+Communications of the ACM 12.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ ZERO, ONE = Fraction(0), Fraction(1)
 
 @dataclass(frozen=True, slots=True)
 class Leaf:
-    """A symbol, or a constant such as pi that is no fraction."""
+    """A symbol, or a constant such as pi that is not a fraction."""
 
     expression: Expr
 
 
 @dataclass(frozen=True, slots=True)
 class Sum:
-    """constant + sum of coefficient * node; a number has no terms."""
+    """constant + sum of coefficient * node for the pairs `terms`; a plain number has no terms."""
 
     constant: Fraction
     terms: tuple[tuple[int, Fraction], ...]
@@ -44,14 +44,14 @@ class Sum:
 
 @dataclass(frozen=True, slots=True)
 class Product:
-    """The product of node ** exponent."""
+    """The product of node ** exponent for the pairs `factors`."""
 
     factors: tuple[tuple[int, Fraction], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A function of nodes: an expression in the symbols `argument(0)`, `argument(1)`, ..."""
+    """A function of the nodes `arguments`: a template in the symbols `argument(0)`, `argument(1)`, ..."""
 
     template: Expr
     arguments: tuple[int, ...]
@@ -61,12 +61,12 @@ Node = Leaf | Sum | Product | Call
 
 
 def argument(index: int) -> Symbol:
-    """Return the symbol of the argument at an index in a template."""
+    """Return the symbol that stands for argument number `index` in a template."""
     return Symbol(f"_{index}", real=True)
 
 
 class Graph:
-    """Nodes by number; `varies` is True for the nodes that depend on an unknown."""
+    """Expressions as numbered nodes; `varies[n]` is True if node n depends on an unknown."""
 
     def __init__(self, unknowns: Iterable[Expr] = ()) -> None:
         self.nodes: list[Node] = []
@@ -79,7 +79,7 @@ class Graph:
         self.varies = [True] * len(self.nodes)
 
     def add(self, node: Node) -> int:
-        """Return the number of a node in canonical form."""
+        """Return the number of a node in canonical form; a new node is stored."""
         number = self._numbers.setdefault(node, len(self.nodes))
         if number == len(self.nodes):
             self.nodes.append(node)
@@ -87,11 +87,11 @@ class Graph:
         return number
 
     def number(self, value: Fraction) -> int:
-        """Return the node of a number."""
+        """Return the node of a numerical constant."""
         return self.add(Sum(value, ()))
 
     def sum(self, terms: Iterable[tuple[int, Fraction]], constant: Fraction = ZERO) -> int:
-        """Return the node of constant + sum of coefficient * node."""
+        """Return the node of constant + sum of coefficient * node for pairs (node, coefficient)."""
         total: dict[int, Fraction] = {}
         for node, coefficient in terms:
             factor, core = self.scaled(node)
@@ -118,7 +118,7 @@ class Graph:
         return core if content == 1 else self.add(Sum(ZERO, ((core, content),)))
 
     def product(self, factors: Iterable[tuple[int, Fraction]], coefficient: Fraction = ONE) -> int:
-        """Return the node of coefficient * product of node ** exponent."""
+        """Return the node of coefficient * product of node ** exponent for pairs (node, exponent)."""
         total: dict[int, Fraction] = {}
         for node, exponent in factors:
             if exponent.denominator == 1:
@@ -142,8 +142,8 @@ class Graph:
         return self.product([(node, ONE) for node in nodes])
 
     def call(self, template: Expr, indices: tuple[int, ...]) -> int:
-        """Return the node of a function; log(1 + x) is written as log1p(x), which keeps all digits."""
-        if len(set(indices)) < len(indices):  # equal arguments, such as in atan2(x, x), are one
+        """Return the node of a template with nodes `indices` as arguments; log(1 + x) becomes the accurate log1p(x)."""
+        if len(set(indices)) < len(indices):  # merge equal arguments, such as in atan2(x, x)
             once = {argument(i): argument(indices.index(node)) for i, node in enumerate(indices)}
             return self.of(template.xreplace(once), {argument(i): node for i, node in enumerate(indices)})
         if template == sympy.log(argument(0)):
@@ -155,13 +155,13 @@ class Graph:
         return self.add(Call(template, indices))
 
     def call_at(self, number: int) -> Call:
-        """Return a node that must be a function."""
+        """Return the node with a number, which must be a function call."""
         node = self.nodes[number]
         assert isinstance(node, Call), "leaves have no arguments"
         return node
 
     def scaled(self, node: int) -> tuple[Fraction, int | None]:
-        """Return a value as a number times a node without a numerical factor; a number has no node."""
+        """Return the numerical factor of a node and the node without it; a constant has None as second value."""
         inner = self.nodes[node]
         if isinstance(inner, Sum):
             if not inner.terms:
@@ -171,7 +171,7 @@ class Graph:
         return ONE, node
 
     def of(self, expression: Expr, symbols: Mapping[Symbol, int] | None = None) -> int:
-        """Return the node of an expression; `symbols` have nodes of their own."""
+        """Return the node of an expression; `symbols` assigns existing nodes to symbols."""
         nodes: dict[Expr, int] = self._of if symbols is None else dict(symbols)
 
         def node_of(part: Expr) -> int:
@@ -190,7 +190,7 @@ class Graph:
                 return self.product((node_of(factor), ONE) for factor in part.args)
             if part.is_Pow and part.exp.is_Rational:
                 return self.product([(node_of(part.base), _fraction(part.exp))])
-            # The function with symbols in place of its arguments, each once.
+            # Make the template: the function with symbols in place of its distinct arguments.
             operands: dict[Expr, Symbol] = {}
 
             def placed(operand: Expr) -> Expr:
@@ -206,7 +206,7 @@ class Graph:
         return node_of(expression)
 
     def derivative(self, call: Call, *indices: int) -> int:
-        """Return the node of the derivative of a function by the arguments at some indices, without deltas of kinks."""
+        """Return the node of a call's derivative with respect to arguments `indices`; kinks give no delta functions."""
         template = call.template
         for index in indices:
             key = template, index
@@ -217,7 +217,7 @@ class Graph:
         return self.of(template, {argument(i): node for i, node in enumerate(call.arguments)})
 
     def reachable(self, roots: Iterable[int]) -> list[int]:
-        """Return the nodes that the roots are computed from, and the roots themselves, in order."""
+        """Return the roots and all nodes that they depend on, in increasing order."""
         seen: set[int] = set()
         waiting = list(roots)
         while waiting:
@@ -228,12 +228,12 @@ class Graph:
         return sorted(seen)
 
     def independent(self, roots: Iterable[int], of: Iterable[int]) -> bool:
-        """Return True if some nodes are computed without any of the nodes `of`."""
+        """Return True if the roots depend on no node in `of`, and none of them is in `of`."""
         return not set(of).intersection(self.reachable(roots))
 
 
 def arguments(node: Node) -> tuple[int, ...]:
-    """Return the nodes that a node is computed from."""
+    """Return the nodes from which a node is computed directly."""
     if isinstance(node, Sum):
         return tuple(term for term, _ in node.terms)
     if isinstance(node, Product):
@@ -257,12 +257,12 @@ _LOGICAL = (
 Assignment = tuple[Symbol, Expr]
 
 _LONG = 6
-"""Operations from which on a value gets a name even if it is read once."""
+"""Number of operations from which a value gets a name, even if it is read only once."""
 
 
 @dataclass(frozen=True)
 class StraightLine:
-    """`values` may read the symbols of `assignments`, and each assignment the symbols before it.
+    """A program: assignments that may read the symbols of earlier assignments, and values that may read all symbols.
 
     A value that does not depend on unknowns reads no assignment.
     """
@@ -272,10 +272,10 @@ class StraightLine:
 
 
 def straight_line(graph: Graph, roots: Sequence[int], names: Iterator[Symbol]) -> StraightLine:
-    """Return a program for the values of `roots`; values that are long or read repeatedly get the next of the names."""
+    """Return a program for the values of `roots`; long values and values read repeatedly get symbols from `names`."""
     order = graph.reachable(root for root in roots if graph.varies[root])
     outputs = set(roots)
-    # Reads of each value. A value that is raised to a power counts twice, since sympy would multiply it out.
+    # Count the reads of each value. A base of a power counts twice, since sympy would multiply the power out.
     uses = Counter(roots)
     for number in order:
         node = graph.nodes[number]
@@ -300,7 +300,7 @@ def straight_line(graph: Graph, roots: Sequence[int], names: Iterator[Symbol]) -
 
 
 def written_out(graph: Graph, roots: Sequence[int]) -> tuple[Expr, ...]:
-    """Return each value as one expression."""
+    """Return the value of each root as one expression."""
     written: dict[int, Expr] = {}
     for number in graph.reachable(roots):
         written[number] = _expression(graph, number, written)
@@ -308,7 +308,7 @@ def written_out(graph: Graph, roots: Sequence[int]) -> tuple[Expr, ...]:
 
 
 def _expression(graph: Graph, number: int, written: Mapping[int, Expr]) -> Expr:
-    """Return the expression of a node from the expressions of its arguments."""
+    """Return the expression of a node; `written` has the expressions of its arguments."""
     node = graph.nodes[number]
     if isinstance(node, Leaf):
         return node.expression
@@ -327,7 +327,7 @@ def _rational(number: Fraction) -> Expr:
 
 
 def _operations(graph: Graph, number: int) -> int:
-    """Return the operations of a node without its arguments; a change of sign is no operation."""
+    """Return the number of operations of a node, without those inside its arguments; a change of sign counts 0."""
     node = graph.nodes[number]
     if isinstance(node, Leaf):
         return 0
@@ -338,12 +338,12 @@ def _operations(graph: Graph, number: int) -> int:
 
 
 Parts = dict[int, Fraction]
-"""Factors with exponents, or terms with coefficients."""
+"""Nodes: the factors of a product with their exponents, or the terms of a sum with their coefficients."""
 Pair = tuple[int, int, Fraction, Fraction]
 
 
 def shared(graph: Graph, roots: Sequence[int]) -> tuple[Graph, dict[int, int]]:
-    """Return a graph of the same values with common parts, and the new numbers of nodes."""
+    """Return a graph with common parts of sums and products as nodes, and its node number for each old number."""
     nodes = [(number, graph.nodes[number]) for number in graph.reachable(roots)]
     fresh = iter(range(len(graph.nodes), 2**62))
     products = {number: dict(node.factors) for number, node in nodes if isinstance(node, Product)}
@@ -397,16 +397,17 @@ def shared(graph: Graph, roots: Sequence[int]) -> tuple[Graph, dict[int, int]]:
 def _take_out_pairs(
     groups: dict[int, Parts], fresh: Iterator[int], proportional: bool, constants: Mapping[int, Fraction]
 ) -> None:
-    """Take the most frequent pair of parts out of the groups (sums or products), as long as a pair occurs twice.
+    """Replace the most frequent pair of parts in the groups (sums or products) by a node, until no pair occurs twice.
 
-    With `proportional` coefficients pairs are equal up to a factor, so that 2 a + 2 b is twice a + b.
+    If `proportional`, pairs are equal up to a factor, so that 2 a + 2 b is twice a + b. New nodes have the numbers
+    `fresh`. `constants` are the constants of the sums that have one.
     """
 
     def pair_of(a: int, weight: Fraction, b: int, other: Fraction) -> Pair:
         return (a, b, ONE, other / weight) if proportional else (a, b, weight, other)
 
     def pairs_with(chosen: Sequence[int], parts: Parts) -> Iterator[Pair]:
-        """Yield the pairs with at least one of the chosen parts, in no order; some pairs twice."""
+        """Yield the pairs with at least one of the chosen parts, some of them twice."""
         for a in chosen:
             if a not in parts:
                 continue
@@ -417,7 +418,7 @@ def _take_out_pairs(
                 elif b < a:
                     yield pair_of(b, other, a, weight)
 
-    users: dict[Pair, set[int]] = {}  # the groups with each pair
+    users: dict[Pair, set[int]] = {}  # the numbers of the groups that contain each pair
     for number, parts in groups.items():
         for (a, weight), (b, other) in combinations(sorted(parts.items()), 2):
             users.setdefault(pair_of(a, weight, b, other), set()).add(number)

@@ -1,6 +1,6 @@
 """Tables and measurements in files, and tables as piecewise polynomials, without sympy.
 
-A file has a line of column names, then rows of numbers, and comments after `#`. A table of two inputs has a row for
+A file has a line of column names, then rows of numbers. Comments follow `#`. A table of two inputs has a row for
 every pair of the grid, in any order. Measurements have a column of times and columns of values, with empty cells for
 missing values; times need not be nodes, and may occur twice.
 
@@ -31,20 +31,20 @@ KINDS = {
     "linear": "straight lines, whose slope jumps at every breakpoint",
     "steps": "the value of the breakpoint before, with a slope of zero",
 }
-"""Kinds of interpolation between breakpoints, and their continuity."""
+"""Kinds of interpolation between breakpoints, and the properties of each kind."""
 OUTSIDE = {
     "error": "a solution that reads it outside its range is no solution",
     "clamp": "outside it has the value at the edge, and the slope zero",
     "extend": "outside the outermost polynomials go on",
 }
-"""Values outside the first and the last breakpoint."""
+"""Rules for inputs before the first or after the last breakpoint, and their effect."""
 
 
 @dataclass(frozen=True)
 class Shape:
     """The properties of a table on which a generated module depends: all except its numbers.
 
-    `inputs` are one or two, `sizes` the numbers of breakpoints of each.
+    `inputs` are the names of one or two inputs. `sizes` are the numbers of breakpoints of each input.
     """
 
     name: str
@@ -56,27 +56,27 @@ class Shape:
 
     @property
     def lookup(self) -> str:
-        """The emitted function that looks the table up."""
+        """The name of the generated function that evaluates the table."""
         return f"table_{self.name}"
 
     @property
     def width(self) -> int:
-        """The count of numbers at a breakpoint: the value, and for cubics the slopes."""
+        """The number of entries at a breakpoint: the value, and for cubics also the slopes."""
         return 1 if self.kind in ("linear", "steps") else 2 ** len(self.sizes)
 
     @property
     def count(self) -> int:
-        """The count of all numbers of the table."""
+        """The length of `TableData.numbers`."""
         return sum(self.sizes) + int(np.prod(self.sizes)) * self.width
 
 
 @dataclass(frozen=True)
 class TableData:
-    """A table: its shape, the file that it comes from, and its numbers, shape (count,).
+    """A table: its shape, the name of its file, and its numbers, shape (count,).
 
-    First come the breakpoints of each input; then, at every breakpoint (of two inputs the second runs fastest), the
-    value, and for cubics the slopes: of one input f, f'; of two f, its slopes by the first and by the second, and the
-    mixed second derivative. Cubic polynomials in Hermite's form follow from them, whatever the kind of spline.
+    First come the breakpoints of each input, then the entries at every breakpoint; the second input runs fastest. The
+    entry is the value f. Cubics also have slopes: f' for one input, and f_1, f_2, f_12 (partial derivatives) for two.
+    Every kind of cubic spline is evaluated in Hermite's form from these numbers.
     """
 
     shape: Shape
@@ -101,12 +101,12 @@ class TableData:
 
     @property
     def heights(self) -> NDArray[np.float64]:
-        """The numbers at breakpoints, shape (*sizes, width)."""
+        """The entries at all breakpoints, shape (*sizes, width)."""
         return np.array(self.numbers[sum(self.shape.sizes) :]).reshape(*self.shape.sizes, self.shape.width)
 
 
 def fitted(shape: Shape, source: str, axes: Sequence[NDArray[np.float64]], values: NDArray[np.float64]) -> TableData:
-    """Return the table through values, shape `sizes`, at the breakpoints of its axes.
+    """Return the table that has `values`, shape `shape.sizes`, at the breakpoints `axes` of its inputs.
 
     Cubic splines have the end conditions "not a knot"; splines of two inputs are products of splines of one input.
     Sources: de Boor (2001), A practical guide to splines, chapters 4 and 17; Fritsch and Butland (1984), A method for
@@ -123,7 +123,7 @@ def fitted(shape: Shape, source: str, axes: Sequence[NDArray[np.float64]], value
 
 
 def _slopes(kind: str, axis: NDArray[np.float64], values: NDArray[np.float64], index: int) -> NDArray[np.float64]:
-    """Return the slopes at the breakpoints of the spline along one axis."""
+    """Return the slopes at the breakpoints `axis` of splines along dimension `index` of the values."""
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
     spline = (CubicSpline if kind == "cubic" else PchipInterpolator)(axis, values, axis=index)
@@ -131,28 +131,28 @@ def _slopes(kind: str, axis: NDArray[np.float64], values: NDArray[np.float64], i
 
 
 MOST = 20_000
-"""Largest number of rows; more measurements must be smoothed or thinned out before a fit."""
+"""Largest number of rows of a file; longer measurements must be smoothed or thinned out before a fit."""
 _LEAST = {"cubic": 4, "monotone": 2, "linear": 2, "steps": 1}
 
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of a file by name, each of shape (rows,), and the line of every row."""
+    """The columns of a file by name, each of shape (rows,), and the line number of each row."""
 
     path: Path
     values: dict[str, NDArray[np.float64]]
     lines: tuple[int, ...]
 
     def refused(self, row: int, finding: str, remedy: str) -> TableError:
-        """Return the error of a row."""
+        """Return the error about a row, with the line number of the row."""
         return TableError(f"{self.path}:{self.lines[row]}: {finding}", remedy)
 
 
 def read_columns(path: Path, names: Sequence[str] = (), optional: Collection[str] = ()) -> Columns:
-    """Read some columns of a file, or all of them; NaN stands for empty cells of `optional` ones.
+    """Return the columns `names` of a file, or all columns; NaN replaces empty cells of `optional` columns.
 
-    Raises TableError, naming the file and the line, when the file is missing or no text, lacks a column, has ragged
-    rows, or has a cell without a finite number in a column that is read.
+    Raises TableError with file and line if the file is missing or not text, lacks a column, or has ragged rows. The
+    same error is raised if a cell of a returned column is not a finite number.
     """
     if not path.is_file():
         raise TableError(f"{path}: {'is a directory' if path.is_dir() else 'no such file'}", "give a table as text")
@@ -195,7 +195,7 @@ def read_columns(path: Path, names: Sequence[str] = (), optional: Collection[str
 def read_table(
     path: Path, source: str, name: str, inputs: Sequence[str], output: str, kind: str, outside: str
 ) -> TableData:
-    """Read a file and fit the spline of a table; TableError names the unusable line."""
+    """Return the table fitted to a file; `source` names the file in reports, TableError the unusable line."""
     columns = read_columns(path, [*inputs, output])
     if len(inputs) == 1:
         axis = columns.values[inputs[0]]
@@ -218,7 +218,7 @@ def read_table(
 def _grid(
     columns: Columns, inputs: Sequence[str], output: str
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return the breakpoints of two inputs and the values at all pairs; TableError for a missing or repeated pair."""
+    """Return the breakpoints of two inputs and the output at all pairs; TableError for a missing or repeated pair."""
     found = [np.unique(columns.values[name], return_inverse=True) for name in inputs]
     axes = [axis for axis, _ in found]
     pairs = np.stack([index.ravel() for _, index in found], axis=1)
@@ -232,7 +232,7 @@ def _grid(
     if (rows < 0).any():
         i, j = np.argwhere(rows < 0)[0]
         what = " and ".join(f"{name} {axis[k]:g}" for name, axis, k in zip(inputs, axes, (i, j), strict=True))
-        # The first row with the same value of the first input gives the line.
+        # Report the line of the first row with the same value of the first input.
         line = columns.lines[int(rows[i][rows[i] >= 0].min())]
         raise TableError(
             f"{columns.path}:{line}: there is no row with {what}",
@@ -250,16 +250,16 @@ ORDERS: dict[int, tuple[tuple[int, ...], ...]] = {
     1: ((0,), (1,), (2,), (3,)),
     2: ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)),
 }
-"""The derivatives that a look-up returns, in order, by the number of inputs."""
+"""The partial derivatives that generated table functions return, by the number of inputs."""
 _HERMITE = ((1, 0, -3, 2), (0, 1, -2, 1), (0, 0, 3, -2), (0, 0, -1, 1))
-"""Coefficients of 1, s, s^2, s^3 of the cubics that are 1 in the value, then the slope, at s = 0, then at s = 1."""
+"""Hermite's cubics as coefficients of 1, s, s^2, s^3: for the value and slope at s = 0, then at s = 1."""
 _BASES: dict[str, tuple[tuple[int, ...], ...]] = {"linear": ((1, -1), (0, 1))}
 
 
 def derivative(
     table: TableData, order: Sequence[int], at: Sequence[Number], real: Callable[[Number], Number]
 ) -> Number:
-    """Return the derivative of an `order` by each input, at numbers or arrays; `real` gives the real part."""
+    """Return a derivative at the inputs `at`, `order[i]` times with respect to input i; `real` returns real parts."""
     kind, heights = table.shape.kind, table.heights
     if kind == "steps":
         before = np.searchsorted(table.axes[0], np.asarray(real(at[0]), dtype=float), side="right") - 1
@@ -275,7 +275,7 @@ def derivative(
     terms = []
     for i, one in enumerate(down):
         for j, other in enumerate(across):
-            # By the first input before by the second: f, f_1, f_2, f_12.
+            # The last index of heights is 0 to 3 for f, f_1, f_2, f_12.
             height = heights[row + i // width, column + j // width, i % width + 2 * (j % width)]
             terms.append(_plain(height) * one * other)
     return sum(terms[1:], terms[0])
@@ -284,7 +284,7 @@ def derivative(
 def _part(
     axis: NDArray[np.float64], table: TableData, order: int, x: Number, real: Callable[[Number], Number]
 ) -> tuple[Indices, list[Number]]:
-    """Return the cell of an input, and the differentiated weights of the numbers at its ends."""
+    """Return the index of the interval with `x`, and the derivatives of the weights of the entries at its ends."""
     flat, at, factor = np.asarray(real(x), dtype=float), x, None
     if table.shape.outside == "clamp":
         inside = (flat >= axis[0]) & (flat <= axis[-1])
@@ -307,7 +307,7 @@ def _plain(height: Number) -> Number:
 
 
 def _differentiated(polynomial: Sequence[int], order: int, s: Number) -> Number:
-    """Return the derivative of a polynomial."""
+    """Return a derivative at s of the polynomial with coefficients of 1, s, s^2, ..."""
     coefficients = list(polynomial)
     for _ in range(order):
         coefficients = [k * c for k, c in enumerate(coefficients)][1:] or [0]
@@ -322,14 +322,14 @@ LOSSES = {
     "huber": "the sum of Huber's losses, e^2 up to |e| = 1 and 2 |e| - 1 beyond",
     "soft-l1": "the sum of soft absolute values, 2 (sqrt(1 + e^2) - 1)",
 }
-"""Losses of errors e relative to their standard deviations, as in scipy's least_squares."""
+"""Loss functions of errors e, divided by their standard deviations, as in scipy's least_squares."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The columns on which a module depends: of times, of each value, and of its standard deviation.
+    """The names of the columns that a module reads: times, measured values, and their standard deviations.
 
-    A standard deviation is a number, a column, or None if it is unknown; then errors are not scaled.
+    A standard deviation is a number, a column, or None if unknown; then errors are not scaled.
     """
 
     time: str
@@ -338,13 +338,13 @@ class Layout:
 
     @property
     def width(self) -> int:
-        """The count of numbers of a row: the time, the values, their standard deviations."""
+        """The number of entries in a row: the time, the values, their standard deviations."""
         return 1 + 2 * len(self.columns)
 
 
 @dataclass(frozen=True)
 class MeasurementData:
-    """One file of measurements: rows (time, values, standard deviations) by time, NaN for missing values.
+    """One file of measurements: rows (time, values, standard deviations) sorted by time, NaN for missing values.
 
     `lines` are the line numbers of the rows in the file.
     """
@@ -368,7 +368,7 @@ class MeasurementData:
 
 
 def read_measurements(path: Path, source: str, layout: Layout) -> MeasurementData:
-    """Read a file; TableError names the unusable line and column."""
+    """Return the measurements in a file; TableError names the unusable line and column."""
     deviations = [sigma for sigma in layout.sigmas if isinstance(sigma, str)]
     names = list(dict.fromkeys([layout.time, *layout.columns, *deviations]))
     columns = read_columns(path, names, optional={*layout.columns, *deviations})
@@ -376,7 +376,7 @@ def read_measurements(path: Path, source: str, layout: Layout) -> MeasurementDat
 
 
 def given_measurements(given: Mapping[str, object], layout: Layout) -> MeasurementData:
-    """Return measurements from columns by name, each of shape (n,), with NaN for missing values."""
+    """Return the measurements in `given`: columns by name, each of shape (n,), with NaN for missing values."""
     source = "the columns given"
     deviations = [sigma for sigma in layout.sigmas if isinstance(sigma, str)]
     values: dict[str, NDArray[np.float64]] = {}
@@ -402,7 +402,7 @@ def given_measurements(given: Mapping[str, object], layout: Layout) -> Measureme
 
 
 def _checked_measurements(columns: Columns, source: str, layout: Layout) -> MeasurementData:
-    """Return values and standard deviations, by time; TableError for an invalid deviation or an empty column."""
+    """Return measurements sorted by time; TableError for an invalid standard deviation or an empty column."""
     times = columns.values[layout.time]
     values = [columns.values[name] for name in layout.columns]
     sigmas = []
@@ -427,7 +427,7 @@ def _checked_measurements(columns: Columns, source: str, layout: Layout) -> Meas
 
 
 def require_within(data: MeasurementData, duration: float) -> None:
-    """Raise TableError for times outside a motion, with the line of the first such time."""
+    """Raise TableError with the line of the first time outside 0 to `duration`, apart from rounding errors."""
     rounding = 1e-9 * duration
     for line, time in zip(data.lines, data.array[:, 0], strict=True):
         if not -rounding <= time <= duration + rounding:

@@ -5,13 +5,13 @@ one kind. Code for kinds does not grow with the number of bodies.
 
 A pair term is a function of few scalars: squared distance, scalar products, distance from a boundary. The scalars are
 polynomials in the coordinates and momenta of two particles, with short and exact derivatives; the outer function has
-three or four variables. Each part is differentiated separately: f_k dI_k, and f_kl dI_k dI_l + f_k d2I_k. So no digits
-are lost if points nearly meet or are near a boundary.
+three or four variables. Each part is differentiated separately: the gradient is f_k dI_k, and the Hessian is
+f_kl dI_k dI_l + f_k d2I_k. So no digits are lost if points nearly meet or are near a boundary.
 
 Two functions replace differences that would lose all digits: for small x, both x - log(1 + x) and
-log(1 + x) - x/(1 + x) are about x^2/2. Kernels of plates and their derivatives, among others, are made of them.
+log(1 + x) - x/(1 + x) are about x^2/2. For example, kernels of plates and their derivatives contain these differences.
 
-Values of many identical bodies are a function of the body's number.
+A quantity that differs between many identical bodies is a function of the body's number.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sympy.printing.printer import Printer
 
 @dataclass(frozen=True)
 class Kind:
-    """An expression of arguments a0, a1, ... in place of the quantities of an instance."""
+    """The common form of some terms: an expression of arguments a0, a1, ... that stand for an instance's quantities."""
 
     expression: Expr
     arguments: tuple[Symbol, ...]
@@ -48,7 +48,7 @@ class Instance:
 def sorted_terms(
     conditions: Sequence[Expr], indices: Mapping[Symbol, int]
 ) -> tuple[tuple[Kind, ...], tuple[Instance, ...]]:
-    """Return the kinds of terms of conditions, in order, and all terms; `indices` number the quantities."""
+    """Return the kinds of terms in conditions, and all terms as instances; `indices` number the quantities."""
     symbols = set().union(*(condition.free_symbols for condition in conditions))
     taken = {symbol.name for symbol in symbols - indices.keys()}
     fresh = (Symbol(f"a{i}", real=True) for i in count() if f"a{i}" not in taken)
@@ -66,7 +66,7 @@ def sorted_terms(
 
 
 def distinct(conditions: Sequence[Expr], quantities: Sequence[Symbol]) -> tuple[int, ...]:
-    """Return the indices of the conditions that do not repeat an earlier one with other quantities."""
+    """Return the indices of the conditions that differ from every earlier condition in more than the quantities."""
     indices = {symbol: index for index, symbol in enumerate(quantities)}
     arguments = [Dummy(f"a{i}", real=True) for i in range(len(quantities))]
     first: dict[Expr, int] = {}
@@ -84,7 +84,7 @@ def _signed(expression: Expr) -> Expr:
 
 
 class x_minus_log1p(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-    """x - log(1 + x); the second argument is log(1 + x), which other expressions share."""
+    """x - log(1 + x); the second argument is log(1 + x), which other expressions can reuse."""
 
     nargs = 2
 
@@ -104,13 +104,13 @@ class log1p_minus_ratio(sympy.Function):  # type: ignore[misc]
 
 
 def without_cancellation(expression: Expr) -> Expr:
-    """Return an equal expression with common denominators and with the two functions of small differences.
+    """Return an equal expression with common denominators, `x_minus_log1p` and `log1p_minus_ratio`.
 
-    Expressions with nonlinear terms of logarithms are unchanged.
+    Expressions that are nonlinear in logarithms are unchanged.
     """
     logs = sorted(expression.atoms(sympy.log), key=sympy.default_sort_key)
     if not logs:
-        # The expression or its factored form, whichever has fewer operations.
+        # Choose the form with the fewest operations.
         candidates = [expression, sympy.factor_terms(expression)]
         if not expression.has(sympy.Piecewise, sympy.Abs, sympy.Min, sympy.Max):
             candidates.append(_rational(expression))
@@ -137,7 +137,7 @@ def without_cancellation(expression: Expr) -> Expr:
 
 
 def _rational(expression: Expr) -> Expr:
-    """Return factors over a common denominator.
+    """Return an equal expression as a product of factors over a common denominator.
 
     Wang's algorithm evaluates polynomials at random integers; some integers make it run for hours. A fixed seed makes
     all builds use the same integers.
@@ -151,9 +151,9 @@ _SINGULAR = (sympy.zoo, sympy.nan, sympy.oo, -sympy.oo)
 
 @dataclass(frozen=True)
 class Invariants:
-    """A term as a function `outer` of `symbols`, each with its polynomial in moving symbols.
+    """A pair term as a function `outer` of the scalars `symbols`, with the value of each scalar in `polynomials`.
 
-    `first` and `second` are the moving symbols (coordinates, momenta) of both particles.
+    `first` and `second` are the coordinates and momenta of the two particles: the moving symbols.
     """
 
     first: tuple[Symbol, ...]
@@ -164,7 +164,7 @@ class Invariants:
 
     @classmethod
     def of(cls, term: Expr, first: Sequence[Symbol], second: Sequence[Symbol] = ()) -> Invariants:
-        """Return the scalars of a term: its longest sums that are polynomials in moving symbols."""
+        """Return a term with its scalars: the longest sums that are polynomials in the moving symbols."""
         moving = {*first, *second}
         symbols: dict[Expr, Symbol] = {}
 
@@ -185,7 +185,7 @@ class Invariants:
                 if not short:
                     return sympy.Add(*map(replaced, rest))
                 content, primitive = sympy.Add(*short).primitive()
-                # Without a constant term the sign is part of the content.
+                # Without a constant term, scalars of opposite sign are one scalar.
                 if primitive.as_coeff_Add()[0] == 0 and primitive.could_extract_minus_sign():
                     content, primitive = -content, -primitive
                 return content * named(primitive) + sum(map(replaced, rest), sympy.S.Zero)
@@ -196,7 +196,7 @@ class Invariants:
 
     @property
     def moving(self) -> tuple[Symbol, ...]:
-        """The symbols of derivatives."""
+        """The coordinates and momenta of both particles."""
         return (*self.first, *self.second)
 
     @property
@@ -205,18 +205,18 @@ class Invariants:
         return without_cancellation(self.outer)
 
     def slope(self, k: int) -> Expr:
-        """Return the derivative of the outer function by its k-th variable."""
+        """Return the derivative of the outer function with respect to scalar k."""
         return without_cancellation(sympy.diff(self.outer, self.symbols[k]))
 
     def curvature(self, k: int, m: int) -> Expr:
-        """Return a second derivative of the outer function."""
+        """Return the second derivative of the outer function with respect to scalars k and m."""
         return without_cancellation(sympy.diff(self.outer, self.symbols[k], self.symbols[m]))
 
     def distances(self) -> tuple[int, ...]:
         """Return the indices of squared distances: nonnegative scalars that vanish where both particles meet."""
         found = []
         for k in self._vanishing():
-            # A polynomial of degree two that is a sum of squares; other ones have both signs.
+            # Only a polynomial of degree two that is a sum of squares has one sign.
             own = [symbol for symbol in self.moving if symbol in self.polynomials[k].free_symbols]
             if own and sympy.Poly(self.polynomials[k], *own).total_degree() == 2:
                 eigenvalues = np.linalg.eigvalsh(np.array(sympy.hessian(self.polynomials[k], own), float))
@@ -238,11 +238,11 @@ class Invariants:
         return dict(zip(self.second[:half], self.first[:half], strict=True))
 
     def coincidence(self) -> tuple[Expr | None, bool]:
-        """Return the limit of the term where both particles meet, or None, and True if the gradient has that limit.
+        """Return the term's limit where both particles meet, and True if its gradient tends to the limit's gradient.
 
-        The limit is taken in the squared distance s from above. The gradient of s has the size of sqrt(s): the
-        gradient of the term tends to the gradient of the limit if f_s sqrt(s) tends to zero. A difference has two
-        signs: its value and slope at zero are taken.
+        The limit is None if it is not finite, or if more than one scalar vanishes. It is taken in the squared distance
+        s from above. The gradient of s has the size of sqrt(s), so f_s sqrt(s) must tend to zero. A scalar of either
+        sign, such as a difference of coordinates, is set to zero instead.
         """
         indices = self._vanishing()
         if len(indices) > 1:
@@ -274,23 +274,23 @@ def _is_quadratic(term: Expr, moving: set[Symbol]) -> bool:
 
 
 class EachBodyBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-    """The value of body 0, 1, ...; the first argument is the body's number, the others are the values.
+    """A number that differs between bodies: the arguments are the body's index, then the value for each body.
 
-    Printers of sympy look for methods of a base class if its name ends in Base.
+    The name ends in Base, so that printers of sympy look for methods of this class.
     """
 
     is_real = True
 
     @classmethod
     def eval(cls, body: Expr, *values: Expr) -> Expr | None:
-        """Return the value for a known number, or if all values are equal."""
+        """Return the value if the body's number is known or all values are equal, otherwise None."""
         if body.is_number:
             number = int(body)
             return values[number] if 0 <= number < len(values) else sympy.nan
         return values[0] if len(set(values)) == 1 else None
 
     def fdiff(self, argindex: int = 1) -> Expr:
-        """Return zero: derivatives by a body's number do not exist."""
+        """Return zero, since the values of bodies are numbers."""
         return sympy.S.Zero
 
     def _sympystr(self, printer: Printer) -> str:
@@ -298,5 +298,5 @@ class EachBodyBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
 
 def value_counts(expression: Expr) -> set[int]:
-    """Return the numbers of bodies for which an expression has values."""
+    """Return the set of value counts that the `EachBodyBase` functions in an expression have."""
     return {len(function.args) - 1 for function in expression.atoms(EachBodyBase)}

@@ -1,13 +1,13 @@
 """Proof that values vanish identically although their expressions do not show it.
 
-A value counts as zero only if exact arithmetic in finite fields proves it, or if its size decreases as fast as the
-number of digits grows, at points of many magnitudes. The size of a value itself never matters.
+A value counts as zero after a proof by exact arithmetic in finite fields. A second test accepts a value that shrinks as
+fast as the number of digits grows, at points of many magnitudes. The size of a value itself never matters.
 
-In a finite field a value is zero only if its expression is, except with a probability of 1e-15. Symbols are random;
-sums, products and fractions are exact. A function becomes a random map with its algebraic laws: exp(a) is the power of
-a random element whose order is a prime s, with `a` evaluated modulo s. So exp(a + b) is exp(a) exp(b), and exp(a/2)^2
-is exp(a). Sines and cosines are made of such powers with the square root of -1; tan, sinh, cosh and tanh follow. The
-root of u is an element whose square is u, with a random sign. Of any other function the only law is that equal
+In a finite field a value is zero only if its expression is zero, except with a probability of 1e-15. Symbols have
+random values; sums, products and fractions are exact. A function becomes a random map with its algebraic laws: exp(a)
+is the power of a random element whose order is a prime s, with `a` evaluated modulo s. So exp(a + b) is exp(a) exp(b),
+and exp(a/2)^2 is exp(a). Sines and cosines are made of such powers with the square root of -1; tan, sinh, cosh and tanh
+follow. The root of u is an element whose square is u, with a random sign. Any other function has one law only: equal
 arguments have equal values. Sources: Schwartz (1980), Fast probabilistic algorithms for verification of polynomial
 identities, JACM 27; Gonnet (1984), Determining equivalence of expressions in random polynomial time, STOC; Monagan and
 Gonnet (1994), Signature functions for algebraic numbers, ISSAC.
@@ -29,17 +29,18 @@ from sympy.ntheory import sqrt_mod
 from codegen.symbolic.graph import Call, Graph, Leaf, Node, Product, Sum, argument, arguments
 
 PRIMES = (936163401400647582669834523849, 22851088688748476436971161, 5146641596564972170489, 2305843009213697209)
-"""Each prime divides its predecessor minus 1, and modulo each of them -1, 2, 3, 5, 7, 11 and 13 are squares.
+"""Each prime divides its predecessor minus 1, and modulo each prime -1, 2, 3, 5, 7, 11 and 13 are squares.
 
-Arguments of exponentials and angles are evaluated modulo the next prime, arguments inside these modulo the prime after.
+Arguments of exponentials and angles are evaluated modulo the next prime, and so on for nested arguments.
 """
 _ARGUMENT = argument(0)
 
 
 class Residues:
-    """One random evaluation of the nodes of a graph; ZeroDivisionError at a pole.
+    """One random evaluation of the nodes of a graph in finite fields; a pole raises ZeroDivisionError.
 
-    `uncertain` are the nodes of each level with a function whose laws are missing: a nonzero value proves nothing.
+    Level k computes modulo PRIMES[k]. `uncertain[k]` are nodes whose nonzero values prove nothing, because the laws of
+    a function are missing.
     """
 
     def __init__(self, graph: Graph, seed: int) -> None:
@@ -55,7 +56,7 @@ class Residues:
         self._steps = [self._in_subgroup(level) for level in levels], [self._in_subgroup(level) for level in levels]
 
     def evaluate(self, roots: Iterable[int], level: int = 0) -> Mapping[int, int]:
-        """Return values modulo the prime of a level, of the nodes and of all nodes below them."""
+        """Return the values modulo PRIMES[level] of the nodes `roots` and of all nodes that they depend on."""
         values = self.values[level]
         waiting, missing = list(roots), set[int]()
         while waiting:
@@ -113,7 +114,7 @@ class Residues:
             return value(power, _inverse(power, prime), self._imaginary[level], prime) % prime
         values = tuple(self.values[level][a] for a in call.arguments)
         if call.template == sympy.Pow(_ARGUMENT, argument(1)) and level + 1 < len(PRIMES):
-            # The laws of powers hold if the base is a power of the elements of symbols.
+            # The laws of powers hold if base^(next prime) = 1, as for symbols.
             exponent = call.arguments[1]
             if pow(values[0], PRIMES[level + 1], prime) == 1:
                 if exponent in self.uncertain[level + 1]:
@@ -143,7 +144,7 @@ class Residues:
         return pow(self._root(number, value, exponent.denominator, level), exponent.numerator, prime)
 
     def _root(self, number: int, value: int, degree: int, level: int) -> int:
-        """Return a root of an element, the same for equal elements; half of them have no square root in the field."""
+        """Return a root of `value`, the same for equal values; a random element if the field has no such root."""
         prime = PRIMES[level]
         if degree & (degree - 1) == 0:
             if degree > 2:
@@ -161,14 +162,14 @@ class Residues:
         return self._drawn(("root", value, degree), level)
 
     def _drawn(self, key: tuple[object, ...], level: int, draw: Callable[[int], int] | None = None) -> int:
-        """Return the random element of a key."""
+        """Return the random element of a key, drawn at the first call and kept for later calls."""
         key = (level, *key)
         if key not in self._opaque:
             self._opaque[key] = draw(level) if draw else self.generator.randrange(2, PRIMES[level])
         return self._opaque[key]
 
     def _in_subgroup(self, level: int) -> int:
-        """Return a random element whose order is the next prime; at the last level any element."""
+        """Return a random element whose order is the prime of the next level; at the last level any element."""
         element = self.generator.randrange(2, PRIMES[level])
         if level + 1 == len(PRIMES):
             return element
@@ -195,11 +196,11 @@ _EXPONENTIAL: dict[type[Expr], tuple[int, Callable[[int, int, int, int], int]]] 
     sympy.sec: (1, lambda e, f, i, p: 2 * _inverse(e + f, p)),
     sympy.csc: (1, lambda e, f, i, p: 2 * i * _inverse(e - f, p)),
 }
-"""Functions of e and f = 1/e, where e is exp(a) if the first entry is 0, and exp(i a) if it is 1."""
+"""Functions of a: 0 with e = exp(a), or 1 with e = exp(i a); then the formula in e, f = 1/e, i and the prime p."""
 
 
 _DRAWS = 2
-"""Evaluations in finite fields that must be zero; each is zero by chance with probability 1e-15."""
+"""Number of evaluations in finite fields that must be zero; one is zero by chance with probability 1e-15."""
 _ATTEMPTS = 6
 _DIGITS = (40, 80, 160, 320)
 _POINTS, _NEEDED = 12, 4
@@ -216,8 +217,8 @@ _ANALYTIC = (
 
 
 def identically_zero(expression: Expr) -> bool:
-    """Return True if an expression is proved to be zero everywhere; False also if it is undecided."""
-    if expression.has(sympy.DiracDelta):  # of kinks; zero almost everywhere, and emitted so
+    """Return True if an expression is proved to be zero everywhere, and False if it is nonzero or undecided."""
+    if expression.has(sympy.DiracDelta):  # from kinks; zero almost everywhere, also in generated code
         expression = expression.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
     if expression.is_Number or expression.is_Symbol:
         return bool(expression.is_zero)
@@ -230,10 +231,10 @@ def identically_zero(expression: Expr) -> bool:
 
 
 def vanishing(graph: Graph, roots: Iterable[int]) -> set[int]:
-    """Return the nodes whose values are proved to be zero for all values of their symbols."""
+    """Return the nodes among `roots` whose values are proved to be zero for all values of the symbols."""
     scaled = {root: graph.scaled(root) for root in roots}
     structural = {root for root, (factor, core) in scaled.items() if core is None and factor == 0}
-    # Exact arithmetic in finite fields; nodes with functions whose laws are missing are doubtful.
+    # Doubtful nodes are nonzero in a finite field, but contain functions whose laws are missing.
     zeros, doubtful, evaluations = {root for root, (_, core) in scaled.items() if core is not None}, set[int](), 0
     for seed in range(_ATTEMPTS):
         field = Residues(graph, seed + 1)
@@ -252,10 +253,10 @@ def vanishing(graph: Graph, roots: Iterable[int]) -> set[int]:
 
 
 def _by_digits(graph: Graph, roots: Sequence[int]) -> set[int]:
-    """Return the nodes whose values are only rounding errors, at several points and with increasing digits.
+    """Return the nodes whose values are only rounding errors at several points, with more and more digits.
 
     An analytic function that vanishes at random points vanishes everywhere; functions with branches are left out. A
-    point decides nothing about a node that reads a sum in which a term was absorbed by larger ones.
+    point decides nothing about a node that depends on a sum whose larger terms absorbed a small term.
     """
     branched = set[int]()  # nodes that depend on a function with branches
     for number in graph.reachable(roots):
@@ -278,7 +279,7 @@ def _by_digits(graph: Graph, roots: Sequence[int]) -> set[int]:
 
 
 def _verdicts(graph: Graph, roots: Sequence[int], generator: random.Random, trial: int) -> dict[int, int]:
-    """Return for nodes: 1 if the value at a random point is only rounding, -1 if not or in doubt, else 0."""
+    """Return verdicts on nodes at a random point: 1 if only rounding error, 0 or none if undecided, -1 otherwise."""
     order, verdicts = graph.reachable(roots), dict[int, int]()
     symbols = [node.expression for node in map(graph.nodes.__getitem__, order) if isinstance(node, Leaf)]
     point = {symbol: _drawn(generator, trial) for symbol in symbols if symbol.is_Symbol}
@@ -303,7 +304,7 @@ def _verdicts(graph: Graph, roots: Sequence[int], generator: random.Random, tria
 
 
 def _drawn(generator: random.Random, trial: int) -> float:
-    """Return an ordinary number or a number of any magnitude."""
+    """Return a random number: in every third trial of ordinary size, otherwise of any magnitude."""
     if trial % 3 == 0:
         return generator.uniform(0.4, 1.6)
     return generator.choice((-1, 1) if trial % 3 == 1 else (1,)) * 10 ** generator.uniform(-8, 8 if trial > 6 else 2)
@@ -312,10 +313,10 @@ def _drawn(generator: random.Random, trial: int) -> float:
 def _evaluated(
     graph: Graph, order: Sequence[int], point: Mapping[Expr, float], digits: int
 ) -> tuple[dict[int, mpmath.mpf], set[int]]:
-    """Return the values of nodes in the order of computation, and the nodes whose values lack digits.
+    """Return the values of the nodes `order`, and the nodes whose values lack digits.
 
-    Such a node lost a term next to larger ones, or the difference of a saturated function from 1. ValueError if a value
-    is not real, or if its computation would take too long.
+    Digits are missing if larger terms absorbed a term, or if a function such as tanh is too close to 1. ValueError if
+    a value is not real, or if its computation would take too long.
     """
     values: dict[int, mpmath.mpf] = {}
     absorbed: set[int] = set()
@@ -351,7 +352,7 @@ def _evaluated(
 
 @cache
 def _of_mpmath(template: Expr, count: int) -> Callable[..., mpmath.mpf]:
-    """Return the function of a node in the arithmetic of mpmath."""
+    """Return a template with `count` arguments as a function of mpmath numbers."""
     return sympy.lambdify([argument(i) for i in range(count)], template, "mpmath")  # type: ignore[no-any-return]
 
 

@@ -47,7 +47,7 @@ def figure(
     unit: str = "",
     style: str = "page",
 ) -> Figure:
-    """Draw a module's result in a style; `unit` is the unit of the time if the result has none.
+    """Return the figure of a module's result in a style; `unit` is the unit of time if the result has no unit for it.
 
     Raises ArgumentError for an unknown style.
     """
@@ -62,7 +62,7 @@ def figure(
 
 
 def save_sweep(data: Dataset, path: Path, pareto: str | None = None, style: str = "page") -> None:
-    """Draw a sweep, or its Pareto front in two objectives as "cost,duration", into a file of a format of matplotlib.
+    """Write the figure of a sweep to a file, or its Pareto front for two objectives such as "cost,duration".
 
     Raises ArgumentError for unknown objectives and for an unknown style.
     """
@@ -70,7 +70,7 @@ def save_sweep(data: Dataset, path: Path, pareto: str | None = None, style: str 
 
 
 def figure_of_sweep(data: Dataset, pareto: str | None = None, style: str = "page") -> Figure:
-    """Draw a sweep, or its Pareto front in two objectives; raises ArgumentError for unknown objectives."""
+    """Return the figure of a sweep or of its Pareto front; raises ArgumentError for unknown objectives."""
     with using(style):
         if pareto is None:
             return finished(sweep_figure(data))
@@ -80,7 +80,7 @@ def figure_of_sweep(data: Dataset, pareto: str | None = None, style: str = "page
 
 
 def save_specimens(points: NDArray[np.float64], names: Sequence[str], share: float, path: Path) -> None:
-    """Draw specimens in two dimensions into a file of a format of matplotlib."""
+    """Write a map of specimens at `points` (m, 2) to a file; for `share` see `specimen_figure`."""
     with using("page"):
         drawn = specimen_figure(points, names, share)
     write(drawn, path)

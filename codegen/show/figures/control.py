@@ -39,15 +39,15 @@ from codegen.solving.results.result import Result, Sensitivities
 from codegen.solving.results.sensitivities import quantity_values
 
 PART = 0.01
-"""Relative change of each quantity."""
+"""Relative change of each quantity for the bars of the tornado diagram."""
 MOST = 8
-"""Largest number of bars."""
+"""Largest number of bars in the tornado diagram."""
 
 
 def changes(sensitivities: Sensitivities, values: Mapping[str, Vector]) -> dict[str, float]:
-    """Return the first-order changes of the cost as each quantity grows by one percent, the largest first.
+    """Return the first-order change of the cost for one percent more of each quantity, the largest change first.
 
-    `values` (bodies,) are the values of quantities. Quantities that are zero or differ among bodies are left out.
+    `values` has the values (bodies,) of each quantity. Quantities that are zero or differ among bodies are left out.
     """
     if sensitivities.reason:
         return {}
@@ -59,7 +59,7 @@ def changes(sensitivities: Sensitivities, values: Mapping[str, Vector]) -> dict[
 
 
 def tornado(axes: Axes, shown: Mapping[str, float]) -> None:
-    """Draw bars of the changes of the cost as quantities grow and shrink by one percent."""
+    """Draw the changes of the cost for one percent more and less of each quantity, as horizontal bars."""
     names = list(shown)[:MOST]
     places = np.arange(len(names))
     sizes = np.array([shown[name] for name in names])
@@ -74,7 +74,7 @@ def tornado(axes: Axes, shown: Mapping[str, float]) -> None:
     axes.margins(x=0.08)
     rest = len(shown) - len(names)
     axes.set_xlabel("change of the cost" + (f"; {rest} smaller not shown" if rest else ""))
-    axes.legend(  # above the panel, where no bar can be
+    axes.legend(  # above the panel, away from bars
         loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, fontsize=letter_size(8), columnspacing=1.0,
         handlelength=1.2,
     )  # fmt: skip
@@ -87,9 +87,10 @@ _POINTS: Look = {
 
 @dataclass(frozen=True)
 class Measured:
-    """A column of measurements: its name, the measured expression, and arrays (n,) with an entry for each time.
+    """A column of measurements: its name, the measured expression, and arrays (n,) with an entry for each row.
 
-    Errors are relative to standard deviations if `is_weighted`.
+    `fitted` are the values of the motion at the times `t`. `errors` are divided by standard deviations if
+    `is_weighted`.
     """
 
     name: str
@@ -103,7 +104,7 @@ class Measured:
 
 
 def measured(module: ControlModule, result: Result) -> list[Measured]:
-    """Return all columns of measurements of a result."""
+    """Return the columns of measurements that a result was fitted to, or an empty list."""
     observations = module.metadata.observations
     if observations is None or result.unknowns is None:
         return []
@@ -119,7 +120,7 @@ def measured(module: ControlModule, result: Result) -> list[Measured]:
 
 
 def bands(module: ControlModule, result: Result) -> dict[str, Matrix]:
-    """Return the half widths (N + 1, bodies) of 95 % intervals at the nodes for every state, if there are estimates."""
+    """Return the half widths (N + 1, bodies) of 95 % confidence bands by state; empty without finite estimates."""
     estimates, names = result.estimates, tuple(module.metadata.coordinates)
     if estimates is None or not np.isfinite(estimates.unknown_errors).all():
         return {}
@@ -135,7 +136,7 @@ def points(axes: Axes, shown: Measured, count: int) -> None:
 
 
 def fit(axes: Axes, shown: Measured, count: int) -> None:
-    """Draw measurements as points, and the values of the motion at these times."""
+    """Draw measurements as points, and the fitted motion at their times; `count` is the number of bodies."""
     for body, colour in enumerate(body_colours(count, BLUE)):
         own = shown.bodies == body
         axes.plot(shown.t[own], shown.fitted[own], color=colour, linewidth=1.4)
@@ -144,7 +145,7 @@ def fit(axes: Axes, shown: Measured, count: int) -> None:
 
 
 def residuals(axes: Axes, shown: Measured, count: int) -> None:
-    """Draw the motion less the measurements over time."""
+    """Draw the residuals (motion minus measurement) over time; `count` is the number of bodies."""
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     for body, colour in enumerate(body_colours(count, BLUE)):
         own = (shown.bodies == body) & np.isfinite(shown.errors)
@@ -165,7 +166,7 @@ _TITLES = {"state": "states", "momentum": "momenta", "multiplier": "multipliers"
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel: its kind, the function that draws it, and True if its abscissa is the time."""
+    """A panel: its kind (a title), the function that draws it, and True if its abscissa is time."""
 
     kind: str
     draw: Callable[[Axes], None]
@@ -177,7 +178,7 @@ Row = list[Panel | None]
 
 @dataclass(frozen=True)
 class Time:
-    """The abscissa of panels over time: label, ends, switches of phases, and inner times."""
+    """The time axis of panels: label, limits, switches between phases, and times of point constraints."""
 
     label: str
     start: float
@@ -188,18 +189,18 @@ class Time:
 
 @dataclass(frozen=True)
 class Drawings:
-    """The problem's drawing along the solution and along the initial guess."""
+    """The drawing of a problem along the solution and along the initial guess."""
 
     solution: Scene
     guess: Scene
 
 
 def control_figure(module: ControlModule, result: Result, drawings: Drawings | None = None, unit: str = "") -> Figure:
-    """Draw an optimum on one page; `unit` is the unit of the time.
+    """Return the figure of an optimum on one page; `unit` is the unit of time.
 
-    There is a row for every state, with its momentum and multiplier. Controls, path inequalities and the iterations
-    follow, to the right of the drawing of a single body if there is room. The drawing of several bodies shows the
-    initial guess and the optimum.
+    Each state has a row with its momentum and multiplier. Controls, path inequalities and iterations follow, or stand
+    to the right of the drawing of a single body if they fit. The drawing of several bodies shows the initial guess and
+    the optimum.
     """
     groups, conditions = quantities_of_segments(module, result), inequalities_of_segments(module, result)
     style = present_style()
@@ -216,7 +217,7 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
         others.append(Panel("", partial(panels.lengths, t=result.t)))
     if result.log is not None and len(result.log) > 1 and style.has_details:
         others.append(Panel("", partial(panels.iterations, log=result.log), over_time=False))
-    # Measured expressions that are no states, and the residuals of all measurements.
+    # Add measured expressions that are not states, and the residuals of all measurements.
     names, drawn = [state.name for state in groups["state"]], samples[:_MOST_ROWS]
     others += [Panel("", partial(fit, shown=one, count=bodies)) for one in drawn if one.expression not in names]
     others += [Panel("errors", partial(residuals, shown=one, count=bodies)) for one in drawn]
@@ -266,7 +267,7 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
         bar = lower.colorbar(colours, ax=axes, location="right", shrink=0.6, aspect=40, pad=0.01, label="body")
         bar.set_ticks(range(0, bodies, math.ceil(bodies / 10)))
         bar.minorticks_off()
-    # Notes in the title: free parameters, and the number of panels without room.
+    # Notes in the title: free parameters, and the numbers of omitted panels.
     notes = [f"{metadata.phases} phases"] if metadata.phases > 1 else []
     notes += [f"{name} = {result.summary[name]:.6g}" for name in metadata.free_parameters]
     many = {"states": len(groups["state"]), "controls": len(groups["control"])}
@@ -280,7 +281,7 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
 def _state_rows(
     groups: dict[str, list[Quantity]], samples: Sequence[Measured], bands: Mapping[str, Matrix]
 ) -> list[Row]:
-    """Return a row for each state with its momentum and multiplier, or for two states if there is room."""
+    """Return a row of panels for each state with its momentum and multiplier; many states have two in a row."""
     states, momenta, multipliers = groups["state"], groups["momentum"], groups["multiplier"]
     shown = min(len(states), _MOST_ROWS)
     rows: list[Row] = []
@@ -324,7 +325,7 @@ def _in_rows(others: Sequence[Panel], columns: int) -> list[Row]:
 
 
 def _fill(figure: FigureBase, blocks: Sequence[Sequence[Row]], time: Time) -> list[Axes]:
-    """Draw blocks of rows below each other; a title marks a change of kind, the time stands below each block."""
+    """Draw blocks of rows of panels below each other, and return their axes; each new kind of panel has a title."""
     rows = [row for block in blocks for row in block]
     grid = figure.add_gridspec(len(rows), len(rows[0]))
     all_axes: list[Axes] = []
@@ -359,7 +360,7 @@ def _fill(figure: FigureBase, blocks: Sequence[Sequence[Row]], time: Time) -> li
 
 
 def _drawing_size(drawings: Drawings | None, width: float) -> tuple[float, float]:
-    """Return the height of the drawing in inches, and the part of the width that the drawing needs."""
+    """Return the height of the drawing in inches, and the fraction of the figure's width that the drawing needs."""
     if drawings is None:
         return 0.0, 0.0
     if shapes.bodies_of(drawings.solution) > 1:
@@ -374,7 +375,7 @@ def _drawing_size(drawings: Drawings | None, width: float) -> tuple[float, float
 
 
 def _draw(figure: FigureBase, drawings: Drawings, outcome: str) -> None:
-    """Draw the scene; of several bodies the initial guess and the solution."""
+    """Draw the solution; for several bodies also the initial guess. `outcome` is the solution's title."""
     if shapes.bodies_of(drawings.solution) == 1:
         axes = figure.add_subplot()
         shapes.course(axes, drawings.solution, shapes.extent([drawings.solution]))

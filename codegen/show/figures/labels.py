@@ -23,7 +23,7 @@ _SIGNS = (("**", "^"), ("<=", "≤"), (">=", "≥"), ("*", "·"))
 
 
 def label(name: str) -> str:
-    """Return a symbol's name as mathematics: phi1 becomes a Greek letter with an index."""
+    """Return a symbol's name as LaTeX between $ signs; phi1 becomes a Greek letter with an index."""
 
     def letter(part: str) -> str:
         rest = part[1:]
@@ -37,14 +37,14 @@ def label(name: str) -> str:
 
 
 def relation(text: str, longest: int = 46) -> str:
-    """Return a relation with mathematical signs, cut to at most `longest` characters."""
+    """Return the text of a relation with mathematical signs, cut to at most `longest` characters."""
     for sign, better in _SIGNS:
         text = text.replace(sign, better)
     return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
 def title(figure: Figure, result: Result, notes: Sequence[str] = ()) -> None:
-    """Set the title of a result: problem, discretisation, outcome and notes."""
+    """Set the title of a result's figure: problem, discretisation, outcome and notes."""
     outcome = [f"{result.method}, {result.scheme}, {result.intervals}"]
     outcome += [f"cost {result.cost:.6g}"] if result.cost is not None else []
     outcome += [] if result.solved else [f"NOT SOLVED: {result.status}"]
@@ -52,20 +52,20 @@ def title(figure: Figure, result: Result, notes: Sequence[str] = ()) -> None:
 
 
 def set_title(figure: Figure, name: str, details: Sequence[str], is_needed: bool = False) -> None:
-    """Set the label, which descriptions contain, and the wrapped title, if the style has one or it `is_needed`."""
+    """Set the figure's label, which descriptions use, and its title if the style has titles or `is_needed`."""
     texts = name.rstrip("."), ", ".join(details)
     figure.set_label(". ".join(texts))
     if present_style().has_title or is_needed:
-        # The number of letters that fit side by side.
+        # Number of letters on a line.
         letters = int(10.0 * figure.get_figwidth() * STYLES["page"].letters / present_style().letters)
         lines = (line for text in texts for line in textwrap.wrap(text, letters))
         figure.suptitle("\n".join(lines), fontsize=letter_size(11))
 
 
 def quantity(name: str, data: Dataset | None = None) -> str:
-    """Return the label of a varied quantity; prescribed values have the end and the name, as in `start.r`.
+    """Return the label of a varied quantity, such as a parameter or `start.r`, the prescribed value of r at the start.
 
-    The unit of a sweep's `data` follows, if it is known.
+    The label ends with the unit, if a sweep's `data` contain the unit.
     """
     end, dot, own = name.partition(".")
     text = f"{label(own)} at the {end}" if dot else label(name)
@@ -74,13 +74,13 @@ def quantity(name: str, data: Dataset | None = None) -> str:
 
 
 def statuses(data: Dataset) -> NDArray[np.str_]:
-    """Return the status of each case of a sweep, for any text type of a file."""
+    """Return the status of each case of a sweep as text, whatever text type the file has."""
     values = data["status"].values
     return np.array(values.ravel().tolist(), dtype=np.str_).reshape(values.shape)
 
 
 def heading(figure: Figure, data: Dataset, where: str = "") -> None:
-    """Set the title of a sweep: problem, discretisation, failed cases, and `where` the drawn cases lie."""
+    """Set the title of a sweep: problem, discretisation, failed cases, and the text `where` on the drawn cases."""
     own = data.attrs
     steps = [f"{own['steps']} steps"] if "steps" in own else []
     status = statuses(data)
@@ -91,5 +91,5 @@ def heading(figure: Figure, data: Dataset, where: str = "") -> None:
 
 
 def in_unit(text: str, unit: str) -> str:
-    """Return the label of an axis with the unit, if it is known."""
+    """Return the label of an axis with the unit, unless the unit is empty."""
     return f"{text} ({unit})" if unit else text

@@ -1,4 +1,4 @@
-"""Panels of a figure: curves, steps, bounds and their active parts, path inequalities, and the iterations."""
+"""Panels of a figure: curves, steps, bounds and their active parts, path inequalities, and iterations."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ _ACTIVE: Look = {"color": AMBER, "linewidth": 5.5, "alpha": 0.75, "zorder": 1.5}
 _GUESS: Look = {"color": GREY, "linestyle": _DOTTED, "linewidth": 1.3, "zorder": 1.9}
 _BOUND: Look = {"color": GREY, "linestyle": _DASHED, "linewidth": 1.0, "zorder": 1.2}
 SWITCH: Look = {"color": GREY, "linewidth": 0.7, "alpha": 0.6, "zorder": 1.1}
-"""Lines at the switches of phases."""
+"""Look of lines at the switches between phases."""
 INNER: Look = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 1.1}
-"""Lines at the times of point constraints."""
+"""Look of lines at the times of point constraints."""
 
 
 def quantity(axes: Axes, shown: Quantity, second: Quantity | None = None) -> None:
@@ -73,7 +73,7 @@ def quantity(axes: Axes, shown: Quantity, second: Quantity | None = None) -> Non
 
 
 def inequality(axes: Axes, shown: Inequality) -> None:
-    """Draw the distance of a path inequality from equality over time; negative values are forbidden."""
+    """Draw the distance -g of a path inequality g <= 0 from equality over time; negative values are forbidden."""
     single = shown.distance.shape[1] == 1
     for values, colour in zip(shown.distance.T, body_colours(shown.distance.shape[1], BLUE), strict=True):
         axes.plot(shown.t, values, color=colour, linewidth=1.5 if single else 1.2)
@@ -88,7 +88,7 @@ def inequality(axes: Axes, shown: Inequality) -> None:
 
 
 def strip(axes: Axes, shown: Sequence[Inequality]) -> None:
-    """Draw the times at which many path inequalities are active, for any body."""
+    """Draw a row for each path inequality, with marks where it is active for any body."""
     for row, one in enumerate(shown):
         where = one.active().any(axis=1)
         axes.plot(one.t, np.where(where, row, np.nan), **_ACTIVE | {"marker": "|", "markersize": 5.5})
@@ -98,7 +98,7 @@ def strip(axes: Axes, shown: Sequence[Inequality]) -> None:
 
 
 def iterations(axes: Axes, log: Matrix) -> None:
-    """Draw the errors of the iterates, and the barrier parameter, if there is one."""
+    """Draw residual, stationarity and, if logged, the barrier parameter of every iterate (row of `log`)."""
     numbers = np.arange(len(log))
     columns: list[tuple[str, int, Look]] = [("residual", 1, {"color": BLUE}), ("stationarity", 2, {"color": RED})]
     columns += [("barrier", 5, {"color": GREY, "linestyle": _DOTTED})] if log.shape[1] > 5 else []
@@ -108,7 +108,7 @@ def iterations(axes: Axes, log: Matrix) -> None:
     axes.set_xlabel("iteration")
     axes.set_ylabel("max-norm")
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
-    axes.legend(  # above the panel, where no curve can be
+    axes.legend(  # above the panel, away from curves
         loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, fontsize=letter_size(8), columnspacing=1.0,
         handlelength=1.5,
     )  # fmt: skip
@@ -121,9 +121,9 @@ def handles(
     phases: int = 1,
     inner_times: str = "",
 ) -> list[Artist]:
-    """Return the entries of the figure's legend; `outcome` names the curves of a single body.
+    """Return the entries of the figure's legend; `outcome` is the label for the curves of a single body.
 
-    `inner_times` names the times of point constraints, if there are any.
+    `inner_times` is the label for the times of point constraints, or empty.
     """
     bodies = quantities[0].values.shape[1]
     bounded = any(np.isfinite(q.lower).any() or np.isfinite(q.upper).any() for q in quantities) or bool(inequalities)
@@ -143,7 +143,7 @@ def handles(
 
 
 def _line(axes: Axes, shown: Quantity, values: Vector, **style: Any) -> None:
-    """Draw a polygon through the nodes with gaps at jumps, or a step for every interval."""
+    """Draw lines through the nodes with gaps at jumps, or a step for every interval."""
     if shown.on_intervals:
         axes.stairs(values, shown.t, baseline=None, **style)
         return
@@ -153,7 +153,7 @@ def _line(axes: Axes, shown: Quantity, values: Vector, **style: Any) -> None:
 
 
 def _highlight(axes: Axes, t: Vector, values: Matrix, where: np.ndarray) -> None:
-    """Draw a broad line behind the parts of curves that lie on a limit."""
+    """Draw a broad line behind the curves (columns of `values`) where the mask `where` is True."""
     for column, active in zip(values.T, where.T, strict=True):
         if not active.any():
             continue
@@ -166,7 +166,7 @@ def _highlight(axes: Axes, t: Vector, values: Matrix, where: np.ndarray) -> None
 
 
 def _bounds(axes: Axes, shown: Quantity) -> None:
-    """Draw bounds near the curves as dashed lines with a shaded side; name distant bounds above the panel."""
+    """Draw bounds near the curves as dashed lines with a shaded side; list distant bounds above the panel."""
     finite = shown.values[np.isfinite(shown.values)]
     if finite.size == 0:
         return
@@ -182,7 +182,7 @@ def _bounds(axes: Axes, shown: Quantity) -> None:
                 if bounds.ndim == 1:
                     axes.axhline(float(bound), **_BOUND)
                     continue
-                # A dashed line where some body has this bound.
+                # Draw a dashed line where at least one body has this bound.
                 where = (_on_intervals(bounds, shown.t) == bound).any(axis=1)
                 changes = np.flatnonzero(np.diff(where, prepend=False, append=False))
                 level = np.full(changes.size // 2, float(bound))
@@ -206,12 +206,12 @@ def _bounds(axes: Axes, shown: Quantity) -> None:
 
 
 def _on_intervals(bounds: Matrix, t: Vector) -> Matrix:
-    """Return bounds on intervals; a node has the bounds of the interval before."""
+    """Return bounds with a row for each interval; bounds at nodes apply to the interval before the node."""
     return bounds[1:] if len(bounds) == t.size else bounds
 
 
 def widen_if_flat(axes: Axes, values: np.ndarray) -> bool:
-    """Widen the axis of a constant, so that rounding errors are not magnified; return True for a constant."""
+    """Widen the axis of constant values, so that rounding errors do not fill it; return True if constant."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return False
@@ -223,7 +223,7 @@ def widen_if_flat(axes: Axes, values: np.ndarray) -> bool:
 
 
 def say_if_conserved(axes: Axes, momenta: np.ndarray) -> None:
-    """Write above the panel of a conserved momentum to what accuracy it is conserved."""
+    """Write the accuracy of conservation above the panel if the momentum is conserved."""
     if widen_if_flat(axes, momenta) and np.isfinite(momenta).all():
         axes.set_title(conserved_to(float(np.ptp(momenta))), loc="right")
 
@@ -234,7 +234,7 @@ def conserved_to(spread: float) -> str:
 
 
 def lengths(axes: Axes, t: Vector) -> None:
-    """Draw the lengths of the intervals of a time grid."""
+    """Draw the lengths of the intervals of the time grid `t`."""
     axes.step(t, np.append(np.diff(t), t[-1] - t[-2]), where="post", color=DARK, linewidth=1.0)
     axes.set_yscale("log")
     axes.set_ylabel("length of intervals")

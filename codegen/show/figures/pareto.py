@@ -1,7 +1,7 @@
 """The figure of a Pareto front of a sweep, and the objectives by which cases are compared.
 
-Objectives are numbers of each case that a data set records or that follow from its arrays. The Pareto front has the
-cases for which no other case is better in one objective and at least as good in the other.
+Each objective has a number for every case, which the data set contains or which follows from its arrays. A case is on
+the Pareto front if no other case is better in one objective and at least as good in the other.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ if TYPE_CHECKING:
 
 Numbers = NDArray[np.float64]
 SAME = 1e-6
-"""Relative difference of an objective, by its range, that is ignored, as of values at the same bound."""
+"""Differences of an objective up to this fraction of its range are ignored, such as at a common bound."""
 _COLUMNS = {"q": "coordinate", "u": "control"}
 _OTHERS = {"residual", "seconds", "improvement"}
-"""Numbers about the solve, which are no objectives."""
+"""Numbers about the solve, which cannot be objectives."""
 
 
 @dataclass(frozen=True)
 class Objective:
-    """A number of each case by its name, which is minimised, or maximised with a minus sign before the name."""
+    """A number of each case that is minimised, or maximised if `is_large`."""
 
     name: str
     is_large: bool
 
     @property
     def sign(self) -> float:
-        """Factor on values that makes small values better."""
+        """The factor with which smaller values are better: -1 for maximisation."""
         return -1.0 if self.is_large else 1.0
 
 
 def objectives_of(text: str) -> tuple[Objective, Objective]:
-    """Return the two objectives of `--pareto A,B`; raises ArgumentError for other texts."""
+    """Return the objectives of the text "A,B" (`-A` is maximised); raises ArgumentError for other texts."""
     words = [word.strip() for word in text.split(",")]
     if len(words) != 2 or not all(word.removeprefix("-") for word in words) or words[0] == words[1]:
         raise ArgumentError(clause(f"--pareto {text}: a front has two objectives"), "write --pareto cost,duration")
@@ -58,7 +58,7 @@ def objectives_of(text: str) -> tuple[Objective, Objective]:
 
 
 def require_objectives(objectives: tuple[Objective, ...], data: Dataset) -> None:
-    """Raise ArgumentError, with close names, for objectives that a data set does not have."""
+    """Raise ArgumentError with similar names if a data set does not have the objectives."""
     known = _known(data)
     for objective in objectives:
         if objective.name not in known:
@@ -74,10 +74,10 @@ def values_of(objective: Objective, data: Dataset) -> Numbers:
 
 
 def is_dominated(one: Numbers, other: Numbers) -> NDArray[np.bool_]:
-    """Return True for points (n,) that are not on the front if both objectives are minimised; NaN is never dominated.
+    """Return a mask (n,) of cases that are not on the front of two minimised objectives; NaN is never dominated.
 
-    A point is dominated if another one is better in one objective by more than SAME, and in the other at most by this
-    worse.
+    A case is dominated if another case is better in one objective by more than SAME, and not worse in the other by more
+    than SAME.
     """
     dominated = np.zeros(one.size, bool)
     (finite,) = np.nonzero(np.isfinite(one) & np.isfinite(other))
@@ -86,7 +86,7 @@ def is_dominated(one: Numbers, other: Numbers) -> NDArray[np.bool_]:
     x, y = one[finite], other[finite]
     x_same, y_same = SAME * np.ptp(x), SAME * np.ptp(y)
     order = np.argsort(x, kind="stable")
-    # The least second objective of the first points in the order of the first objective.
+    # least[k] is the smallest second objective of the k points with the smallest first objective.
     least = np.concatenate([[np.inf], np.minimum.accumulate(y[order])])
     left = least[np.searchsorted(x[order], x - x_same, side="left")]
     not_right = least[np.searchsorted(x[order], x + x_same, side="right")]
@@ -95,7 +95,7 @@ def is_dominated(one: Numbers, other: Numbers) -> NDArray[np.bool_]:
 
 
 def _known(data: Dataset) -> dict[str, Callable[[], Numbers]]:
-    """Return functions for the values of each objective by its name."""
+    """Return all objectives of a data set by name, each as a function that returns its values for the cases."""
     dims = data["status"].dims
     known: dict[str, Callable[[], Numbers]] = {}
     for name, variable in data.data_vars.items():
@@ -121,7 +121,7 @@ def _known(data: Dataset) -> dict[str, Callable[[], Numbers]]:
 
 
 def _reduced(array: DataArray, rows: str, word: str) -> Numbers:
-    """Return the number of each trajectory that a word names; controls at stages count by their means."""
+    """Return the start, end, max or min (`word`) of each trajectory; controls at stages are averaged per interval."""
     if "stage" in array.dims:
         array = array.mean("stage")
     if word == "end":
@@ -131,24 +131,24 @@ def _reduced(array: DataArray, rows: str, word: str) -> Numbers:
 
 
 def _last(array: DataArray) -> Numbers:
-    """Return the last finite values: arrays of fewer steps end in NaN."""
+    """Return the last finite value of each trajectory; trajectories with fewer steps end in NaN."""
     values = np.asarray(array.values, dtype=float)
     number = np.maximum(1, np.isfinite(values).sum(axis=-1)) - 1
     return np.asarray(np.take_along_axis(values, number[..., None], axis=-1)[..., 0])
 
 
 _EDGE = 0.02
-"""Relative distance of failed cases from the edge of the panel."""
+"""Distance of failed cases from the edge of the panel, relative to the panel."""
 _FAILED: Look = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5.5, "zorder": 3.0}
 _WORDS = {"start": "at the start", "end": "at the end", "max": "at its largest", "min": "at its smallest"}
 
 
 def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Figure:
-    """Draw two objectives of a sweep, as `codegen.sweep` returns it.
+    """Return the figure of two objectives for the cases of a sweep, with the data set of `codegen.sweep`.
 
     The front is a line through its cases; dominated cases are lighter. Failed cases are crosses at the edge if an
-    objective is a varied quantity; otherwise only their number is given. Cases of the front are coloured by the first
-    other varied quantity.
+    objective is a varied quantity; otherwise only their number is given. The first other varied quantity gives the
+    colours of the cases on the front.
     """
     figure = new_figure(8.6, 5.6)
     axes = figure.subplots()
@@ -165,7 +165,7 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
     )  # fmt: skip
     front = front[np.argsort(one[front], kind="stable")]
     axes.plot(one[front], other[front], "-", color=DARK, linewidth=1.0, zorder=2.2)
-    # The first numeric quantity that varies among cases and is no objective.
+    # Find the first numeric quantity that varies among cases and is not an objective.
     chosen = {objective.name for objective in objectives}
     numeric = (
         (str(name), coordinate)
@@ -184,7 +184,7 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
         axes.scatter(one[front], other[front], s=size**2, c=colours, zorder=2.5, linewidths=0.0)
         figure.colorbar(shades, ax=axes, label=quantity(name), aspect=30).outline.set_visible(False)
     if not solved.all():
-        # Failed cases at the edge of the axis of a varied objective; their number is in the legend.
+        # Draw failed cases at the edge of the panel, along the axis of a varied objective.
         x, y = one[~solved], other[~solved]
         has_x, has_y, text = np.isfinite(x).all(), np.isfinite(y).all(), f"{x.size} failed"
         at_foot, at_side = np.full(x.size, _EDGE), np.full(y.size, _EDGE)
@@ -198,7 +198,7 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
         look = _FAILED if is_shown else {**_FAILED, "marker": ""}
         axes.plot([], [], **look, label=text if is_shown else f"{text}: no objectives")
     for objective, values, is_first in ((objectives[0], one, True), (objectives[1], other, False)):
-        # The name of the objective with its better direction, and the scale.
+        # Label the axis with the objective and its better direction, and choose the scale.
         word, dot, own = objective.name.partition(".")
         if word == "d_cost":
             text = f"derivative of the cost by {quantity(own)}"

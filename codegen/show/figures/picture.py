@@ -1,4 +1,4 @@
-"""The style of figures, and pictures and films as notebooks show them."""
+"""The styles of figures, and the pictures and films that notebooks show."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ STYLE: dict[Any, Any] = {
     "ytick.labelsize": 8.5,
     "svg.hashsalt": "codegen",
 }
-"""Settings of matplotlib for a context."""
+"""Settings of matplotlib for a figure in the style of a page."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """A style: size relative to a page, letters in points, relative line width, dots per inch, and contents.
+    """A style: size and line width relative to a page, letters in points, dots per inch, and contents.
 
-    Without `has_title` a solved figure has no title. Without `has_details` an optimum has no multipliers and
-    iterations. A slide has an aspect ratio of 16:9, with the drawing at the left.
+    Without `has_title` only figures of failed solves have a title. Without `has_details` the figure of an optimum omits
+    multipliers and iterations. A slide has an aspect ratio of 16:9, with the drawing at the left.
     """
 
     size: float
@@ -68,7 +68,7 @@ class Style:
     is_slide: bool = False
 
     def settings(self) -> dict[Any, Any]:
-        """Return settings of matplotlib."""
+        """Return the settings of matplotlib for the style."""
         scale = self.letters / STYLE["font.size"]
         scaled = {name: scale * value for name, value in STYLE.items() if name.endswith("size")}
         return {**STYLE, **scaled, "savefig.dpi": self.resolution, "pdf.fonttype": 42}
@@ -79,14 +79,14 @@ STYLES = {
     "paper": Style(7.1 / 12.0, 7.5, 0.7, 300.0, has_title=False, has_details=False),
     "talk": Style(13.3 / 12.0, 15.0, 1.7, has_details=False, is_slide=True),
 }
-"""Styles by use: a page on a screen; the two columns of a journal, 180 mm wide; slides."""
+"""Styles by use: a page on a screen, both columns of a journal page (180 mm), and slides."""
 
 _used: ContextVar[Style] = ContextVar("style", default=STYLES["page"])
 
 
 @contextmanager
 def using(name: str) -> Iterator[None]:
-    """Draw in a style; raises ArgumentError for an unknown one."""
+    """Apply a style to figures drawn in the context; raises ArgumentError for an unknown style."""
     if name not in STYLES:
         raise ArgumentError(f"there is no style {name!r}", f"give one of {', '.join(STYLES)}")
     token = _used.set(STYLES[name])
@@ -98,14 +98,14 @@ def using(name: str) -> Iterator[None]:
 
 
 def present_style() -> Style:
-    """Return the style of the surrounding `using`."""
+    """Return the style of the surrounding `using`, or the style of a page."""
     return _used.get()
 
 
 def new_figure(width: float, height: float, layout: LayoutEngine | None = None) -> Figure:
-    """Return an empty figure, of a size in inches on a page, scaled to the present style.
+    """Return an empty figure; its size in inches is for a page and is scaled to the present style.
 
-    A slide is as wide as the style has it, or wider for a high figure, with an aspect ratio of 16:9.
+    A slide has an aspect ratio of 16:9, and is widened for a high figure.
     """
     style = _used.get()
     width, height = style.size * width, style.size * height
@@ -127,7 +127,7 @@ def finished(figure: Figure) -> Figure:
 
 
 def letter_size(size: float) -> float:
-    """Return a letter size in points on a page, scaled to the present style."""
+    """Return a letter size, which is in points on a page, scaled to the present style."""
     return size * _used.get().letters / STYLES["page"].letters
 
 
@@ -135,7 +135,7 @@ _MOST_PANELS = 16
 
 
 def words_of(figure: Figure) -> str:
-    """Return the title of a figure, and the quantity and range of each panel, as text."""
+    """Return a description of a figure: the title, and the quantity and range of each panel."""
     title = _plain(str(figure.get_label()) or " ".join(figure.get_suptitle().split()))
     panels = list(dict.fromkeys(text for axes in figure.axes if (text := _panel(axes))))
     shown = "; ".join(panels[:_MOST_PANELS])
@@ -144,13 +144,13 @@ def words_of(figure: Figure) -> str:
 
 
 def _panel(axes: Axes) -> str:
-    """Return the quantity of a panel with its range and abscissa; for a drawing its title and legend."""
+    """Return a description of a panel: quantity, range and abscissa, or the title and legend of a drawing."""
     name, over = _plain(axes.get_ylabel()), _plain(axes.get_xlabel())
     titles = [_plain(axes.get_title(loc=side)) for side in ("left", "center", "right")]
     if not name and not over:
         what = ", ".join([*filter(None, titles), *_entries(axes)])
         return f"a drawing of the system{f' ({what})' if what else ''}" if axes.has_data() or axes.artists else what
-    # The range of all curves with more than two points.
+    # Find the range of all curves with more than two points.
     tables = [np.asarray(line.get_ydata(), dtype=float) for line in axes.lines if np.size(line.get_ydata()) > 2]
     tables += [np.asarray(step.get_data().values, dtype=float) for step in axes.patches if hasattr(step, "get_data")]
     values = np.concatenate([np.zeros(0), *(table.ravel() for table in tables)])
@@ -169,7 +169,7 @@ def _entries(axes: Axes) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    r"""Return words for mathematics: $\dot{\theta}_{1}$ is `rate of theta_1`."""
+    r"""Return a label with words for mathematics: $\dot{\theta}_{1}$ becomes `rate of theta_1`."""
     text = re.sub(r"\\dot\{((?:[^{}]|\{[^{}]*\})*)\}", r"rate of \1", text)
     text = re.sub(r"\\mathrm\{([^{}]*)\}", r"\1", text)
     text = re.sub(r"\\var(?=phi|epsilon)", "", text)
@@ -178,11 +178,11 @@ def _plain(text: str) -> str:
 
 _DPI = 110
 _DESCRIPTIONS = {".png": "Description", ".pdf": "Subject", ".svg": "Description"}
-"""Formats of pictures, and the name of the metadata for a description."""
+"""File formats of pictures, and the metadata entry of each format for a description."""
 
 
 def write(figure: Figure, path: Path, style: str = "page") -> None:
-    """Write a figure, with a description in words, to a file of a format of matplotlib."""
+    """Write a figure to a file that matplotlib supports, with a description in words as metadata."""
     kind = path.suffix.lower()
     metadata: dict[str, str | None] = {_DESCRIPTIONS[kind]: words_of(figure)} if kind in _DESCRIPTIONS else {}
     with using(style):
@@ -190,21 +190,21 @@ def write(figure: Figure, path: Path, style: str = "page") -> None:
 
 
 def image(data: bytes, kind: str, text: str) -> str:
-    """Return a picture as an HTML element with an alternative text."""
+    """Return the bytes of a picture as an HTML element; `kind` is its format, `text` the alternative text."""
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     return f'<img alt="{escape(text)}" src="{source}" style="max-width:100%">'
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A `figure` of matplotlib in its style, which a notebook shows."""
+    """A `figure` of matplotlib and its style, for display in notebooks and for files."""
 
     figure: Figure
     style: str = "page"
 
     @property
     def text(self) -> str:
-        """A description of the figure in words: every panel with its quantity and range. Files contain it as well."""
+        """A description of the figure in words: every panel with its quantity and range. Saved files contain it too."""
         return words_of(self.figure)
 
     def save(self, path: Path | str) -> None:
@@ -239,7 +239,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """A film of a motion, which a notebook shows; `data` are the bytes of a GIF."""
+    """A film of a motion, for display in notebooks and for files; `data` are the bytes of a GIF."""
 
     data: bytes = field(repr=False)  # hundreds of kilobytes
     title: str
@@ -274,7 +274,7 @@ class Film:
 
 
 BLUE, RED, GREEN, PINK, AMBER, SKY = "#0072B2", "#D55E00", "#009E73", "#B8578F", "#E69F00", "#56B4E9"
-"""Colours that colour-blind readers can distinguish: Okabe and Ito (2008), Color universal design."""
+"""Colours that colour-blind readers can distinguish. Source: Okabe and Ito (2008), Color universal design."""
 GREY, DARK = "#707070", "#303030"
 CRIMSON = "#BE1E2D"
 """Colour of arrows."""
@@ -282,7 +282,7 @@ FORBIDDEN = "#F6DFD3"
 """Colour of the forbidden side of a bound."""
 
 MOST_BODY_COLOURS = 7
-"""Number of bodies with their own colours; more bodies are graded."""
+"""Largest number of bodies with distinct colours; more bodies have colours of a colour map."""
 
 
 def body_colours(bodies: int, single: str) -> list[Colour]:
@@ -296,5 +296,5 @@ def body_colours(bodies: int, single: str) -> list[Colour]:
 
 
 def body_map() -> Colormap:
-    """Return the colour map of many bodies, without its palest end."""
+    """Return the colour map for many bodies or cases: viridis without its palest end."""
     return ListedColormap(matplotlib.colormaps["viridis"]([0.92 * i / 255 for i in range(256)]))

@@ -1,4 +1,4 @@
-"""The quantities of a figure of an optimum as arrays: values, bounds and initial guess, and path inequalities."""
+"""Arrays for the figure of an optimum: quantities with values, bounds and initial guess, and path inequalities."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from codegen.solving.results.result import Result
 from codegen.solving.results.segments import multiplier_names, put_together, segments_of
 
 CLOSE, LEAST = 2e-4, 1e-6
-"""Relative and absolute distance up to which a value counts as active: an interior-point method ends inside."""
+"""Relative and absolute distance from a bound up to which it is active: interior-point solutions stay inside."""
 
 _PER_INTERVAL = 9
-"""Number of points in an interval of the polynomial of a control."""
+"""Number of points in an interval at which the polynomial of a control is drawn."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Quantity:
     """One quantity over time, with a column for every body.
 
     `values` belong to the times `t`, or to the intervals if they have one row less. Missing bounds are infinite; bounds
-    that change have rows like the values. `kind` is state, momentum, multiplier or control. `jumps` are the nodes after
-    which the value jumps.
+    that change with time have a row for each row of values. `kind` is state, momentum, multiplier or control. `jumps`
+    are the nodes after which the value jumps.
     """
 
     name: str
@@ -40,11 +40,11 @@ class Quantity:
 
     @property
     def on_intervals(self) -> bool:
-        """True if the quantity is constant on every interval."""
+        """True if the quantity has one value for each interval."""
         return len(self.values) == self.t.size - 1
 
     def active(self) -> np.ndarray:
-        """Return True for values on a bound."""
+        """Return a mask of the values on a bound."""
         room = self.upper - self.lower
         spread = np.fmax.reduce(self.values, axis=0) - np.fmin.reduce(self.values, axis=0)
         size = np.where(np.isfinite(room), room, spread)
@@ -52,15 +52,15 @@ class Quantity:
         return np.asarray(distance <= CLOSE * size + LEAST)
 
     def is_violated(self) -> bool:
-        """Return True if a value violates a bound by more than rounding."""
+        """Return True if a value violates a bound by more than rounding error."""
         return bool(np.any((self.values < self.lower - LEAST) | (self.values > self.upper + LEAST)))
 
 
 @dataclass(frozen=True)
 class Inequality:
-    """A path inequality g <= 0 as its distance -g from equality (times, bodies), at its own times.
+    """A path inequality g <= 0 as its distance -g from equality, shape (times, bodies), at its own times `t`.
 
-    `segment` is the number of its segment if delays cut the motion, else 0.
+    `segment` is the number of the segment, from 1, if delays cut the motion into segments, else 0.
     """
 
     name: str
@@ -69,25 +69,25 @@ class Inequality:
     segment: int = 0
 
     def active(self) -> np.ndarray:
-        """Return True where the inequality holds with equality."""
+        """Return a mask of the times and bodies at which the inequality holds with equality."""
         return np.asarray(self.distance <= CLOSE * float(np.nanmax(np.abs(self.distance), initial=0.0)) + LEAST)
 
     def is_violated(self) -> bool:
-        """Return True if the inequality is violated by more than rounding."""
+        """Return True if the inequality is violated by more than rounding error."""
         return bool(np.any(self.distance < -LEAST))
 
 
 def first_guess(module: ControlModule, result: Result) -> Result:
-    """Return the result of the problem's initial guess, without any iteration."""
+    """Return a copy of a result with the motion of the problem's initial guess."""
     grid = time_grid(module, result.steps, result.grid)
     t, q, p, u, multipliers = module.unpack(grid, module.initial_guess(grid))
     return replace(result, t=t, q=q, p=p, u=u, multipliers=multipliers, log=None)
 
 
 def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity]]:
-    """Return states, momenta, multipliers and controls of a result, each list in the order of declaration.
+    """Return the states, momenta, multipliers and controls of a result by kind, in the order of declaration.
 
-    A multiplier belongs to the state of the same index; multipliers of momenta follow.
+    A multiplier belongs to the state with the same index; multipliers of momenta follow.
     """
     assert result.u is not None
     assert result.multipliers is not None
@@ -102,7 +102,7 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
     lower = [-table for table in upper]
     if metadata.inequalities:
         grid = time_grid(module, guess.steps, guess.grid)
-        with np.errstate(all="ignore"):  # durations and momenta of infinite unknowns are not used
+        with np.errstate(all="ignore"):  # durations and momenta computed from infinite bounds are not used
             unpacked = [module.unpack(grid, bounds) for bounds in module.variable_bounds(grid)]
         lower, upper = (list(own[1:4]) for own in unpacked)
     groups: dict[str, tuple[tuple[str, ...], Matrix, Matrix, int]] = {
@@ -144,7 +144,7 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
 
 
 def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
-    """Return the path inequalities of a result as they were discretised, one for every condition of the author."""
+    """Return the path inequalities of a result at the points of the discretisation, one for each condition."""
     metadata = module.metadata
     names = vars(module)  # only some modules have slacks
     if result.unknowns is None or "SLACKS" not in names:
@@ -181,12 +181,12 @@ def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
 
 
 def _finite(table: Matrix) -> Matrix:
-    """Replace infinite numbers by NaN, which is not drawn."""
+    """Return a table with NaN, which is not drawn, in place of infinite numbers."""
     return np.where(np.isfinite(table), table, np.nan)
 
 
 def _limits(module: ControlModule, table: Matrix, none: float) -> Vector | Matrix:
-    """Return the bound of every body, with a row for each time if phases have their own bounds."""
+    """Return the bound of every body, with a row for each time if there are phases; `none` replaces missing bounds."""
     phases = module.metadata.phases
     if phases == 1:
         return _constant(table, none)
@@ -200,17 +200,17 @@ def _limits(module: ControlModule, table: Matrix, none: float) -> Vector | Matri
 
 
 def _jumps(module: ControlModule, result: Result, name: str) -> tuple[int, ...]:
-    """Return the nodes after which a coordinate or momentum jumps; a coordinate's multiplier jumps with both."""
+    """Return the nodes after which a quantity jumps; a multiplier jumps with its coordinate and its momentum."""
     names = {name} | ({name[7:], f"p_{name[7:]}"} if name.startswith("lambda_") else set())
     switches = enumerate(module.metadata.jumps, start=1)
     return tuple(i * result.steps for i, jumping in switches if names & set(jumping))
 
 
 def _drawn(module: ControlModule, result: Result, fine: Vector) -> Matrix:
-    """Return the controls to draw; controls at stages are polynomials, which may jump at nodes."""
+    """Return the controls to draw, at the times `fine` if they are polynomials through stages, which jump at nodes."""
     assert result.u is not None
     if result.stage_abscissae:
-        # The first one of two points at a node belongs to the interval before.
+        # Of two points at a node, the first point belongs to the interval before the node.
         before = np.nextafter(fine, result.t[0])
         times = np.where(np.diff(fine, prepend=-np.inf) > 0.0, before, fine)
         times[0] = fine[0]
@@ -221,19 +221,19 @@ def _drawn(module: ControlModule, result: Result, fine: Vector) -> Matrix:
     grid = module.make_grid(result.steps)
     _, intervals = module.views(grid, np.where(free_unknowns(grid), 0.0, np.nan))
     inside = module.metadata.interval
-    # Find the last one of a name: multipliers come first and may have the name of a control.
+    # Find the last index of a name: multipliers come first and may have the name of a control.
     indices = [len(inside) - 1 - inside[::-1].index(name) for name in module.metadata.control_names]
     return np.asarray(result.u + intervals[0][:, indices])
 
 
 def _constant(table: Matrix, none: float) -> Vector:
-    """Return the bound of every body, which is constant, but missing where boundary conditions replace the bound."""
+    """Return the constant bound of every body from rows in which boundary conditions may replace the bound."""
     bounds = np.where(np.isfinite(table), table, -np.inf if none < 0 else np.inf)
     return np.asarray(bounds.max(axis=0) if none < 0 else bounds.min(axis=0), dtype=float)
 
 
 def quantities_of_segments(module: ControlModule, result: Result) -> dict[str, list[Quantity]]:
-    """Return the quantities of a result over the whole time, also if delays cut the motion into segments."""
+    """Return the quantities of a result over the whole time; segments cut by delays are joined."""
     segments, cut = segments_of(module.metadata), result.by_segments
     if segments is None or cut is None:
         return quantities(module, result)
@@ -241,7 +241,7 @@ def quantities_of_segments(module: ControlModule, result: Result) -> dict[str, l
     duration = float(cut.t[-1] - cut.t[0])
 
     def rows(tables: list[Matrix], is_meeting: bool) -> Matrix:
-        """Return the rows of all segments, which share nodes, but no intervals."""
+        """Return the rows of all segments; if `is_meeting`, segments share their end nodes."""
         return np.concatenate([table[int(is_meeting and i > 0) :] for i, table in enumerate(tables)])
 
     for kind, group in quantities(module, cut).items():
@@ -268,7 +268,7 @@ def quantities_of_segments(module: ControlModule, result: Result) -> dict[str, l
 
 
 def inequalities_of_segments(module: ControlModule, result: Result) -> list[Inequality]:
-    """Return the path inequalities of a result over the whole time, also if delays cut the motion into segments."""
+    """Return the path inequalities of a result over the whole time; segments cut by delays are joined."""
     cut = result.by_segments
     if cut is None:
         return inequalities(module, result)
@@ -283,7 +283,7 @@ def inequalities_of_segments(module: ControlModule, result: Result) -> list[Ineq
 
 
 def first_guess_of_segments(module: ControlModule, result: Result) -> Result:
-    """Return the result of the initial guess, also if delays cut the motion into segments."""
+    """Return `first_guess` over the whole time; segments cut by delays are joined."""
     if result.by_segments is None:
         return first_guess(module, result)
     return put_together(first_guess(module, result.by_segments), module.metadata)

@@ -1,4 +1,4 @@
-"""Items of a drawing as artists of matplotlib: an instant of a scene, its course in one picture, and films."""
+"""Scenes drawn by matplotlib: at an instant, as a motion in one picture, and as films."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from codegen.show.figures.picture import (
 )
 
 SHOTS, MANY_SHOTS = 9, 7
-"""Number of instants in a picture of one body, and of the arrows of several bodies."""
+"""Number of instants in a picture of one body, and of arrows in a picture of several bodies."""
 
 _FAINT = 0.18
 _PALE, _SHADOW = "#DCE6EE", "#A8A8A8"
@@ -57,7 +57,7 @@ def is_moving(item: Item) -> bool:
 
 
 def extent(scenes: Sequence[Scene]) -> Extent:
-    """Return left, right, bottom and top of all finite points of some scenes, with a margin."""
+    """Return the left, right, bottom and top limits of the finite points of all scenes, with a margin."""
     xs, ys = [np.zeros(0)], [np.zeros(0)]
     for item in (item for scene in scenes for item in scene.items):
         for x, y in _corners(item):
@@ -75,7 +75,7 @@ def extent(scenes: Sequence[Scene]) -> Extent:
 
 
 def prepare(axes: Axes, room: Extent) -> None:
-    """Set equal scales on both axes, and fixed limits."""
+    """Set the limits `room` and equal scales on both axes."""
     axes.set_xlim(room[0], room[1])
     axes.set_ylim(room[2], room[3])
     axes.set_aspect("equal", anchor="N")
@@ -85,7 +85,7 @@ def prepare(axes: Axes, room: Extent) -> None:
 
 
 def instant(scene: Scene, index: int, room: Extent, *, moving: bool, alpha: float = 1.0) -> Iterator[Artist]:
-    """Yield the artists of moving or of fixed items at one of the scene's times; trails end there."""
+    """Yield the artists of moving items, or of fixed items, at the time `index` of a scene; trails end at this time."""
     for item in scene.items:
         if is_moving(item) is moving:
             for body, colour in enumerate(_colours(scene, item)):
@@ -93,9 +93,9 @@ def instant(scene: Scene, index: int, room: Extent, *, moving: bool, alpha: floa
 
 
 def course(axes: Axes, scene: Scene, room: Extent, instants: int = SHOTS) -> None:
-    """Draw the motion in one picture: trails, and a few instants, the last one in full colour.
+    """Draw a motion in one picture: trails, and a few instants with the last in full colour.
 
-    Of several bodies only arrows are repeated; black squares mark the ends of trails.
+    If a scene has several bodies, only arrows are repeated, and black squares mark the ends of trails.
     """
     prepare(axes, room)
     count, last = bodies_of(scene), scene.t.size - 1
@@ -124,7 +124,7 @@ def course(axes: Axes, scene: Scene, room: Extent, instants: int = SHOTS) -> Non
 
 
 def _colours(scene: Scene, item: Item) -> list[Colour]:
-    """Return a colour for each body of an item; for a single body the first trail differs from the others."""
+    """Return a colour for each body of an item; with a single body, the first trail differs from other trails."""
     count = bodies_of(scene)
     if not is_moving(item):
         single = GREY
@@ -136,7 +136,7 @@ def _colours(scene: Scene, item: Item) -> list[Colour]:
 
 
 def legend(axes: Axes, scene: Scene, *, ends: bool) -> None:
-    """Add a legend of labelled items below the axes and, with `ends`, of the marks at the ends of trails."""
+    """Add a legend of labelled items below the axes; with `ends`, include the marks at the ends of trails."""
     handles: dict[str, Artist] = {}
     for item in scene.items:
         if item.label:
@@ -165,7 +165,7 @@ def _handle(item: Item, colour: Colour) -> Artist:
 
 
 def _artists(item: Item, body: int, index: int, room: Extent, colour: Colour, alpha: float) -> Iterator[Artist]:
-    """Yield the artists of an item of one body at one time, none if a number is not finite."""
+    """Yield the artists of an item for one body at the time `index`; none if a number is not finite."""
 
     def at(array: np.ndarray) -> float:
         return float(array[min(body, len(array) - 1), min(index, array.shape[1] - 1)])
@@ -212,7 +212,7 @@ def _artists(item: Item, body: int, index: int, room: Extent, colour: Colour, al
 
 
 def _corners(item: Item) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield extreme points of an item, as pairs of arrays."""
+    """Yield the extreme points of an item, as pairs of arrays x and y."""
     if isinstance(item, Rod | Ground):
         yield item.start
         yield item.end
@@ -236,31 +236,31 @@ def _corners(item: Item) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 RATE = 25
 """Frames per second; GIF stores hundredths of a second, so this rate is exact."""
 SHORTEST, LONGEST, PAUSE = 2.0, 8.0, 1.0
-"""Limits of the duration of a film in seconds, and the pause at its end."""
+"""Shortest and longest duration of a film, and the pause at its end, in seconds."""
 FINE = 6
-"""Number of points of trails between two frames."""
+"""Number of steps of trails between two frames."""
 
 Frame: TypeAlias = NDArray[np.uint8]
 """An image (height, width, 3)."""
 
 Progress: TypeAlias = Callable[[Iterable[Frame], int], Iterable[Frame]]
-"""Passes on frames, whose number is the second argument, and may show progress."""
+"""A function that returns the given frames and may show progress; its second argument is their number."""
 
 _DPI = 100
 _COLOURS = 128
 
 
 def scene_times(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the times at which `save` needs the scene: evenly spaced, with both ends of the node times t.
+    """Return the times of the scene that `save` needs: evenly spaced from the first to the last node time in `t`.
 
-    A frame is drawn for every `FINE`-th time; the others make trails smooth.
+    A frame is drawn at every `FINE`-th time; the times between make trails smooth.
     """
     length = min(max(float(t[-1] - t[0]), SHORTEST), LONGEST)
     return np.linspace(t[0], t[-1], FINE * round(RATE * length) + 1)
 
 
 def save(scene: Scene, title: str, path: Path, progress: Progress = lambda frames, count: frames) -> None:
-    """Film a scene at the times of `scene_times` into a file .gif or .mp4.
+    """Write a film of a scene, which has the times of `scene_times`, to a file .gif or .mp4.
 
     Raises ArgumentError if ffmpeg is missing or fails.
     """
@@ -271,7 +271,7 @@ def save(scene: Scene, title: str, path: Path, progress: Progress = lambda frame
 
 
 def frames(scene: Scene, title: str) -> Iterator[Frame]:
-    """Draw a frame for every `FINE`-th time of a scene; fixed items are drawn once."""
+    """Yield a frame for every `FINE`-th time of a scene; fixed items are drawn once."""
     room = extent([scene])
     ratio = (room[3] - room[2]) / (room[1] - room[0])
     longest = 8.0 if ratio < 0.6 else 6.4
@@ -308,7 +308,7 @@ def frames(scene: Scene, title: str) -> Iterator[Frame]:
 
 def _write_gif(pictures: Iterable[Frame], count: int, path: Path) -> None:
     images = [Image.fromarray(picture) for picture in pictures]
-    # A common palette prevents flickering; the first and the last frame together have all colours.
+    # A common palette prevents flicker; the first and the last frame together have all colours.
     sample = Image.new("RGB", (images[0].width, 2 * images[0].height))
     sample.paste(images[0], (0, 0))
     sample.paste(images[-1], (0, images[0].height))
@@ -328,12 +328,12 @@ def _write_mp4(pictures: Iterable[Frame], count: int, path: Path) -> None:
     picture = next(remaining)
     height, width, _ = picture.shape
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(RATE), "-i", "-"]
-    target = ["-an", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]  # a format that all players read
+    target = ["-an", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]  # all players read yuv420p
     command = [program, "-loglevel", "error", "-y", *source, *target]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, **pipes) as process:  # type: ignore[call-overload]
         assert process.stdin is not None
-        with suppress(BrokenPipeError):  # the error of ffmpeg follows
+        with suppress(BrokenPipeError):  # the error of ffmpeg is raised below
             process.stdin.write(picture.tobytes())
             for picture in remaining:
                 process.stdin.write(picture.tobytes())

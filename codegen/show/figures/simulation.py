@@ -29,14 +29,13 @@ _ENERGY = 2.0
 """Height in inches of the panel of the energy."""
 
 _ROUNDING = 1e-12
-"""Relative changes of the energy up to this size are rounding."""
+"""Largest relative change of the energy that counts as rounding error."""
 
 
 def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = "") -> Figure:
-    """Draw every coordinate over time with its phase portrait, the drawing, and the energy.
+    """Return the figure of a simulation: each coordinate over time with its phase portrait, the drawing, the energy.
 
-    `unit` is the unit of the time. Without inputs and damping the change of the energy is shown, which is the error of
-    the scheme.
+    `unit` is the unit of time. Without inputs and damping the change of the energy is drawn: the error of the scheme.
     """
     assert result.energy is not None, "a simulation has energies"
     names, units, momenta = result.names["q"], {"t": unit, **result.units}, result.names["p"]
@@ -45,7 +44,7 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
     rows = math.ceil(shown / columns)
     row = max(1.5, 2.7 - 0.35 * rows)
     height = rows * row + _ENERGY
-    # A wide drawing is above the curves, others at their left.
+    # A wide drawing is placed above the curves, any other drawing at their left.
     width = 10.0 if columns == 1 else 14.0
     curves: FigureBase
     if drawing is None:
@@ -63,7 +62,7 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
             figure = new_figure(width + left, high + 0.8)
             split = figure.subfigures(1, 2, width_ratios=[left, width])
         part, curves = cast("tuple[SubFigure, SubFigure]", split)
-        # More instants of a fast oscillation would suggest a slow one.
+        # More than two instants of a fast oscillation would suggest a slow one.
         axes = part.add_subplot()
         shapes.course(axes, drawing, room, instants=2)
         axes.set_anchor("C")
@@ -78,7 +77,7 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
         axes.margins(x=0.01)
         panels.widen_if_flat(axes, q)
         axes.set_ylabel(in_unit(label(names[i]), units.get(names[i], "")))
-        if i == 0:  # the legend stands above the panel, where no curve can be
+        if i == 0:  # the legend is above the panel, away from curves
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), handletextpad=0.1, borderaxespad=0.0)
         is_lowest = line == rows - 1 or i == shown - 1
         axes.set_xlabel(in_unit("time", units["t"]) if is_lowest else "")
@@ -92,7 +91,7 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
         portrait.set_ylabel(in_unit(label(momenta[i]), units.get(momenta[i], "")))
         portrait.margins(0.08)
         panels.say_if_conserved(portrait, p)
-    # The change of a conserved energy, or an energy that changes.
+    # Draw the change of a conserved energy, otherwise the energy.
     axes, energy, t = curves.add_subplot(grid[rows, :]), result.energy, result.t[::stride]
     is_conserved = "energy_drift" in result.summary
     axes.plot(t, (energy - energy[0] if is_conserved else energy)[::stride], color=RED, linewidth=1.2)
@@ -114,7 +113,7 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
 
 
 def connect_figure(module: ConnectModule, result: Result) -> Figure:
-    """Draw paths in the plane of the first two coordinates, and the change of the conserved Hamiltonian."""
+    """Return the figure of connected particles: paths in the plane of two coordinates, and the Hamiltonian's change."""
     assert result.energy is not None, "a motion has energies"
     dimension = len(module.metadata.coordinates)
     paths = result.q.reshape(result.t.size, -1, dimension)
@@ -138,11 +137,11 @@ def connect_figure(module: ConnectModule, result: Result) -> Figure:
 
 
 MOST_NAMED = 80
-"""Largest number of specimens with names."""
+"""Largest number of specimens whose names are drawn."""
 
 
 def specimen_figure(points: NDArray[np.float64], names: Sequence[str], share: float) -> Figure:
-    """Draw points (m, 2) with names; both axes have the scale of geodesic distance."""
+    """Return a map of specimens at points (m, 2); `share` is the fraction of geodesic distances that it explains."""
     figure = new_figure(7.0, 6.0)
     axes = figure.add_subplot()
     axes.scatter(points[:, 0], points[:, 1], s=18, color=BLUE)
@@ -156,22 +155,22 @@ def specimen_figure(points: NDArray[np.float64], names: Sequence[str], share: fl
 
 
 MOST_STATES, MOST_INPUTS = 12, 8
-"""Largest numbers of panels."""
+"""Largest numbers of panels for states and for inputs."""
 
 References: TypeAlias = Mapping[str, Callable[[float], float]]
-"""References of states or inputs by name, as functions of time."""
+"""Reference trajectories of states or inputs by name, as functions of time."""
 
 _MILLI = 1e3
 _COLUMNS = (1, 1, 2, 3, 4, 3, 3, 4, 4)
-"""Number of columns by the number of inputs."""
+"""Number of columns of panels, indexed by the number of inputs."""
 _REFERENCE: Look = {"color": GREY, "linestyle": (0, (4, 2)), "linewidth": 1.1, "zorder": 1.8}
 _CROSS: Look = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5, "zorder": 3.0}
 
 
 def closed_loop_figure(loop: Any, references: References) -> Figure:
-    """Draw states with measurements, inputs, and latencies with the deadline of a `codegen.ClosedLoop`.
+    """Return the figure of a `codegen.ClosedLoop`: states with measurements, inputs, and latencies with the deadline.
 
-    Crosses mark inputs of an earlier plan, and missed deadlines.
+    Crosses mark missed deadlines, and inputs taken from an earlier plan.
     """
     states, inputs = loop.state_names[:MOST_STATES], loop.input_names[:MOST_INPUTS]
     columns = 2 if len(states) <= 4 else 3
@@ -221,7 +220,7 @@ def closed_loop_figure(loop: Any, references: References) -> Figure:
 
 
 def _rows(kind: str, count: int, columns: int, parts: int) -> list[Any]:
-    """Return the names of panels in rows of some columns; each panel spans parts of the width of the figure."""
+    """Return rows of panel names for `subplot_mosaic`: `columns` panels in a row of `parts` cells."""
     names = [*(f"{kind} {i}" for i in range(count)), *["."] * (-count % columns)]
     rows = [names[first : first + columns] for first in range(0, count, columns)]
     return [[name for name in row for _ in range(parts // columns)] for row in rows]
@@ -236,5 +235,5 @@ def _finish(axes: Axes, loop: Any, name: str, references: References) -> None:
 
 
 def _legend_above(axes: Axes) -> None:
-    """Put the legend above the panel, where no point can be."""
+    """Put the legend above the panel, away from points."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, fontsize=letter_size(8), columnspacing=1.0)

@@ -1,11 +1,11 @@
-"""The figure of a sweep: lines over one varied quantity, maps over two, distributions and fans over samples.
+"""The figure of a sweep: lines over one varied quantity, maps over two, histograms and quantiles for samples.
 
-Many trajectories in a panel are graded by a quantity, or shown as quantiles over time.
+Many trajectories in a panel are coloured by a varied quantity, or shown as quantiles over time (a fan).
 
-With sensitivities, mean and standard deviation of the samples are compared with first-order predictions. They use
-the derivatives of the case that is nearest to the mean of the varied quantities. Variances of independent samples add
-up; covariances of the columns of a table are included. Source: JCGM 100 (2008), Guide to the expression of uncertainty
-in measurement, section 5.
+With sensitivities, mean and standard deviation of the samples are compared with first-order predictions. Predictions
+use the derivatives of the case that is nearest to the mean of the varied quantities. Variances of independent samples
+add up; covariances of the columns of a table are included. Source: JCGM 100 (2008), Guide to the expression of
+uncertainty in measurement, section 5.
 """
 
 from __future__ import annotations
@@ -50,18 +50,17 @@ if TYPE_CHECKING:
 Numbers: TypeAlias = NDArray[np.float64]
 Scalar = TypeVar("Scalar", bound=np.generic)
 Places: TypeAlias = tuple[Numbers, NDArray[np.intp], list[str]]
-"""Positions of the values of a dimension, their order, and their names if they are words."""
+"""An axis: sorted positions of the values of a dimension, their order, and their names if they are words."""
 NORMAL_90 = 1.6448536269514722
-"""Half width of the central 90 % of a normal distribution in standard deviations."""
+"""Half width of the interval with the central 90 % of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """A first-order prediction from the derivatives of the case `centre`; `by` indexes the varied quantities among
-    them.
+    """A first-order prediction of the distribution of results, from the derivatives of the case `centre`.
 
-    `offset` (m,) is the mean of m quantities less their values in that case. `covariance` (m, m) is the covariance of
-    their samples.
+    `by` are the indices of the m varied quantities among the derivatives. `offset` (m,) is the mean of these quantities
+    minus their values in the case. `covariance` (m, m) is the covariance of their samples.
     """
 
     centre: int
@@ -70,7 +69,7 @@ class Prediction:
     covariance: Numbers
 
     def of(self, data: Dataset, name: str) -> tuple[Numbers, Numbers]:
-        """Return mean and standard deviation (...) of a variable (case, ...) that has derivatives."""
+        """Return the predicted mean and standard deviation, both (...), of the variable `name` (case, ...)."""
         centre = np.asarray(data[name].isel(case=self.centre).values, dtype=float)
         slopes = np.asarray(data[f"d_{name}"].isel(case=self.centre).values, dtype=float)[self.by]
         mean = centre + np.tensordot(self.offset, slopes, 1)
@@ -78,7 +77,7 @@ class Prediction:
 
 
 def prediction(data: Dataset, varied: list[str]) -> Prediction | None:
-    """Return the prediction for a sweep, or None unless all varied quantities have derivatives in some case."""
+    """Return the prediction for a sweep, or None if no solved case has derivatives for all varied quantities."""
     names = [str(name) for name in data["by"].values] if "d_cost" in data else []
     columns = {name: np.asarray(data[name].values, dtype=float) for name in varied if np.ptp(data[name].values) > 0.0}
     own = [name.removesuffix("_") if name not in names else name for name in columns]
@@ -99,16 +98,16 @@ def prediction(data: Dataset, varied: list[str]) -> Prediction | None:
 
 
 MOST_PANELS, MOST_TRAJECTORIES, MOST_CASES = 15, 60, 4000
-"""Largest numbers of panels, of trajectories, and of cases for quantiles."""
+"""Largest numbers of panels, of trajectories in a panel, and of cases for quantiles."""
 MOST_CONTROLS = 6
-"""Largest number of controls that replace states if there are too many of both."""
+"""Number of controls that are drawn even if the states alone would fill all panels."""
 BANDS = ((0.05, 0.95, 0.18), (0.25, 0.75, 0.35))
-"""Quantiles that bound the bands of a fan, and their opacity."""
+"""Lower quantile, upper quantile and opacity of each band of a fan."""
 _COLUMNS = {"q": ("coordinate", "state"), "u": ("control", "control")}
 
 
 def groups_of(data: Dataset) -> tuple[list[tuple[str, str]], list[str]]:
-    """Return the trajectories to draw as (array, column), states before controls, and the columns without room."""
+    """Return the trajectories to draw as (array, column), states before controls, and the columns that are left out."""
     if "t" not in data:
         return [], []
     states, controls = (
@@ -121,7 +120,7 @@ def groups_of(data: Dataset) -> tuple[list[tuple[str, str]], list[str]]:
 
 
 def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[Numbers, Numbers, NDArray[np.intp]]:
-    """Return times and values (cases, times) of at most `most` solved cases, and the indices of these cases."""
+    """Return times and values (cases, times) of a trajectory in at most `most` solved cases, and their indices."""
     name, column = group
     solved = np.flatnonzero(statuses(data).ravel() == "solved")
     solved = solved[:: max(1, -(-solved.size // most))]
@@ -140,7 +139,7 @@ def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[Numbers, 
 def graded(
     panels: Mapping[str, Axes], groups: Sequence[tuple[str, str]], data: Dataset, dim: str, places: Numbers
 ) -> ScalarMappable:
-    """Draw trajectories over time in the colours of their cases; return the mappable of the colour bar."""
+    """Draw trajectories over time, coloured by `places` (cases,); return the mappable for the colour bar."""
     solved = places[statuses(data).ravel() == "solved"]
     least, most = (float(solved.min()), float(solved.max())) if solved.size else (0.0, 1.0)
     shades = ScalarMappable(Normalize(least, most if most > least else least + 1.0), body_map())
@@ -160,7 +159,7 @@ def _over_time(axes: Axes, what: str, group: tuple[str, str]) -> None:
 
 
 def fan(axes: Axes, data: Dataset, group: tuple[str, str], linear: Prediction | None = None) -> None:
-    """Draw the median and bands of quantiles of a quantity over time, and the prediction of the widest band."""
+    """Draw the median and bands of quantiles of a trajectory over time, and the predicted band of 90 %."""
     t, values, _ = _curves(data, group, MOST_CASES)
     colour = KINDS[_COLUMNS[group[0]][1]]
     if not t.size:
@@ -179,7 +178,7 @@ def fan(axes: Axes, data: Dataset, group: tuple[str, str], linear: Prediction | 
     if linear is not None and f"d_{group[0]}" in data:
         index = data[_COLUMNS[group[0]][0]].values.tolist().index(group[1])
         columns = (table[..., index] for table in linear.of(data, group[0]))
-        # Stages count by their means.
+        # Average over stages.
         mean, deviation = (own if own.ndim == 1 else own.mean(axis=1) for own in columns)
         for sign in (-1.0, 1.0):
             edge = mean + sign * NORMAL_90 * deviation
@@ -191,9 +190,9 @@ def fan(axes: Axes, data: Dataset, group: tuple[str, str], linear: Prediction | 
 def histogram(
     axes: Axes, name: str, values: Numbers, is_wide: bool, linear: tuple[float, float] = (np.nan, np.nan)
 ) -> None:
-    """Draw a histogram with the median and the quantiles of 5 and 95 %.
+    """Draw a histogram of values (cases,) with the median and the quantiles of 5 and 95 %.
 
-    `linear` are mean and standard deviation of the first-order prediction.
+    `is_wide` chooses a logarithmic axis. `linear` is the predicted mean and standard deviation, NaN without one.
     """
     finite = values[np.isfinite(values)]
     axes.set_xlabel(name)
@@ -220,14 +219,14 @@ def histogram(
         axes.plot([], [], color=AMBER, label=f"first order: {mean:.4g} ± {deviation:.2g}")
         axes.plot([], [], " ", label=f"samples: {finite.mean():.4g} ± {finite.std():.2g}")
     axes.legend(loc="upper right", handlelength=1.6, frameon=True, framealpha=0.85, edgecolor="none")
-    axes.margins(y=0.3 if not linear[1] > 0.0 else 0.8)  # room for the legend
+    axes.margins(y=0.3 if not linear[1] > 0.0 else 0.8)  # make room for the legend
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(visible=False, axis="x")
 
 
 _MOST_MEASURES, _MOST_NAMES = 4, 12
 _WIDE = 100.0
-"""Ratio of positive values above which their axis is logarithmic."""
+"""Ratio of the largest to the smallest positive value above which an axis is logarithmic."""
 FAILED: Look = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 4.5, "zorder": 3.0}
 JUMP: Look = {
     "color": PINK, "marker": "o", "linestyle": "none", "markersize": 7, "markerfacecolor": "none", "zorder": 2.9,
@@ -236,7 +235,7 @@ JUMP: Look = {
 
 
 def no_room(data: Dataset, has_curves: bool, others: Sequence[str] = ()) -> str:
-    """Return the names of trajectories, final states and `others` without room, as the end of a sentence."""
+    """Return the end of a title: the trajectories, final states and `others` that are not drawn for lack of room."""
     ends = [] if _has_cost(data) else [f"{label(str(name))} at the end" for name in data["coordinate"].values]
     curves = [label(name) for name in groups_of(data)[1]] if has_curves else []
     names = [*curves, *ends[_MOST_MEASURES:], *others]
@@ -249,11 +248,11 @@ def _has_cost(data: Dataset) -> bool:
 
 
 def measures_of(data: Dataset) -> dict[str, Numbers]:
-    """Return numbers of each case by their labels: the cost, or the final state."""
+    """Return the number of each case to draw, by its label: the cost, or without a cost the final states."""
     if _has_cost(data):
         return {"cost": data["cost"].values}
     names = [str(name) for name in data["coordinate"].values][:_MOST_MEASURES]
-    # The last finite values of q: arrays of fewer steps end in NaN.
+    # Find the last finite values of q: arrays with fewer steps end in NaN.
     q = data["q"].transpose(..., "node", "coordinate").values
     number = np.maximum(1, np.isfinite(q[..., 0]).sum(axis=-1)) - 1
     ends = np.moveaxis(np.asarray(np.take_along_axis(q, number[..., None, None], axis=-2)[..., 0, :]), -1, 0)
@@ -261,12 +260,12 @@ def measures_of(data: Dataset) -> dict[str, Numbers]:
 
 
 def is_failed(data: Dataset) -> NDArray[np.bool_]:
-    """Return True for cases without a solution."""
+    """Return a mask of the cases without a solution."""
     return np.asarray(statuses(data) != "solved")
 
 
 def has_jump(data: Dataset) -> NDArray[np.bool_]:
-    """Return True for cases with a better neighbour beyond a jump of the cost."""
+    """Return a mask of the cases with a jump of the cost to a better neighbouring case."""
     return np.asarray(data["jump"].values == 1) if "jump" in data else np.zeros(data["status"].shape, bool)
 
 
@@ -277,24 +276,24 @@ def is_wide(values: Numbers) -> bool:
 
 
 _SAME, _MOST = 0.004, 0.5
-"""Largest distance of coinciding lines relative to the range, and the least part of their points."""
+"""Largest distance of coinciding lines relative to the range, and least fraction of points that must coincide."""
 _DASH = 8.0
 """Length of a dash in line widths."""
 
 
 def legend(axes: Axes) -> None:
-    """Add a legend in which dashed lines are solid."""
+    """Add a legend that shows dashed lines as solid lines."""
     for handle in axes.legend(loc="best").get_lines():
         if handle.get_linestyle() not in ("None", "none", " ", ""):
             handle.set_linestyle("-")
 
 
 _APART, _LONG, _LETTERS = 1.4, 6.0, 7.5
-"""Least distance of a label from other lines, least length of its line, in letter heights; size of letters."""
+"""Least distance of a label from other lines and least length of its line, in letter heights; letter size."""
 
 
 def contours(axes: Axes, x: Numbers, y: Numbers, shown: Numbers, norm: Normalize) -> None:
-    """Draw contours of a table (y, x) at round values, with labels where there is room."""
+    """Draw contours of `shown` (y, x) at round values, with labels where other lines leave room."""
     least, most = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     if min(shown.shape) <= 2 or not np.isfinite(shown).any() or not least < most:
         return
@@ -314,10 +313,10 @@ def contours(axes: Axes, x: Numbers, y: Numbers, shown: Numbers, norm: Normalize
 
 
 def _label_positions(axes: Axes, segments: Sequence[Sequence[Numbers]]) -> Iterator[tuple[float, float]]:
-    """Yield for each level the position, in data, with the largest free space, if the space suffices for a label.
+    """Yield the position (x, y) of the label of each contour level whose lines have enough free space.
 
-    `segments` are the lines of each level as points (n, 2). The size of the panel is that before the final layout,
-    which is accurate enough.
+    `segments` are the lines of each level as points (n, 2). The size of the panel before the final layout is accurate
+    enough.
     """
     letter = letter_size(_LETTERS) * axes.figure.dpi / 72.0
 
@@ -333,7 +332,7 @@ def _label_positions(axes: Axes, segments: Sequence[Sequence[Numbers]]) -> Itera
     occupied: list[Numbers] = [dense(np.array(frame))]
     for level, lines in enumerate(on_page):
         others = np.concatenate([*occupied, *(line for k, rest in enumerate(on_page) if k != level for line in rest)])
-        # The ends of a label also need space.
+        # Leave out both ends of a line, where half of a label would have no line.
         inner = [line[2:-2] for line in lines if len(line) >= 2 * _LONG]
         if not inner:
             continue
@@ -347,17 +346,17 @@ def _label_positions(axes: Axes, segments: Sequence[Sequence[Numbers]]) -> Itera
 
 
 MOST_LINES = 7
-"""Largest number of values of a second quantity that are shown as lines; more values span a map."""
+"""Largest number of values of a second quantity that are drawn as lines; more values give a map."""
 _MOST_MAPS, _MOST_SCATTERS, _MOST_POINTS = 6, 4, 20_000
 _FOOT = 0.035
-"""Height of a row of failed cases relative to the panel."""
+"""Height of a row of crosses for failed cases, relative to the panel."""
 
 
 def sweep_figure(data: Dataset) -> Figure:
-    """Draw a sweep, as `codegen.sweep` returns it; crosses are failed cases, rings are jumps of the cost.
+    """Return the figure of a sweep's data set; crosses are failed cases, rings are jumps of the cost.
 
-    Problems without a cost are shown by their final state. Of a grid of more than two quantities the two with the most
-    values are drawn, for several values of the next one, and middle values of the others.
+    Problems without a cost are shown by their final state. In a grid of more than two quantities, the axes have the two
+    with the most values. The third has several values, and the others have their middle values.
     """
     dims = tuple(str(dim) for dim in data["status"].dims)
     if dims == ("case",):
@@ -374,7 +373,7 @@ def sweep_figure(data: Dataset) -> Figure:
 
 
 def _axis_places(data: Dataset, dim: str) -> tuple[Numbers, NDArray[np.intp], list[str]]:
-    """Return the positions of the values of a dimension, their order, and their names if they are words."""
+    """Return the sorted positions of the values of a dimension, their order, and their names if they are words."""
     values = data[dim].values if dim in data.coords else np.arange(data.sizes[dim])
     if np.asarray(values).dtype.kind not in "fiub":
         return np.arange(len(values), dtype=float), np.arange(len(values)), [str(value) for value in values]
@@ -383,7 +382,7 @@ def _axis_places(data: Dataset, dim: str) -> tuple[Numbers, NDArray[np.intp], li
 
 
 def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
-    """Draw measures over one quantity, a line for each value of another one, and trajectories graded by the first."""
+    """Draw measures over dims[0], with a line for each value of dims[1], or one line and all trajectories."""
     x, order, words = _axis_places(data, dims[0])
     by = dims[1] if len(dims) > 1 else None
     measures, (groups, _) = measures_of(data), groups_of(data)
@@ -414,7 +413,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
 
 
 def _rows(table: NDArray[Scalar], data: Dataset, dims: Sequence[str]) -> NDArray[Scalar]:
-    """Return a table over the cases as (values of the second dimension, of the first one)."""
+    """Return a table over the cases with shape (values of all other dimensions, values of dims[0])."""
     own = [str(dim) for dim in data["status"].dims]
     kept = np.moveaxis(table, own.index(dims[0]), -1)
     return kept.reshape(-1, kept.shape[-1])
@@ -430,12 +429,12 @@ def _measure(
     by: str | None,
     is_of_words: bool,
 ) -> None:
-    """Draw lines of one measure, with failed cases in a row for each line, and jumps."""
+    """Draw one measure `rows` (lines, n) over x, with a row of crosses for the failed cases of each line, and jumps."""
     if is_wide(rows):
         axes.set_yscale("log")
     marker = "o" if is_of_words else "." if x.size <= 60 else ""
     values = [] if by is None else _named(data, by)
-    # Find groups of coinciding lines (lines, n).
+    # Find groups of coinciding lines.
     is_log = axes.get_yscale() == "log"
     with np.errstate(invalid="ignore", divide="ignore"):
         heights = np.log(rows) if is_log else rows
@@ -486,7 +485,7 @@ def _named(data: Dataset, dim: str) -> list[str]:
 
 
 def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
-    """Draw a heat map with contours over two quantities, for each measure and several values of a third quantity."""
+    """Draw heat maps with contours over dims[0] and dims[1], for each measure and several values of dims[2]."""
     x, y = _axis_places(data, dims[0]), _axis_places(data, dims[1])
     chosen: list[int | None] = [None]
     if len(dims) > 2:
@@ -525,7 +524,7 @@ def _columns(panels: int) -> int:
 def _map(
     axes: Axes, data: Dataset, dims: Sequence[str], places: tuple[Places, Places], values: Numbers, norm: Normalize
 ) -> QuadMesh:
-    """Draw one map; return the mappable of the colour bar."""
+    """Draw one map of `values` over the axes `places`; return the mappable for the colour bar."""
     (x, columns, x_words), (y, rows, y_words) = places
     own = [str(dim) for dim in data["status"].dims]
     turned = own.index(dims[1]) > own.index(dims[0])
@@ -556,9 +555,9 @@ def _crowd(cells: int) -> float:
 
 
 def _samples(data: Dataset) -> Figure:
-    """Draw the distribution of each measure, the measure over quantities, and fans of trajectories.
+    """Draw the histogram of each measure, the measure over varied quantities, and fans of trajectories.
 
-    With sensitivities the first-order prediction is added.
+    With sensitivities, draw first-order predictions too.
     """
     stride = max(1, -(-data.sizes["case"] // _MOST_POINTS))
     data = data.isel(case=slice(None, None, stride))
