@@ -84,10 +84,10 @@ class Choice:
 class SensitivityText:
     """The code of functions in a module with sensitivities; fields `..._inputs` read the symbols in the other code.
 
-    `rates` are derivatives of data with respect to the quantities that a user may vary. Entries of `following` are a
-    quantity and derivatives that hold unless this quantity is itself varied. Prescribed values `pins`, `bounds` (at
-    most one group) and `durations` have directional derivatives. `momenta` reads the derivatives of momenta. `fields`
-    are the fields of the record `DataDerivatives` of the runtime with their code.
+    `rates` are derivatives of data with respect to the quantities that a user may vary. An entry of `following` is a
+    quantity with derivatives that hold unless the caller replaces its value. `pins`, `bounds` (at most one group) and
+    `durations` are directional derivatives of prescribed values, bounds and durations. `momenta` reads the derivatives
+    of momenta. `fields` are the fields of the runtime's record `DataDerivatives` with their code.
     """
 
     rate_inputs: tuple[Line, ...]
