@@ -1,16 +1,16 @@
 """First and second derivatives of a discretised problem, with exact sparsity and provably constant entries.
 
-The Lagrangian of a control problem is a sum of shares: the contributions of intervals, samples of measurements, and
-both ends. Sensitivities of a solution also need derivatives of the shares with respect to data, and mixed derivatives
-by unknowns and data. Data are parameters, boundary values, conditions at inner times, and interval times and lengths.
+The Lagrangian of a control problem is a sum of shares: contributions of intervals, samples and both ends. Sensitivities
+of a solution also need derivatives of shares with respect to data, and mixed derivatives with respect to unknowns and
+data. Data are parameters, boundary values, conditions at inner times, and the time and length of an interval.
 
 The general form of a module has all features, also features that the problem does not need. It serves measurements of
 the gain of leaving features out, and no command offers it. A general time step keeps all its unknowns for Newton's
-method, even if they are explicit or follow from a linear solve. A general optimal-control problem has one more free
-parameter, with bounds, which no equation reads and whose square is added to the cost. This parameter is zero at the
-optimum, but requires the interior-point method, linking variables and nonlinear ends. Controls stay in the linear
-system, and zeros of the Hessian are stored and factored like other entries. Neither form has derivatives with respect
-to cyclic coordinates, or absent forces.
+method, even if they are explicit or follow from a linear solve. A general control problem has one more free parameter,
+with bounds, which no equation reads and whose square is added to the cost. It is zero at the optimum, but requires the
+interior-point method, linking variables and nonlinear ends. Controls stay in the linear system, and zeros of the
+Hessian are stored and factored like other entries. Neither form has derivatives with respect to cyclic coordinates, or
+absent forces.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ _LONG_STEP = 1000
 
 @dataclass(frozen=True)
 class ElementDerivatives:
-    """Gradient (dense), Hessian (lower triangle, structural nonzeros) and cost of a share, in its local unknowns.
+    """Gradient (dense) and Hessian (lower triangle, structural nonzeros) of a contribution to the Lagrangian; its cost.
 
-    For a long share, gradient and cost may read the symbols that `gradient_assignments` define, and the Hessian the
+    For long expressions, gradient and cost may read symbols that `gradient_assignments` define, and the Hessian
     symbols of `hessian_assignments`. Entries that do not depend on unknowns read no such symbol.
     """
 
@@ -73,10 +73,10 @@ class ControlDerivatives:
 
     `elements` has one entry for each kind of interval; only several phases have several kinds. All their Hessians have
     one pattern, which contains the pattern of a `sample` of measurements. `condensed` counts the last unknowns of an
-    interval that are eliminated inside it: always slacks, whose barrier terms are positive; controls, if their block of
-    the Hessian is constant and regular and there are no stages. `stages` counts the first unknowns of an interval that
-    the equations of the next multipliers determine. `linear_quadratic` is True if no Hessian entry depends on an
-    unknown and one Newton step suffices. Nodal controls, which can make this system singular, are excluded.
+    interval that are eliminated inside it. Slacks always are, since their barrier terms are positive. Controls are if
+    their block of the Hessian is constant and regular and there are no stages. `stages` counts the first unknowns of an
+    interval that the equations of the next multipliers determine. `linear_quadratic` is True if no Hessian entry
+    depends on an unknown and one Newton step suffices. Nodal controls can make this system singular and are excluded.
     """
 
     elements: tuple[ElementDerivatives, ...]
@@ -109,7 +109,7 @@ class StepDerivatives:
 
 @dataclass(frozen=True)
 class DataDerivatives:
-    """Derivatives of a share: `slopes` with respect to data, and `mixed` second derivatives by an unknown and a datum.
+    """Derivatives of a contribution to the Lagrangian with respect to data, and with respect to unknowns and data.
 
     Slopes are pairs (datum's index, value); mixed entries are (unknown's index, datum's index, value). Identically zero
     entries are left out. All values may read the symbols that `assignments` define.
@@ -122,7 +122,7 @@ class DataDerivatives:
 
 @dataclass(frozen=True)
 class ControlSensitivities:
-    """Derivatives, with respect to data, of the shares of all kinds of intervals, of both ends and of a sample.
+    """Derivatives, with respect to data, of the contributions of intervals, ends and samples to the Lagrangian.
 
     The mixed derivatives of all intervals have one pattern, which contains the pattern of a `sample` of measurements.
     """
@@ -143,7 +143,7 @@ def derivatives(
 
 
 def control_derivatives(program: ControlProgram) -> ControlDerivatives:
-    """Return first and second derivatives of the shares of intervals, samples and both ends."""
+    """Return first and second derivatives of the contributions of intervals, samples and ends to the Lagrangian."""
     unknowns = program.element_symbols
     samples = [_element(s.element, unknowns, s.element) for s in (program.sample,) if s is not None]
     shares = [_element(e.element, unknowns, e.cost) for e in program.interval_elements]
@@ -194,7 +194,7 @@ def step_derivatives(program: StepProgram) -> StepDerivatives:
 
 
 def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, fixed: Collection[int] = ()) -> ElementDerivatives:
-    """Return first and second derivatives of a share; the unknowns at the `fixed` indices count as constants."""
+    """Return first and second derivatives of a scalar; the unknowns at the `fixed` indices count as constants."""
     if scalar.count_ops() >= LONG:
         free = [index for index in range(len(unknowns)) if index not in fixed]
         second = second_derivatives(scalar, [unknowns[index] for index in free], (cost,))
@@ -220,7 +220,7 @@ def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, fixed: Collec
 
 
 def _with_one_pattern(shares: Sequence[Sequence[Entry]]) -> list[tuple[Entry, ...]]:
-    """Return the Hessian entries of each share, with zeros added where only another share has an entry."""
+    """Return the entries of several matrices with one pattern: zeros are added where only another matrix has one."""
     values = [{(row, column): value for row, column, value in entries} for entries in shares]
     pattern = sorted(set[tuple[int, int]]().union(*values))
     return [tuple((*index, entries.get(index, sympy.S.Zero)) for index in pattern) for entries in values]
@@ -293,7 +293,7 @@ def data_of(program: ControlProgram) -> tuple[Symbol, ...]:
 
 
 def control_sensitivities(program: ControlProgram | StepProgram | PairwiseProgram) -> ControlSensitivities:
-    """Return derivatives of all shares with respect to data, and mixed derivatives by unknowns and data."""
+    """Return derivatives of all contributions to the Lagrangian with respect to data, and to unknowns and data."""
     assert isinstance(program, ControlProgram), "only optima have sensitivities"
     unknowns, data = program.element_symbols, data_of(program)
     shares = [_by_data(share.element, unknowns, data) for share in program.interval_elements]
@@ -308,7 +308,7 @@ def control_sensitivities(program: ControlProgram | StepProgram | PairwiseProgra
 
 
 def _end_by_data(end: EndElement, unknowns: Sequence[Symbol], data: Sequence[Symbol]) -> DataDerivatives:
-    """Return derivatives of an end's share; its prescribed unknowns are further data, numbered as in the node."""
+    """Return an end's derivatives with respect to data, which include prescribed unknowns, numbered as in the node."""
     pinned = sorted({index for index, _ in end.pins})
     every = (*data, *(unknowns[index] for index in pinned))
     share = _by_data(end.element, unknowns, every, pinned)
@@ -323,7 +323,7 @@ def _end_by_data(end: EndElement, unknowns: Sequence[Symbol], data: Sequence[Sym
 def _by_data(
     scalar: Expr, unknowns: Sequence[Symbol], data: Sequence[Symbol], fixed: Collection[int] = ()
 ) -> DataDerivatives:
-    """Return derivatives of a share with respect to data, and mixed ones except for unknowns at the `fixed` indices."""
+    """Return a scalar's derivatives with respect to data, and to data and unknowns except at the `fixed` indices."""
     free = [index for index in range(len(unknowns)) if index not in fixed]
     if scalar.count_ops() >= LONG:
         second = mixed_derivatives(scalar, [unknowns[index] for index in free], data)

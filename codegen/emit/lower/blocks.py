@@ -63,10 +63,7 @@ class BlockLoop:
 
 
 def gathered_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[BlockLoop, ...]:
-    """Return the gathered gradient of H if it exists and calls no function with branches; else return no loop.
-
-    Raises ExpressionError instead of returning no loop if the problem asks for parallel loops.
-    """
+    """Return the gathered gradient loop if one without branches exists; raise ExpressionError if threads need it."""
     acts_on_itself = False
     if model.limit is not None and model.smooth:
         own = dict(zip((*model.second.p, *model.second.own), (*model.first.p, *model.first.own), strict=True))

@@ -41,8 +41,7 @@ class Line:
 class Kernel:
     """A numba function: `inputs` unpack arrays, `body` holds the common subexpressions, `outputs` fill arrays.
 
-    `results` has the code of the returned value, if any. `decorators` are lines above the function. Operations are
-    counted before and after common subexpressions are shared.
+    `results` has the code of the returned value, if any; `decorators` are lines above the function.
     """
 
     name: str

@@ -53,10 +53,7 @@ _ACTION = "constraints cost cost_gradient hessian jacobian path start".split()
 
 
 def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> ParticlesModule:
-    """Return the module of a problem of particles, with all loops, coefficients and texts as strings.
-
-    A simulation needs second derivatives only if its steps are implicit.
-    """
+    """Return the module of a particle problem as strings; explicit simulations need no second derivatives."""
     model, connects = program.model, program.model.connects
     by_turns = (
         not connects
@@ -213,10 +210,7 @@ def _left_out(
     by_turns: bool,
     gathered: bool,
 ) -> list[str]:
-    """Return the features that the module lacks, each with the reason.
-
-    `by_turns` is True if explicit steps update positions and momenta in turn, `gathered` if the gradient is gathered.
-    """
+    """Return the features that the module lacks, each with the reason; steps `by_turns` update q and p alternately."""
     model, is_implicit = program.model, any(a != 0 or b != 0 for _, a, b in program.substeps)
     reasons = (
         (not is_implicit and not by_turns, "Newton's method inside a step: the scheme is explicit"),

@@ -102,10 +102,7 @@ class Input:
 
 
 def ranged_inputs(tables: Sequence[TableData], first: int, expressions: Sequence[Expr]) -> tuple[Input, ...]:
-    """Return the inputs with a range, of those `tables` that occur in some expressions.
-
-    The numbers of tables start at index `first` of the parameters.
-    """
+    """Return the inputs with a range, of `tables` in some expressions; tables are stored from parameter `first` on."""
     inputs, used = [], tables_of(expressions)
     for table in tables:
         index = first
@@ -141,8 +138,7 @@ def inputs_kernel(
 ) -> Kernel:
     """Return a kernel that fills the least and greatest value of each input in some expressions; it skips others.
 
-    `entry` is the code of an array entry: {0} is the number of the input, {1} is 0 (least value) or 1 (greatest).
-    `where` completes the kernel's summary.
+    `where` ends its summary. `entry` is code of a value: {0} is the input's number, {1} is 0 (least) or 1 (greatest).
     """
     functions = set[Expr]().union(*(e.atoms(TableBase) for e in expressions))
     outputs = []

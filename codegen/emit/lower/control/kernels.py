@@ -87,7 +87,7 @@ def sample_codes(program: ControlProgram) -> dict[Symbol, str]:
 
 
 def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
-    """Return the kernels of the gradients and Hessians of the shares of intervals, samples and both ends."""
+    """Return kernels of gradient and Hessian for each contribution to the Lagrangian: intervals, samples and ends."""
     kernels, arguments, share = list[Kernel](), ("unknowns", "t", "h", "parameters"), "an interval's share l"
     for (stem, where), element in zip(named_elements(program), derivatives.elements, strict=True):
         codes, unknowns = symbol_codes(program, element.unknowns), element.unknowns

@@ -3,7 +3,7 @@
 Data are parameters, boundary values, conditions at inner times, and the time and length of an interval. Quantities are
 the data that a user may vary. Kernels compute derivatives, with respect to data, of shares: the contributions of
 intervals, samples and ends to the Lagrangian. Prescribed values, bounds and durations are formulas outside the shares.
-They have directional derivatives along a rate: a derivative of all parameters with respect to a quantity.
+They have directional derivatives along rates, which are derivatives of all parameters with respect to a quantity.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def constants(program: ControlProgram, derivatives: ControlSensitivities) -> tup
 
 
 def kernels(program: ControlProgram, derivatives: ControlSensitivities) -> tuple[Kernel, ...]:
-    """Return the kernels of derivatives by data for intervals, samples, ends and conditions between bodies."""
+    """Return kernels of derivatives with respect to data for intervals, samples, ends and conditions between bodies."""
     arguments, every, data = ("unknowns", "t", "h", "parameters"), program.element_symbols, data_of(program)
     codes = symbol_codes(program, every)
     written = [
@@ -125,9 +125,9 @@ def _mixed_kernel(
     symbols: tuple[Sequence[Symbol], Sequence[Symbol]],
     index: Mapping[tuple[int, int], int] | None = None,
 ) -> Kernel:
-    """Return the kernel of a share's derivatives by data, and by unknowns and data; `symbols` are (unknowns, data).
+    """Return the kernel that fills, for one contribution to the Lagrangian, derivatives by data and mixed derivatives.
 
-    With `index`, from (unknown, datum) to an entry of an interval's pattern, it adds to an interval's derivatives.
+    `symbols` are (unknowns, data). With `index`, (unknown, datum) -> entry of an interval, it adds to that interval.
     """
     unknowns, data = symbols
     operator = "=" if index is None else "+="
@@ -214,7 +214,7 @@ def text_of(program: ControlProgram) -> SensitivityText:
 def _quantity_rates(
     program: ControlProgram,
 ) -> tuple[tuple[Line, ...], tuple[Line, ...], tuple[tuple[str, tuple[Line, ...]], ...]]:
-    """Return code of derivatives of boundary values, conditions at inner times and the duration by parameters.
+    """Return code of boundary values', inner conditions' and the duration's derivatives with respect to parameters.
 
     The first lines read symbols. The second lines always hold. The third are pairs of a quantity and lines that hold
     unless the caller replaces its value. The code is scalar if no value depends on the body.

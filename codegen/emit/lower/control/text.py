@@ -426,9 +426,9 @@ def _angles(model: Model) -> dict[str, float]:
 
 
 def _unseen_controls(program: ControlProgram) -> tuple[str, ...]:
-    """Return nodal controls that enter the discrete cost only as sums of neighbours, so that it ignores oscillations.
+    """Return nodal controls that occur in the expanded discrete cost only as sums of neighbouring values.
 
-    The expanded expressions decide this; `codegen check` decides the same numerically.
+    Their oscillations leave the cost unchanged. `codegen check` detects this numerically.
     """
     if not program.nodal_controls or program.model.cost is None:
         return ()
