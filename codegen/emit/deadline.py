@@ -50,7 +50,7 @@ class Stages:
         self._described: Callable[[], str] = str
 
     def begin(self, stage: str, described: Callable[[], str] | None = None) -> None:
-        """Begin a stage, or raise Overdue if no time is left; `described` returns words about the stage's input."""
+        """Begin a stage, or raise Overdue if no time is left; `described` returns a phrase on the stage's input."""
         if time.process_time() > self._end:
             raise Overdue
         self._stage, self._described = stage, described or self._described
@@ -104,7 +104,7 @@ def rare_collections() -> Iterator[None]:
 
 
 def described(model: Model | PairwiseModel) -> str:
-    """Return words with a problem's number of coordinates and the size of its longest expression; "" for particles."""
+    """Return a phrase on a problem's coordinates and the size of its longest expression; empty for particles."""
     from codegen.discretise.model.definitions import Model
 
     if not isinstance(model, Model):
@@ -122,7 +122,7 @@ def described(model: Model | PairwiseModel) -> str:
 
 
 def extent(program: ControlProgram | StepProgram | PairwiseProgram, problem: str) -> str:
-    """Return the words `problem`, extended by the numbers of unknowns and parts in the equations of an interval."""
+    """Return the phrase `problem`, extended by the numbers of unknowns and parts in the equations of an interval."""
     from codegen.discretise.program import ControlProgram, StepProgram
 
     if isinstance(program, ControlProgram):

@@ -220,7 +220,7 @@ def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, fixed: Collec
 
 
 def _with_one_pattern(shares: Sequence[Sequence[Entry]]) -> list[tuple[Entry, ...]]:
-    """Return the entries of several matrices with one pattern: zeros are added where only another matrix has one."""
+    """Return the entries of several matrices in one pattern: zeros are added where only others have entries."""
     values = [{(row, column): value for row, column, value in entries} for entries in shares]
     pattern = sorted(set[tuple[int, int]]().union(*values))
     return [tuple((*index, entries.get(index, sympy.S.Zero)) for index in pattern) for entries in values]

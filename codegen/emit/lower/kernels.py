@@ -153,7 +153,7 @@ def needed(assignments: Sequence[Assignment], read: Iterable[Expr]) -> list[Assi
 
 @dataclass(frozen=True)
 class _Lookup:
-    """The look-up of a table at a point: code of the point, the next line in the kernel, and names of derivatives."""
+    """The look-up of a table at a point: code of the point, number of the next line, and symbols of derivatives."""
 
     table: TableData
     code: str

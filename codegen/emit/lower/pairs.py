@@ -132,7 +132,7 @@ class Writer:
     def lowered(
         self, term: TermDerivatives, outputs: Sequence[tuple[str, str, Expr]], names: Sequence[Assignment] = ()
     ) -> Kernel:
-        """Return a kernel that evaluates a term's scalars, its derivatives `names`, and (target, operator, value)."""
+        """Return a kernel of a term's scalars, of its derivatives `names`, and of outputs (target, operator, value)."""
         assignments = []
         for symbol, value in needed((*term.differences, *term.scalars, *names), [value for _, _, value in outputs]):
             renamed = self.renamed(term, symbol)
@@ -153,7 +153,7 @@ class Writer:
         outputs: Sequence[tuple[str, Expr]],
         inputs: Collection[Symbol],
     ) -> Kernel:
-        """Return a kernel that adds outputs (target, value) of particle j; it reads symbols `inputs` from memory."""
+        """Return a kernel that adds outputs (target, value) of particle j; symbols `inputs` need no assignments."""
         distances = self.derivatives.pair.distances
         written = [
             (symbol, sympy.Max(value, CLOSEST) if symbol in distances else value)
@@ -347,7 +347,7 @@ def _momentum_matrix(writer: Writer) -> PairLoop:
 
 
 def _row(index: int, size: int) -> str:
-    """Return code of the Hessian's row for symbol `index` of particles i and j; `size` is the dimension of space."""
+    """Return code of the Hessian's row for coordinate or momentum `index` of a pair; `size` is the space dimension."""
     group, axis = divmod(index, size)
     particle, is_momentum = divmod(group, 2)
     parts = [*(["half"] if is_momentum else []), "row_" + "ij"[particle], *([str(axis)] if axis else [])]

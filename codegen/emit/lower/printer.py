@@ -160,7 +160,7 @@ def stabilised(expression: sympy.Expr) -> sympy.Expr:
 
     A second derivative of |x|, Min or Max contains deltas. They are zero almost everywhere, and quadrature ignores
     them. Steps, whose first derivative is a delta, are refused in the author's expressions. Exponentials of steep
-    arguments such as 1000 x are masked: sympy factors exp(1000 x) as a polynomial of degree 1000, which takes minutes.
+    arguments, as exp(1000 x), are masked: sympy factors them as polynomials of degree 1000, which takes minutes.
     """
     if expression.has(sympy.DiracDelta):
         expression = expression.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
@@ -217,7 +217,7 @@ def _without_needless_brackets(code: str) -> str:
 
 
 def readable(value: sympy.Expr) -> str:
-    """Return an expression as text for a description, or words about its length if it is too long to read."""
+    """Return an expression as text for a description, or a phrase on its length if it is too long to read."""
     if expressions.longer_than(_READABLE, [value]):
         return f"an expression of more than {_READABLE} operations"
     return str(sympy.sstr(value))

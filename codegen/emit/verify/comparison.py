@@ -351,7 +351,7 @@ class GuessedPoints:
         self.generator = np.random.default_rng(3)
 
     def on_intervals(self, local: Sequence[Symbol], others: Sequence[Symbol], within: tuple[float, float]) -> Values:
-        """Return values of unknowns `local` and parameters `others` on three intervals between two fractions of all."""
+        """Return values of unknowns `local` and parameters `others` on three intervals; `within` are grid fractions."""
         count = self.grid.steps
         first, last = int(within[0] * count), max(int(within[0] * count), round(within[1] * count) - 1)
         intervals = sorted({first, (first + last) // 2, last})

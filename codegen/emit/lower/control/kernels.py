@@ -183,7 +183,7 @@ def _sample_kernels(program: ControlProgram, sample: ElementDerivatives, element
 
 
 def inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[Kernel, ...]:
-    """Return kernels, for all kinds of intervals and both ends, of the `ranged` table inputs; none without ranges."""
+    """Return kernels of the least and greatest values of `ranged` table inputs, on all intervals and at both ends."""
     if not ranged:
         return ()
     codes = symbol_codes(program, program.element_symbols)
