@@ -1,1 +1,1 @@
-"""From a program to the text of a module: derivatives, kernels as strings, templates, verification of the text."""
+"""Generation of a module's text from a discretised problem: derivatives, kernels, templates, and verification."""

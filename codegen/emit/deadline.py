@@ -1,8 +1,8 @@
 """A limit on the processor time of long symbolic work, also inside one call of sympy.
 
-In the main thread a timer of the operating system interrupts such a call. In other threads, and without such a timer,
-the limit is checked when a stage begins. The limit is on processor time, so that other work on the machine makes no
-build fail. Garbage is collected less often meanwhile.
+In the main thread a timer of the operating system interrupts such a call. In other threads, and on systems without
+such a timer, the limit is checked when a stage begins. Processor time is limited instead of wall-clock time, so that
+other work on the machine makes no build fail. During limited work garbage can be collected less often.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
     from codegen.discretise.program import ControlProgram, StepProgram
 
 BUILD = 30.0
-"""Seconds that a derivation may take."""
+"""Default limit for the derivation of a module, in seconds of processor time."""
 CHECK = 120.0
-"""Seconds that all checks may take together."""
+"""Default limit for all checks of a problem together, in seconds of processor time."""
 _AGAIN = 0.5
-"""Seconds after which the timer interrupts again, in case the interrupted code swallowed the exception."""
+"""Seconds after which the timer interrupts again, in case the interrupted code caught the exception."""
 _COUNTED = 1_000_000
-"""Largest count of the parts of an expression."""
+"""Number of subexpressions at which counting stops."""
 
 
 class Overdue(BaseException):
-    """The time is over; not an Exception, so that no handler of other failures catches it."""
+    """The time limit has passed; a BaseException, so that no `except Exception` catches it."""
 
 
 class Stages:
-    """The current stage of a derivation, and a description of its input."""
+    """The current stage of a derivation that may take `limit` seconds of processor time, for the error message."""
 
     def __init__(self, limit: float) -> None:
         self.limit = limit
@@ -50,14 +50,14 @@ class Stages:
         self._described: Callable[[], str] = str
 
     def begin(self, stage: str, described: Callable[[], str] | None = None) -> None:
-        """Begin a stage; `described` describes its input if the stage takes too long."""
+        """Begin a stage, or raise Overdue if no time is left; `described` returns a phrase on the stage's input."""
         if time.process_time() > self._end:
             raise Overdue
         self._stage, self._described = stage, described or self._described
 
     @contextmanager
     def limited(self) -> Iterator[None]:
-        """Limit the time of the block; SizeError names the stage and the size of its input."""
+        """Limit the time of a `with` block; raise SizeError with the stage and its input's size if time runs out."""
         try:
             with interrupted_after(self._end - time.process_time()):
                 yield
@@ -73,7 +73,7 @@ class Stages:
 
 @contextmanager
 def interrupted_after(seconds: float) -> Iterator[None]:
-    """Raise Overdue in the block after some seconds of processor time, if a timer is free."""
+    """Raise Overdue in a `with` block after some seconds of processor time; set no limit if no timer is free."""
     in_main = threading.current_thread() is threading.main_thread()
     is_free = in_main and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_PROF)[0] == 0.0
     if not is_free or math.isinf(seconds):
@@ -94,7 +94,7 @@ def interrupted_after(seconds: float) -> Iterator[None]:
 
 @contextmanager
 def rare_collections() -> Iterator[None]:
-    """Collect cyclic garbage less often: expressions leave little, and collection takes a sixth of the time."""
+    """Collect cyclic garbage less often in a `with` block: collection takes a sixth of the time and frees little."""
     before = gc.get_threshold()
     gc.set_threshold(100_000, *before[1:])
     try:
@@ -104,7 +104,7 @@ def rare_collections() -> Iterator[None]:
 
 
 def described(model: Model | PairwiseModel) -> str:
-    """Return the number of coordinates of a problem and the size of its longest expression, as words."""
+    """Return a phrase on a problem's coordinates and the size of its longest expression; empty for particles."""
     from codegen.discretise.model.definitions import Model
 
     if not isinstance(model, Model):
@@ -122,7 +122,7 @@ def described(model: Model | PairwiseModel) -> str:
 
 
 def extent(program: ControlProgram | StepProgram | PairwiseProgram, problem: str) -> str:
-    """Return the size of an interval's equations, as words after those of the problem."""
+    """Return the phrase `problem`, extended by the numbers of unknowns and parts in the equations of an interval."""
     from codegen.discretise.program import ControlProgram, StepProgram
 
     if isinstance(program, ControlProgram):
@@ -135,7 +135,7 @@ def extent(program: ControlProgram | StepProgram | PairwiseProgram, problem: str
 
 
 def parts_of(*expressions: Basic) -> int:
-    """Return the number of different parts of some expressions, at most a million."""
+    """Return the number of distinct subexpressions of some expressions, counted up to a million."""
     seen: set[Basic] = set()
     waiting = list(expressions)
     while waiting and len(seen) < _COUNTED:

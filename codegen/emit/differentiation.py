@@ -1,15 +1,16 @@
-"""Program -> first and second derivatives, their exact sparsity, and provably constant entries.
+"""First and second derivatives of a discretised problem, with exact sparsity and provably constant entries.
 
-Sensitivities of a solution also need derivatives of the Lagrangian's shares by data, and mixed ones by unknowns and
+The Lagrangian of a control problem is a sum of shares: contributions of intervals, samples and both ends. Sensitivities
+of a solution also need derivatives of shares with respect to data, and mixed derivatives with respect to unknowns and
 data. Data are parameters, boundary values, conditions at inner times, and the time and length of an interval.
 
-The general form of a module has all features, also those that the problem does not need. It serves measurements only:
-they show the gain of leaving features out, and no command offers it. A general step keeps all its unknowns for Newton's
-method, even if they are explicit or follow from a linear solve. A general optimal-control problem has one more free
-parameter, which is bounded, which no equation reads, and whose square is part of the cost. It is zero at the optimum,
-but it needs the interior point method, linking variables and curved ends. Controls stay in the linear system, and zeros
-of the Hessian are stored and factored like other entries. Derivatives by cyclic coordinates and absent forces do not
-exist in either form.
+The general form of a module has all features, also features that the problem does not need. It serves measurements of
+the gain of leaving features out, and no command offers it. A general time step keeps all its unknowns for Newton's
+method, even if they are explicit or follow from a linear solve. A general control problem has one more free parameter,
+with bounds, which no equation reads and whose square is added to the cost. It is zero at the optimum, but requires the
+interior-point method, linking variables and nonlinear ends. Controls stay in the linear system, and zeros of the
+Hessian are stored and factored like other entries. Neither form has derivatives with respect to cyclic coordinates, or
+absent forces.
 """
 
 from __future__ import annotations
@@ -40,17 +41,17 @@ from codegen.symbolic.zeros import identically_zero
 Entry = tuple[int, int, Expr]
 """Row, column and value of a structurally nonzero derivative."""
 LONG = 200
-"""Operations from which on a scalar is differentiated on its graph; shorter ones read better from plain derivatives."""
+"""Number of operations from which a scalar is differentiated on its expression graph; plain results read better."""
 _LONG_STEP = 1000
-"""The same for all equations of a step together."""
+"""The same number for all equations of a time step together."""
 
 
 @dataclass(frozen=True)
 class ElementDerivatives:
-    """Gradient (dense) and Hessian (lower triangle, structural nonzeros) of a scalar in its local unknowns, and a cost.
+    """Gradient (dense) and Hessian (lower triangle, structural nonzeros) of a contribution to the Lagrangian; its cost.
 
-    Derivatives of a long scalar are straight-line programs. Gradient and cost may read the symbols of one list of
-    assignments, the Hessian the symbols of the other. An entry that does not depend on unknowns reads no such symbol.
+    For long expressions, gradient and cost may read symbols that `gradient_assignments` define, and the Hessian
+    symbols of `hessian_assignments`. Entries that do not depend on unknowns read no such symbol.
     """
 
     unknowns: tuple[Symbol, ...]
@@ -62,7 +63,7 @@ class ElementDerivatives:
 
     @property
     def varying(self) -> set[Symbol]:
-        """The symbols by which an entry of the Hessian depends on unknowns."""
+        """The unknowns, and the symbols of `hessian_assignments`; constant entries of the Hessian read none of them."""
         return {*self.unknowns, *(symbol for symbol, _ in self.hessian_assignments)}
 
 
@@ -70,12 +71,12 @@ class ElementDerivatives:
 class ControlDerivatives:
     """All derivatives for the structured Newton method of a control problem.
 
-    `condensed` is the number of last unknowns of an interval that are eliminated inside it. Slacks always are, because
-    their barrier terms are positive. Controls are if their block of the Hessian is constant and regular and there are
-    no stages. `stages` is the number of first unknowns that the equations of the next multipliers determine.
-    `linear_quadratic` means that no Hessian entry depends on an unknown and one Newton step suffices; nodal controls
-    can make this system singular and are excluded. `elements` are the shares of all kinds of intervals, with one
-    pattern of Hessians; several phases have several kinds. The pattern of a `sample` of measurements is a part of it.
+    `elements` has one entry for each kind of interval; only several phases have several kinds. All their Hessians have
+    one pattern, which contains the pattern of a `sample` of measurements. `condensed` counts the last unknowns of an
+    interval that are eliminated inside it. Slacks always are, since their barrier terms are positive. Controls are if
+    their block of the Hessian is constant and regular and there are no stages. `stages` counts the first unknowns of an
+    interval that the equations of the next multipliers determine. `linear_quadratic` is True if no Hessian entry
+    depends on an unknown and one Newton step suffices. Nodal controls can make this system singular and are excluded.
     """
 
     elements: tuple[ElementDerivatives, ...]
@@ -88,16 +89,16 @@ class ControlDerivatives:
 
     @property
     def element(self) -> ElementDerivatives:
-        """The first kind of interval; without phases there is no other."""
+        """The derivatives of the first kind of interval, which is the only kind without phases."""
         return self.elements[0]
 
 
 @dataclass(frozen=True)
 class StepDerivatives:
-    """Residual of an implicit step and its Jacobian (dense, row by row); empty for an explicit one.
+    """Residual of an implicit time step and its Jacobian (dense, row by row); both are empty for an explicit step.
 
-    `constant` means that the Jacobian depends on parameters and the step's length only, so that one factorisation is
-    enough. Derivatives of a long residual are straight-line programs, and may read the symbols of `assignments`.
+    `constant` is True if the Jacobian depends only on parameters and the step's length, so that one factorisation
+    suffices. A long residual and its Jacobian may read the symbols that `assignments` define.
     """
 
     residual: tuple[Expr, ...]
@@ -108,9 +109,10 @@ class StepDerivatives:
 
 @dataclass(frozen=True)
 class DataDerivatives:
-    """First derivatives of a scalar by data (index, value), and second ones by an unknown and a datum (both indices).
+    """Derivatives of a contribution to the Lagrangian with respect to data, and with respect to unknowns and data.
 
-    Entries that are identically zero are left out. All may read the symbols of one list of assignments.
+    Slopes are pairs (datum's index, value); mixed entries are (unknown's index, datum's index, value). Identically zero
+    entries are left out. All values may read the symbols that `assignments` define.
     """
 
     slopes: tuple[tuple[int, Expr], ...]
@@ -120,9 +122,9 @@ class DataDerivatives:
 
 @dataclass(frozen=True)
 class ControlSensitivities:
-    """Derivatives by data of the shares of all kinds of intervals, and of both ends.
+    """Derivatives, with respect to data, of the contributions of intervals, ends and samples to the Lagrangian.
 
-    The mixed derivatives of intervals have one pattern; the pattern of a `sample` of measurements is a part of it.
+    The mixed derivatives of all intervals have one pattern, which contains the pattern of a `sample` of measurements.
     """
 
     elements: tuple[DataDerivatives, ...]
@@ -134,14 +136,14 @@ class ControlSensitivities:
 def derivatives(
     program: ControlProgram | StepProgram | PairwiseProgram,
 ) -> ControlDerivatives | StepDerivatives | PairDerivatives:
-    """Return the derivatives for the solver of a program."""
+    """Return the derivatives that the solver of a discretised problem needs."""
     if isinstance(program, PairwiseProgram):
         return pair_derivatives(program.model)
     return control_derivatives(program) if isinstance(program, ControlProgram) else step_derivatives(program)
 
 
 def control_derivatives(program: ControlProgram) -> ControlDerivatives:
-    """Differentiate the shares of intervals, samples and both ends twice."""
+    """Return first and second derivatives of the contributions of intervals, samples and ends to the Lagrangian."""
     unknowns = program.element_symbols
     samples = [_element(s.element, unknowns, s.element) for s in (program.sample,) if s is not None]
     shares = [_element(e.element, unknowns, e.cost) for e in program.interval_elements]
@@ -175,7 +177,7 @@ def control_derivatives(program: ControlProgram) -> ControlDerivatives:
 
 
 def step_derivatives(program: StepProgram) -> StepDerivatives:
-    """Differentiate the residual of a step by its unknowns; the assignments before the step do not depend on them."""
+    """Return the residual of a step and its Jacobian; assignments before the step do not depend on its unknowns."""
     fixed = {*program.model.parameters, STEP}
     residual, assignments = program.residual, tuple[Assignment, ...]()
     if sum(int(r.count_ops()) for r in residual) < _LONG_STEP:
@@ -192,7 +194,7 @@ def step_derivatives(program: StepProgram) -> StepDerivatives:
 
 
 def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, fixed: Collection[int] = ()) -> ElementDerivatives:
-    """Differentiate a scalar twice by its unknowns; unknowns at the `fixed` indices are numbers."""
+    """Return first and second derivatives of a scalar; the unknowns at the `fixed` indices count as constants."""
     if scalar.count_ops() >= LONG:
         free = [index for index in range(len(unknowns)) if index not in fixed]
         second = second_derivatives(scalar, [unknowns[index] for index in free], (cost,))
@@ -218,17 +220,17 @@ def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, fixed: Collec
 
 
 def _with_one_pattern(shares: Sequence[Sequence[Entry]]) -> list[tuple[Entry, ...]]:
-    """Return the entries of shares, with zeros where only another share has an entry."""
+    """Return the entries of several matrices in one pattern: zeros are added where only others have entries."""
     values = [{(row, column): value for row, column, value in entries} for entries in shares]
     pattern = sorted(set[tuple[int, int]]().union(*values))
     return [tuple((*index, entries.get(index, sympy.S.Zero)) for index in pattern) for entries in values]
 
 
 def _stages(program: ControlProgram, element: ElementDerivatives) -> int:
-    """Return the number of stages that can be eliminated by their equations.
+    """Return the number of unknowns at stages of an interval that can be eliminated by their equations.
 
-    Zero if some intervals lack stages, as in phases with states of their own. Zero if the Hessian has entries between
-    stages and slacks, or between the equations of stages and other multipliers, as in modules with all entries.
+    Return zero if some intervals lack stages, as in phases with states of their own. Return zero, too, if the Hessian
+    has entries between stages and slacks, or between stage equations and multipliers, as in the general form.
     """
     multipliers = [unknown.multiplier for unknown in program.interval]
     count = multipliers.index(True) if True in multipliers else 0
@@ -248,7 +250,7 @@ def _stages(program: ControlProgram, element: ElementDerivatives) -> int:
 
 
 def _has_regular_controls(program: ControlProgram, element: ElementDerivatives) -> bool:
-    """Return True if the Hessian's block of the controls is constant and regular."""
+    """Return True if an interval has controls whose block of the Hessian is constant and regular."""
     size = len(program.control_symbols)
     if size == 0:
         return False
@@ -264,9 +266,9 @@ def _has_regular_controls(program: ControlProgram, element: ElementDerivatives) 
 
 
 def require_sensitive(model: Model | PairwiseModel) -> None:
-    """Raise ArgumentError for a problem whose solutions have no sensitivities.
+    """Raise ArgumentError if sensitivities are not available for solutions of a problem.
 
-    With measurements times must be numbers: samples lie at times, not at fractions of a duration.
+    With measurements, the duration and inner times must not depend on parameters, since samples lie at fixed times.
     """
     if model.task != "control":
         raise ArgumentError(f"a problem to {model.task} has no sensitivities", "leave them out: only optima have them")
@@ -280,10 +282,10 @@ def require_sensitive(model: Model | PairwiseModel) -> None:
 
 
 def data_of(program: ControlProgram) -> tuple[Symbol, ...]:
-    """Return the data in their order.
+    """Return the symbols of all data in the order of their indices.
 
-    First come the symbols in the vector of parameters that are no unknowns, then the time and length of an interval, at
-    last the numbers of its left node, which belong to conditions at inner times.
+    Parameters, boundary values and conditions at inner times come first, then the time and length of an interval. Last
+    come numbers of its left node, which belong to conditions at inner times.
     """
     model, inner = program.model, program.inner
     prescribed = (*model.parameters, *(value.symbol for value in program.boundary_values), *inner.parameters)
@@ -291,7 +293,7 @@ def data_of(program: ControlProgram) -> tuple[Symbol, ...]:
 
 
 def control_sensitivities(program: ControlProgram | StepProgram | PairwiseProgram) -> ControlSensitivities:
-    """Differentiate the shares of intervals, samples and ends by data, and by unknowns and data."""
+    """Return derivatives of all contributions to the Lagrangian with respect to data, and to unknowns and data."""
     assert isinstance(program, ControlProgram), "only optima have sensitivities"
     unknowns, data = program.element_symbols, data_of(program)
     shares = [_by_data(share.element, unknowns, data) for share in program.interval_elements]
@@ -306,7 +308,7 @@ def control_sensitivities(program: ControlProgram | StepProgram | PairwiseProgra
 
 
 def _end_by_data(end: EndElement, unknowns: Sequence[Symbol], data: Sequence[Symbol]) -> DataDerivatives:
-    """Differentiate the share of an end; pinned unknowns are further data, numbered by their index in the node."""
+    """Return an end's derivatives with respect to data, which include prescribed unknowns, numbered as in the node."""
     pinned = sorted({index for index, _ in end.pins})
     every = (*data, *(unknowns[index] for index in pinned))
     share = _by_data(end.element, unknowns, every, pinned)
@@ -321,7 +323,7 @@ def _end_by_data(end: EndElement, unknowns: Sequence[Symbol], data: Sequence[Sym
 def _by_data(
     scalar: Expr, unknowns: Sequence[Symbol], data: Sequence[Symbol], fixed: Collection[int] = ()
 ) -> DataDerivatives:
-    """Differentiate a scalar by data, and by data and unknowns except those at the `fixed` indices."""
+    """Return a scalar's derivatives with respect to data, and to data and unknowns except at the `fixed` indices."""
     free = [index for index in range(len(unknowns)) if index not in fixed]
     if scalar.count_ops() >= LONG:
         second = mixed_derivatives(scalar, [unknowns[index] for index in free], data)
@@ -343,7 +345,7 @@ def _by_data(
 def general_form(
     model: Model | PairwiseModel, scheme: str | None, method: str | None, controls: str
 ) -> tuple[ControlProgram | StepProgram, ControlDerivatives | StepDerivatives]:
-    """Return the program of a problem in the general form and its derivatives; ArgumentError for particles."""
+    """Return a problem discretised in the general form, and its derivatives; raise ArgumentError for particles."""
     if not isinstance(model, Model):
         raise ArgumentError("particles have no general form", "measure another problem")
     if model.task == "control" and not model.phases:
@@ -353,7 +355,7 @@ def general_form(
         model = replace(model, free_parameters=(*model.free_parameters, free), terminal_cost=cost)
     program = transcribe(model, scheme, method, controls)
     if isinstance(program, StepProgram):
-        # Inner stages and the right node are unknowns of Newton's method, which starts from the left node.
+        # Newton's method solves for inner stages and the right node; its initial guess is an explicit Euler step.
         unknowns = (*program.stage_symbols, *program.right_symbols)
         program = replace(
             program,
@@ -380,7 +382,7 @@ def general_form(
 
 
 def _explicit_guess(program: StepProgram, unknown: Symbol) -> Expr:
-    """Return an explicit Euler step to the right node, or half of one to an inner stage."""
+    """Return an initial guess of an unknown: an explicit Euler step to the right node, or half a step to a stage."""
     left = program.left_symbols
     rates = rates_of_change(legendre.hamiltonian_form(program.model), left)
     stage = re.search(r"_stage\d+$", unknown.name)

@@ -1,4 +1,4 @@
-"""The name and the origin of a module: the user's choices, versions, and the record in the header."""
+"""The name of a generated module and its origin: the user's options, versions, and the record in the header."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ DEFAULT_SCHEME = "midpoint"
 
 @dataclass(frozen=True)
 class Choices:
-    """The user's choices in addition to the problem; None stands for the default.
+    """The user's options for the generation of a module from a problem; None stands for the default.
 
-    `general` forces the general form, in which a module has all features, for measurements; no command has it. With
-    `sensitivities` the module makes derivatives of solutions by parameters and boundary values. A `standalone` module
-    contains the numerics that it uses.
+    Values of `controls` belong to each "interval", to its "stages", or to nodes ("nodal"). With `general` a module has
+    all features, to measure the gain of leaving features out; no command offers this. With `sensitivities` it makes
+    derivatives of solutions by parameters and boundary values. A `standalone` module runs without this package.
     """
 
     scheme: str | None = None
@@ -46,14 +46,14 @@ def chosen(
     general: bool = False,
     sensitivities: bool = False,
 ) -> Choices:
-    """Return the choices as a module records them: the default scheme has no name."""
+    """Return the options as a module records them: None instead of the name of the default scheme."""
     return Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general, sensitivities)
 
 
 def origin_of(
     problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, files: Iterable[DataFile] = ()
 ) -> Origin:
-    """Return the header's record of a module's origin, without folders: all machines make the same text.
+    """Return the record of a module's origin for its header; it has no folders, so that all machines make equal text.
 
     `files` are the data files that the problem reads.
     """
@@ -62,14 +62,14 @@ def origin_of(
     source = source_of(problem)
     inputs = input_digest(source, arguments, *choice_texts(choices), *versions())
     if not isinstance(source, ProblemFile):
-        # The call that makes the module of an object again.
+        # The call that regenerates the module of a problem object.
         named = {"name": source.name, **({"title": source.title} if source.title != source.name else {})}
         values = {field.name: getattr(choices, field.name) for field in fields(choices)}
         named |= {key: value for key, value in values.items() if value != getattr(Choices(), key)}
         command = f"codegen.compile({', '.join(['problem', *(f'{key}={value!r}' for key, value in named.items())])})"
         place = f"where {source.name} is defined"
         return Origin(f"{source.name}, an object", command, inputs, versions(), place=place)
-    # The command that makes the module of a problem file again.
+    # The command that regenerates the module of a problem file.
     reads = dict.fromkeys(f"{file.path}, sha256 {file.digest}" for file in files)
     file = source.path.name
     settings = (shlex.quote(f"{key}={value}") for key, value in sorted(arguments.items()))
@@ -83,7 +83,7 @@ def origin_of(
 
 
 def module_name(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices) -> str:
-    """Return the problem's name, followed by every choice that is not the default."""
+    """Return the problem's name, followed by every option that is not the default and by the problem's arguments."""
     parts = [source_of(problem).name]
     if choices.method:
         parts.append(choices.method)
@@ -102,18 +102,18 @@ def module_name(problem: Source | Path | str, arguments: Mapping[str, str], choi
     plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
     if plain == name.replace("-", "_"):
         return plain
-    # Lost characters may have distinguished two modules.
+    # Two names may differ in replaced characters alone; the digest keeps them distinct.
     return f"{plain}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
 
 
 @cache
 def versions() -> tuple[str, ...]:
-    """Return the versions that a generated text depends on; reading metadata takes longer than a solve."""
+    """Return the versions of codegen and sympy, on which generated text depends; cached, as reading them is slow."""
     return (f"codegen {__version__}", f"sympy {metadata.version('sympy')}")
 
 
 def choice_texts(choices: Choices) -> tuple[str, ...]:
-    """Return the choices for a digest; ArgumentError for an unknown place of controls."""
+    """Return the options as strings for a digest; raise ArgumentError if `controls` has an unknown value."""
     if choices.controls not in ("interval", "nodal", "stages"):
         raise ArgumentError(f"controls is {choices.controls!r}", "use interval, stages or nodal")
     words = [word for word in ("general", "sensitivities", "standalone") if getattr(choices, word)]

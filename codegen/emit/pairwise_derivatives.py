@@ -1,4 +1,4 @@
-"""First and second derivatives of the terms of a pairwise Hamiltonian, by the chain rule through their scalars."""
+"""First and second derivatives of the terms of a pairwise Hamiltonian, by the chain rule through scalar invariants."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from codegen.symbolic.zeros import identically_zero
 
 @dataclass(frozen=True)
 class TermDerivatives:
-    """One term and its derivatives by the moving symbols of one or two particles.
+    """The self term or the pair term, and its derivatives with respect to positions and momenta of its particles.
 
-    `differences` are the differences of two coordinates on which a scalar depends; `scalars` are polynomials of the
-    moving symbols and of differences. `slopes` and `curvatures` name the derivatives of the term by the scalars, as
-    expressions in the scalars. `gradient` (dense) and `hessian` (lower triangle, structural nonzeros) are written in
-    these names. `distances` are the scalars that vanish where both particles meet.
+    `moving` are the symbols of these positions and momenta. The term is a function of `scalars`, which are polynomials
+    of moving symbols and of `differences` of two coordinates. `slopes` and `curvatures` assign its first and second
+    derivatives with respect to the scalars to symbols. `gradient` (dense) and `hessian` (lower triangle, structural
+    nonzeros) read these symbols. `distances` are the scalars that vanish where both particles meet.
     """
 
     moving: tuple[Symbol, ...]
@@ -38,10 +38,10 @@ class TermDerivatives:
 
 @dataclass(frozen=True)
 class PairDerivatives:
-    """Both terms with their derivatives, and properties of the whole Hamiltonian.
+    """The derivatives of the self term, `alone`, and of the pair term, and properties of the whole Hamiltonian H.
 
-    `separable`: no term mixes coordinates and momenta. `quadratic`: H(q, r p) = r^2 H(q, p), which is kinetic energy
-    alone. `isotropic`: the second derivatives by momenta are a matrix of particles times the identity of space.
+    `separable`: no term mixes coordinates and momenta. `quadratic`: H(q, r p) = r^2 H(q, p), so that H is kinetic
+    energy. `isotropic`: H_pp is the Kronecker product of a matrix (n, n) and the identity (d, d).
     """
 
     alone: TermDerivatives
@@ -52,7 +52,7 @@ class PairDerivatives:
 
 
 def pair_derivatives(model: PairwiseModel) -> PairDerivatives:
-    """Differentiate the self term and the pair term twice."""
+    """Return first and second derivatives of the self term and the pair term."""
     alone = _differentiated(model.self_term, model.first.moving, ())
     pair = _differentiated(model.pair_term, model.first.moving, model.second.moving)
     dimension = len(model.coordinates)
@@ -77,7 +77,7 @@ def pair_derivatives(model: PairwiseModel) -> PairDerivatives:
 
 
 def _differentiated(term: Expr, first: Sequence[Symbol], second: Sequence[Symbol]) -> TermDerivatives:
-    """Differentiate a term twice: f_k dI_k, and f_kl dI_k dI_l + f_k d2I_k, where the scalars are I_k."""
+    """Return a term f(I_1, I_2, ...) of scalars I_k, its gradient f_k dI_k and Hessian f_kl dI_k dI_l + f_k d2I_k."""
     parts = Invariants.of(term, first, second)
     count, moving = len(parts.symbols), parts.moving
     slopes = [Symbol(f"by_{s}", real=True) for s in parts.symbols]
@@ -119,7 +119,7 @@ def _differentiated(term: Expr, first: Sequence[Symbol], second: Sequence[Symbol
 
 
 class _Differences:
-    """The differences of the coordinates of two particles, with a symbol for each."""
+    """The symbols of coordinate differences of two particles; `used` lists the differences that polynomials need."""
 
     def __init__(self, first: Sequence[Symbol], second: Sequence[Symbol]) -> None:
         half = len(second) // 2
@@ -130,7 +130,7 @@ class _Differences:
         self.used: list[Assignment] = []
 
     def inserted(self, polynomial: Expr) -> Expr:
-        """Return the polynomial in differences, if it depends on nothing else."""
+        """Return a polynomial rewritten in differences if it depends on them alone, else the same polynomial."""
         written = polynomial.xreplace({x: d + y for d, (x, y) in self.pairs.items()})
         expanded = sympy.expand(written)
         if expanded.free_symbols - self.pairs.keys() or not expanded.free_symbols:
@@ -141,7 +141,7 @@ class _Differences:
         return expanded
 
     def derivative(self, expression: Expr, z: Symbol) -> Expr:
-        """Return the derivative by a moving symbol, also through differences."""
+        """Return the total derivative with respect to a coordinate or momentum z, including the differences."""
         total = sympy.diff(expression, z)
         for d, (x, y) in self.pairs.items():
             if z in (x, y):
@@ -150,7 +150,7 @@ class _Differences:
 
 
 def _is_isotropic(term: TermDerivatives, dimension: int) -> bool:
-    """Return True if second derivatives by momenta couple equal components only, with one value for all components."""
+    """Return True if second derivatives by momenta couple only equal axes of space, with one value on all axes."""
     blocks: dict[tuple[int, int], set[Expr]] = {}
     counts: dict[tuple[int, int], int] = {}
     for row, column, value in term.hessian:
@@ -166,10 +166,10 @@ def _is_isotropic(term: TermDerivatives, dimension: int) -> bool:
 
 @dataclass(frozen=True)
 class TracerDerivatives:
-    """The contribution of particle j to the velocity of a tracer point i: `velocity`, d entries, and `gradient`.
+    """The contribution of particle j to the `velocity` (d,) of a tracer point i, and its `gradient` (d*d,).
 
-    Entry a*d + b of the gradient is the derivative of velocity component a by coordinate b. Both read `assignments`:
-    differences, scalars and derivatives by scalars.
+    Entry a*d + b of the gradient is the derivative of velocity component a with respect to coordinate b. Both read the
+    symbols that `assignments` define: differences, scalars, and derivatives of the pair term.
     """
 
     assignments: tuple[Assignment, ...]
@@ -178,10 +178,10 @@ class TracerDerivatives:
 
 
 def tracer_derivatives(model: PairwiseModel, derivatives: PairDerivatives) -> TracerDerivatives:
-    """Put p_i = 0 into the derivatives of the pair term.
+    """Return the velocity of a tracer point, a particle i without momentum: H_p of the pair term at p_i = 0.
 
-    Raises ExpressionError if a particle without momentum gains momentum, if it moves without the other particles, or if
-    it does not stay with a particle that it meets.
+    Raises ExpressionError if such a particle gains momentum, if it moves without the other particles, or if it leaves a
+    particle that it lies on.
     """
     rest = dict.fromkeys(model.first.p, sympy.S.Zero)
     for name, term in (("pair_term", model.pair_term), ("self_term", model.self_term)):
@@ -207,8 +207,7 @@ def tracer_derivatives(model: PairwiseModel, derivatives: PairDerivatives) -> Tr
             "the system has no tracer points: where one meets a particle, its velocity has no limit",
             "leave out passive=True, or write a pair_term that is continuous",
         )
-    # A tracer point that lies on a particle has its velocity: the limit of the pair term gives the velocity of
-    # self_term.
+    # A tracer point on a particle must move with it: by the limit of the pair term, at the velocity of self_term.
     alone = dict(zip((*model.second.p, *model.second.own), (*model.first.p, *model.first.own), strict=True))
     for p in model.first.p:
         met = sympy.diff(model.limit, p).xreplace(rest).xreplace(alone)

@@ -1,8 +1,8 @@
-"""Module -> text of one Python file, and that text -> disk, atomically and only when it changed.
+"""Rendering of a `Module` as the text of one Python file, and atomic writing of changed text.
 
-The loops in `templates/loops.txt` are written for every problem. Sizes such as SHARED are literal numbers in a
-generated module, so that `if SHARED:` and `for j in range(SHARED):` are decided when the module is made. Their bodies
-are included, without the test, or left out: no module has branches, loops and summands of absent features.
+The loops in `templates/loops.txt` serve every problem. Sizes such as SHARED are known when a module is generated, so
+that `if SHARED:` and `for j in range(SHARED):` are decided at that time. The body of such a branch is included without
+the test, or left out. No module has branches, loops or summands of absent features.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from codegen.emit.lower.module import Module, Origin
 
 _DIGEST = "@@digest@@"
-"""Placeholder of the digest of all the rest of a text."""
+"""Placeholder for the digest of the rest of a text."""
 _IDENTITY = re.compile(r"^# Text: sha256 ([0-9a-f]{16})$", re.MULTILINE)
-"""The line with the digest."""
+"""The comment line with the digest in a finished text."""
 _WIDTH = 114
-"""Columns for the arguments of a record, without the indentation."""
+"""Largest width of a line with the arguments of a record, without the indentation."""
 _OF_NUMBA = ("carray", "njit", "prange")
 """Names that generated modules import from numba."""
 
@@ -41,7 +41,7 @@ _PUBLIC = (
     "evaluate", "initial_guess", "make_grid", "metadata", "multiplier_unknowns", "nlp", "primal_unknowns", "problem",
     "solve", "unpack", "views", "with_pinned_values",
 )  # fmt: skip
-"""Names for users of a module that solves an optimal control problem."""
+"""Public names of a module that solves an optimal control problem."""
 
 
 _OF_KERNELS = ("record", "special", "tabulated")
@@ -58,7 +58,7 @@ _IMPORTED = {
     ),
     "particles.py.j2": (*_OF_PAIRS, "particles.motion"),
 }  # fmt: skip
-"""Modules of the runtime from which generated modules import, by their template."""
+"""Modules of `codegen.runtime` from which generated modules may import, by the name of the template."""
 
 
 def render(module: Module, origin: Origin) -> str:
@@ -74,7 +74,7 @@ def render(module: Module, origin: Origin) -> str:
         lines += [f"{name}=(", *(f"    {line}" for line in _filled(map(_code, value))), "),"]
     values |= {
         "description": (*module.description, *renamed_arguments(names)),
-        "title": module.title.replace("\\", "\\\\").replace('"', '\\"'),  # as between triple quotes
+        "title": module.title.replace("\\", "\\\\").replace('"', '\\"'),  # for use between triple quotes
         "record_type": type(module.metadata).__name__,
         "record_lines": lines,
         "imports": (),
@@ -105,7 +105,7 @@ def render(module: Module, origin: Origin) -> str:
 
 @cache
 def _environment() -> jinja2.Environment:
-    """Return the environment of templates, which keeps them translated: translation takes longer than rendering."""
+    """Return the jinja environment, which keeps compiled templates: compilation takes longer than rendering."""
     import jinja2
 
     return jinja2.Environment(
@@ -119,7 +119,7 @@ def _environment() -> jinja2.Environment:
 
 
 def _imports_of(text: str, public: Iterable[str], files: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the lines that import the public names and all names that a text uses and does not define."""
+    """Return import lines, from runtime modules `files` or numba, for public names and undefined names in a text."""
     tree, wanted = ast.parse(text), dict[str, set[str]]()
     used = set(public).union(*map(names_read, tree.body))
     defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
@@ -132,7 +132,7 @@ def _imports_of(text: str, public: Iterable[str], files: tuple[str, ...]) -> tup
 
 
 def names_read(part: ast.stmt) -> set[str]:
-    """Return the names that a statement reads and, if it is a function, does not assign."""
+    """Return the names in a statement; of a function, without its arguments and the names that it assigns."""
     names = [node for node in ast.walk(part) if isinstance(node, ast.Name)]
     own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
     own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
@@ -141,7 +141,7 @@ def names_read(part: ast.stmt) -> set[str]:
 
 @cache
 def _importable(files: tuple[str, ...]) -> dict[str, str]:
-    """Return the names that a module may import, with the modules of the runtime that define them."""
+    """Return a map from each public name in the given modules of the runtime to the module that defines it."""
     modules = {}
     for path in files:
         file = resources.files("codegen.runtime").joinpath(*path.split(".")[:-1], f"{path.split('.')[-1]}.py")
@@ -153,7 +153,7 @@ def _importable(files: tuple[str, ...]) -> dict[str, str]:
 
 
 def _filled(arguments: Iterable[str]) -> list[str]:
-    """Return lines of as many arguments as fit, or of a single long argument."""
+    """Return the arguments joined to lines of limited width; an argument that is too long has a line of its own."""
     lines = list[str]()
     for argument in arguments:
         if lines and len(lines[-1]) + len(argument) < _WIDTH:
@@ -164,7 +164,7 @@ def _filled(arguments: Iterable[str]) -> list[str]:
 
 
 def _arguments(record: DataclassInstance) -> Iterator[str]:
-    """Yield the arguments of the call that makes a dataclass, without those that equal their default."""
+    """Yield the code of each argument of the call that creates a dataclass; arguments equal to defaults are omitted."""
     positional = True
     for entry in fields(record):
         value = getattr(record, entry.name)
@@ -175,7 +175,7 @@ def _arguments(record: DataclassInstance) -> Iterator[str]:
 
 
 def _code(value: object) -> str:
-    """Return the code of data."""
+    """Return Python code that creates a value: an enum member, a dataclass, a container or a literal."""
     if isinstance(value, Enum):
         return f"{type(value).__name__}.{value.name}"
     if is_dataclass(value) and not isinstance(value, type):
@@ -188,21 +188,21 @@ def _code(value: object) -> str:
 
 
 _Site = ast.If | ast.For | ast.BinOp
-"""Statements and sums that a size may decide."""
+"""Syntax nodes that a known size may simplify: branches, loops and sums."""
 
 
 def specialise(text: str, sizes: Mapping[str, int]) -> str:
-    """Return source text in which every branch on the name of a size, and every loop over an empty one, is decided.
+    """Return source text without branches on the given sizes, and without empty loops and zero summands.
 
-    `if NAME:` and `if NAME and other:` are understood, with an `else` that is no `elif`, and `for ... in range(NAME):`.
-    In a sum `... + NAME`, a size that is zero is left out.
+    `sizes` has the value of each name. Branches are `if NAME:` or `if NAME and other:`, possibly with `else`, but not
+    with `elif`. Of loops `for ... in range(NAME):` and sums `... + NAME`, those with a size of zero are removed.
     """
     names, zeros = "|".join(sizes), "|".join(name for name, size in sizes.items() if size == 0)
     tests, empty = rf"\bif ({names})\b", rf"(\bin range\(|\+ )({zeros})\b"
-    # Parsing takes far longer than looking for words that may have to be decided.
+    # Parsing is slow: first search for text that a size may decide.
     while (names and re.search(tests, text)) or (zeros and re.search(empty, text)):
         lines, chosen = text.splitlines(), list[_Site]()
-        # Sites inside, or on a line of, another site wait for the next round.
+        # A node inside another chosen node, or on one of its lines, waits for the next round.
         for node in ast.walk(ast.parse(text)):
             if (
                 isinstance(node, _Site)
@@ -219,7 +219,7 @@ def specialise(text: str, sizes: Mapping[str, int]) -> str:
 
 
 def _decided(node: _Site, lines: list[str], sizes: Mapping[str, int]) -> list[str] | None:
-    """Return the lines with one site decided, or None if no size decides it."""
+    """Return the lines of a text with one syntax node simplified, or None if no size decides the node."""
     if isinstance(node, ast.BinOp):
         name = getattr(node.right, "id", "")
         if not isinstance(node.op, ast.Add) or sizes.get(name, 1) or node.lineno != node.end_lineno:
@@ -247,7 +247,7 @@ def _decided(node: _Site, lines: list[str], sizes: Mapping[str, int]) -> list[st
 
 
 def _replaced(lines: list[str], node: ast.If | ast.For, kept: list[ast.stmt]) -> list[str]:
-    """Return the lines with a statement replaced by some of the statements inside it."""
+    """Return the lines with a statement replaced by `kept`, some of the statements inside it."""
     inner = list[str]()
     if kept:
         decorators: list[ast.expr] = getattr(kept[0], "decorator_list", [])
@@ -258,13 +258,13 @@ def _replaced(lines: list[str], node: ast.If | ast.For, kept: list[ast.stmt]) ->
 
 
 def is_whole(text: str) -> bool:
-    """Return True if a text is unchanged since rendering: the digest in it belongs to all the rest."""
+    """Return True if a text is unchanged since rendering: its digest agrees with the rest of the text."""
     match = _IDENTITY.search(text)
     return match is not None and _digest(text.replace(match[1], "", 1)) == match[1]
 
 
 def signed(text: str) -> str:
-    """Return a changed text with a new digest in place of the old one."""
+    """Return an edited text with an updated digest."""
     match = _IDENTITY.search(text)
     assert match is not None, "a generated text holds its digest"
     return text.replace(match[1], _digest(text.replace(match[1], "", 1)), 1)
@@ -275,10 +275,10 @@ def _digest(text: str) -> str:
 
 
 def write(path: Path, text: str) -> bool:
-    """Write a file atomically if its text differs; return True if it was written.
+    """Write a text to a file atomically if the file has another text; return True if the file was written.
 
     A reader sees the old file or the new one, and a killed build leaves the old one. Raises FileError if the file
-    system refuses.
+    system refuses to write.
     """
     try:
         if path.is_file() and path.read_bytes() == text.encode():

@@ -1,7 +1,7 @@
-"""One file that runs without this package: a generated module with the numerics of `codegen.runtime` that it uses.
+"""Standalone modules: one file with a generated module and the numerics of `codegen.runtime` that the module uses.
 
-The used statements of the runtime's files are copied unchanged, without imports of the package. A name that two files
-define is renamed in the later file. The result imports numpy, numba and the standard library.
+The used statements of the runtime's files are copied unchanged, except for imports of the package. A name that two
+files define is renamed in the later file. The result imports numpy, numba and the standard library.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ def bundle(text: str) -> str:
         summary = textwrap.wrap(file.summary, 118, initial_indent="# ", subsequent_indent="# ")
         parts.append("\n".join([title, "#", *summary]))
         for block in file.kept(wanted):
-            # Assignments need no empty lines between them.
+            # No empty lines separate adjacent assignments.
             pair = [file.statement(b) for b in (before, block) if b is not None]
             is_close = len(pair) == 2 and all(isinstance(node, (ast.Assign, ast.AnnAssign)) for node in pair)
             parts.append(("" if is_close else "\n" if before is None else "\n\n") + _rewritten(file, block, names))
@@ -179,17 +179,17 @@ def bundle(text: str) -> str:
 
 @dataclass(frozen=True)
 class Target:
-    """The meaning of a name: a definition in a file, a file (without a name), or a name of another package."""
+    """The object that a name refers to: a definition in a file, a whole file (empty `name`), or an external import."""
 
     file: str
     name: str = ""
     external: str = ""
-    """The statement that imports a name of another package."""
+    """The import statement, or the name in it, of an object from another package; else empty."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A name in a text, by line and columns (in bytes), and its meaning."""
+    """An occurrence of a name in a file, by line and columns (in bytes), and the object that the name refers to."""
 
     line: int
     start: int
@@ -199,18 +199,18 @@ class Reference:
 
 @dataclass
 class Block:
-    """A statement at the top of a file, with comments above and a description below: its lines, names, references."""
+    """A top-level statement that defines `names`: lines `first` (with comments above) to `last` (with a docstring)."""
 
     first: int
     last: int
     names: tuple[str, ...]
     references: list[Reference] = field(default_factory=list)
     dropped: list[int] = field(default_factory=list)
-    """Lines of imports inside functions."""
+    """Numbers of lines that are left out: imports of the package inside functions."""
 
 
 class File:
-    """The statements of one file, and the meanings of the names in it."""
+    """The top-level statements of one file, and the objects to which its names are `bound`."""
 
     def __init__(self, name: str, text: str) -> None:
         self.name, self.lines = name, text.splitlines()
@@ -246,12 +246,12 @@ class File:
         return next(node for node in self.tree.body if block.first <= node.lineno <= block.last)
 
     def kept(self, wanted: set[tuple[str, str]]) -> list[Block]:
-        """Return the blocks that define wanted names, pairs of file and name."""
+        """Return the blocks that define at least one of the `wanted` pairs (file, name)."""
         return [block for block in self.blocks if any((self.name, name) in wanted for name in block.names)]
 
 
 def _bindings(node: ast.Import | ast.ImportFrom) -> dict[str, Target]:
-    """Return the names that an import binds, with their meanings."""
+    """Return the names that an import statement binds, with the objects that they refer to."""
     targets = {}
     for alias in node.names:
         name, renamed = alias.asname or alias.name.partition(".")[0], f" as {alias.asname}" if alias.asname else ""
@@ -267,7 +267,7 @@ def _bindings(node: ast.Import | ast.ImportFrom) -> dict[str, Target]:
 
 @cache
 def _runtime_files() -> dict[str, str]:
-    """Return the texts of all files of the runtime, by their names as modules."""
+    """Return the text of each file of the runtime, by module name."""
     texts = {}
 
     def collect(folder: resources.abc.Traversable, name: str) -> None:
@@ -282,7 +282,7 @@ def _runtime_files() -> dict[str, str]:
 
 
 class _Names(ast.NodeVisitor):
-    """Collects the references of a block: names that are neither arguments nor locals of the functions around them."""
+    """A visitor that adds to a block its references, which are all names except arguments and local names."""
 
     def __init__(self, file: File, block: Block) -> None:
         self.file, self.block, self.scopes = file, block, list[set[str]]()
@@ -303,7 +303,7 @@ class _Names(ast.NodeVisitor):
             self.block.references.append(Reference(line, start, end, target))
 
     def _target(self, name: str) -> Target | None:
-        """Return the meaning of a name, or None for a local name and for a name of Python."""
+        """Return the object that a name refers to, or None for local names and Python's built-in names."""
         if any(name in scope for scope in self.scopes):
             return None
         return next((bound[name] for bound in self.imported if name in bound), self.file.bound.get(name))
@@ -315,7 +315,7 @@ class _Names(ast.NodeVisitor):
         target = self._target(node.value.id) if isinstance(node.value, ast.Name) else None
         if target is None or target.name:
             self.generic_visit(node)
-        else:  # a name in another file
+        else:  # the attribute is a name in another file
             position = node.lineno, node.col_offset, node.end_col_offset or 0
             self.block.references.append(Reference(*position, Target(target.file, node.attr)))
 
@@ -338,7 +338,7 @@ class _Names(ast.NodeVisitor):
             self.visit(part)
         own = _locals(node.body)
         for statement in node.body:
-            # Functions do not see the names of their class, but the rest of its body does.
+            # Names that a class defines are visible in its body, but not inside its methods.
             if isinstance(statement, ast.FunctionDef):
                 self.visit(statement)
             else:
@@ -366,11 +366,11 @@ class _Names(ast.NodeVisitor):
 
 
 _SCOPES = (ast.FunctionDef, ast.ClassDef, ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
-"""Parts of a function with names of their own."""
+"""Syntax nodes that have a scope of their own."""
 
 
 def _locals(body: list[ast.stmt]) -> set[str]:
-    """Return the names that a function assigns, without those of functions and comprehensions inside."""
+    """Return the local names of a function or class body, without names local to inner scopes."""
     names, waiting = set[str](), list[ast.AST](body)
     while waiting:
         node = waiting.pop()
@@ -388,7 +388,7 @@ def _locals(body: list[ast.stmt]) -> set[str]:
 
 
 def _numerics(name: str, text: str) -> str:
-    """Return the text of a file of the runtime, or its replacement in the module with the given text."""
+    """Return the source of runtime file `name`, or its replacement in the standalone form of module `text`."""
     folder, _, stem = name.rpartition(".")
     if name == f"{RUNTIME}.linking":
         return _LINKING
@@ -401,7 +401,7 @@ def _numerics(name: str, text: str) -> str:
     shape = _shape_of(text)
     if stem == "stages" and not shape.stages:
         return _NO_STAGES
-    # Functions of the linear system read a constant `shape`, and have no such argument.
+    # Functions of the linear system read a global constant `shape` instead of an argument.
     numerics = _runtime_files()[name]
     lines, tree = numerics.splitlines(), ast.parse(numerics)
     for node in reversed(tree.body):
@@ -417,7 +417,7 @@ def _numerics(name: str, text: str) -> str:
 
 @lru_cache(maxsize=1)
 def _shape_of(text: str) -> Shape:
-    """Return the shape of a module's linear system; the module is executed for this, and nothing is compiled."""
+    """Return the shape of a module's linear system; this executes the module, but compiles no kernel."""
     values: dict[str, object] = {"__name__": "standalone"}
     exec(compile(text, "<module>", "exec"), values)
     shape: Shape = values["problem"].structure.shape  # type: ignore[attr-defined]
@@ -427,7 +427,7 @@ def _shape_of(text: str) -> Shape:
 def _new_names(
     module: File, order: list[str], wanted: set[tuple[str, str]], files: Mapping[str, File]
 ) -> dict[tuple[str, str], str]:
-    """Return the name of each definition in the standalone text: its old name unless another definition has it."""
+    """Return the new name of each definition (file, name): the old name, unless an earlier file defines the same."""
     names = {(t.file, t.name): name for name, t in module.bound.items() if t.file and not t.external and t.name}
     taken, identifiers = set(module.bound), set[str]()
     for file in (module, *(files[name] for name in order)):
@@ -449,7 +449,7 @@ def _new_names(
 
 
 def _rewritten(file: File, block: Block, names: Mapping[tuple[str, str], str]) -> str:
-    """Return the lines of a block with new names, without imports of the package inside functions."""
+    """Return the text of a block with new names, by (file, name), and without imports of the package in functions."""
     lines = {number: file.lines[number - 1].encode() for number in range(block.first, block.last + 1)}
     for reference in sorted(set(block.references), key=lambda r: (r.line, r.start), reverse=True):
         new = names.get((reference.target.file, reference.target.name))
@@ -465,7 +465,7 @@ def _rewritten(file: File, block: Block, names: Mapping[tuple[str, str], str]) -
 
 
 def _imports(files: list[File], wanted: set[tuple[str, str]]) -> str:
-    """Return the statements that import the used names of other packages, first those of the standard library."""
+    """Return the import statements for names of other packages that the files use, the standard library first."""
     plain, of_packages = set[str](), dict[str, set[str]]()
     bound: dict[str, Target] = {}
     for file in files:

@@ -1,4 +1,4 @@
-"""Derivatives -> strings: rewriting for numerical stability, common subexpressions, printing, operation counts."""
+"""Lowering of derivatives to strings: stable forms, common subexpressions, printing, and counts of operations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def lower(
     derivatives: ControlDerivatives | StepDerivatives | PairDerivatives,
     by_data: ControlSensitivities | None = None,
 ) -> Module:
-    """Return a program and its derivatives as a module of strings; derivatives `by_data` add sensitivities."""
+    """Return a discretised problem and its derivatives as code; derivatives `by_data` add sensitivities."""
     if isinstance(program, PairwiseProgram):
         assert isinstance(derivatives, PairDerivatives)
         return lower_particles(program, derivatives)

@@ -1,15 +1,15 @@
 """Sums over all particles for blocks of points: the gathered gradient of H, and velocities of tracer points.
 
-Arrays of a block hold one quantity after the other, of all its points. The inner loop over points then reads neighbours
-in memory, at distances known at compile time, and calls nothing that has branches. A compiler makes of it operations on
-several points at once.
+Arrays of a block store one quantity of all points of the block, then the next quantity. The inner loop over points
+reads adjacent memory and calls no function with branches, so that a compiler can vectorise the loop.
 
 If self_term is half the limit of the pair term at coincidence, H_q and H_p of particle i are sums of one expression
-over all particles j, particle i included. Gathering them takes twice as many evaluations as visiting each pair once.
-But each evaluation writes to particle i alone, so that several particles are processed at once.
+over all particles j, particle i included. Gathering these sums for each particle takes twice as many evaluations as
+visiting each pair once. But each evaluation writes to particle i alone, so that several particles run at once.
 
-A tracer point that lies on a particle has the limit of the velocity there. Of a smooth kernel it also has the limit of
-the derivative; of a kernel with a kink, as in space, the mean of the derivatives on both sides.
+A tracer point moves with the flow of the particles. On a particle, it has the limit of the velocity there. For a smooth
+pair term it also has the limit of the derivative. For a pair term with a kink, as in three-dimensional space, it has
+the mean of the derivatives on both sides.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from codegen.emit.pairwise_derivatives import PairDerivatives, TracerDerivatives
 from codegen.errors import ExpressionError
 
 GROUP = 64
-"""Particles of a block in the gathered gradient."""
+"""Number of particles in a block of the gathered gradient."""
 BLOCK = 128
-"""Tracer points of a block: all their quantities stay in the first-level cache of the processor."""
+"""Number of tracer points in a block, whose quantities all fit in the first-level cache of the processor."""
 _REMEDY = "leave parallel out: this gradient visits each pair once, which threads cannot share"
 
 
 @dataclass(frozen=True)
 class BlockLoop:
-    """A function that sums the contributions of all particles j to each point m of a block.
+    """A function that sums the contributions of all particles j to each point m of a block, as groups of lines.
 
-    `views` make arrays of pointers. `head` comes first. In each block follow `before` for each point m; `inputs` for
-    each particle j, then for each m `point_inputs`, `body` and `outputs`; then `after` for each m. `over_points` is the
-    code of this last loop, if it is optional. Blocks divide the points from `begin` to `end`, which are code.
+    `views` make arrays from pointers. `head` comes first. Each block has `before` for each point m; `inputs` for each
+    particle j, then for each m `point_inputs`, `body` and `outputs`; then `after` for each m. `over_points` is the code
+    of this last loop, if it is optional. Blocks divide the points from `begin` to `end`, which are code.
     """
 
     name: str
@@ -63,7 +63,7 @@ class BlockLoop:
 
 
 def gathered_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[BlockLoop, ...]:
-    """Return the gathered gradient of H, if it exists and its code calls no function with branches."""
+    """Return the gathered gradient loop if one without branches exists; raise ExpressionError if threads need it."""
     acts_on_itself = False
     if model.limit is not None and model.smooth:
         own = dict(zip((*model.second.p, *model.second.own), (*model.first.p, *model.first.own), strict=True))
@@ -130,7 +130,7 @@ def gathered_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[
 
 
 def tracer_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[BlockLoop, ...]:
-    """Return the velocity of tracer points, and the velocity with its derivative by positions, if asked for."""
+    """Return the loops for the velocity of tracer points, and for velocity and gradient; none without tracer points."""
     if not model.passive:
         return ()
     tracers, size = tracer_derivatives(model, derivatives), len(model.coordinates)
@@ -158,7 +158,7 @@ def _tracer_loop(
 ) -> BlockLoop:
     model = writer.model
     reads = {s: _entry("positions", a) for a, s in enumerate(model.first.q)}
-    # Particle i is a point of a block.
+    # Point m of a block takes the role of particle i.
     singles = {
         s: re.sub(r"singles\[i, (\d+)\]", lambda match: _entry("scalars", int(match[1])), code)
         for s, code in writer.single_codes.items()
@@ -196,12 +196,12 @@ def _tracer_loop(
 
 
 def _entry(array: str, row: int, block: str = "BLOCK") -> str:
-    """Return code of a quantity of point m; `block` is the constant that holds the length of a row."""
+    """Return code that reads quantity number `row` of point m; constant `block` is the number of points of a block."""
     offset = "" if row == 0 else f"{block} + " if row == 1 else f"{row}*{block} + "
     return f"{array}[{offset}m]"
 
 
 def _packed(lines: Sequence[Line]) -> tuple[Line, ...]:
-    """Return lines with logarithms that have no branches in place of those of the C library."""
+    """Return lines with branch-free logarithms instead of the C library's logarithms."""
     functions = r"\b(?:math\.)?(log1p|x_minus_log1p|log1p_minus_ratio)\("
     return tuple(replace(line, code=re.sub(functions, r"packed_\1(", line.code)) for line in lines)

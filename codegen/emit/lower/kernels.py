@@ -1,6 +1,6 @@
-"""One kernel as strings: inputs read from arrays, common subexpressions, outputs with their meaning.
+"""Lowering of expressions to a kernel as strings: inputs from arrays, common subexpressions, outputs with comments.
 
-Each table is looked up once for all derivatives at a point, before the first line that reads a derivative.
+A kernel looks up each table once for all derivatives at a point, before the first line that reads a derivative.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from codegen.symbolic.graph import Assignment
 from codegen.symbolic.tables import ORDERS, TableData
 
 CACHED = ('@njit(cache=True, error_model="numpy")',)
-"""Decorator of functions that Python calls; division by zero gives infinity, as it does in numpy."""
+"""Decorator of functions that Python code calls; division by zero gives infinity, as in numpy."""
 INNER = ('@njit(error_model="numpy")',)
-"""Decorator of functions that only compiled functions call: their machine code is kept as part of the caller's."""
+"""Decorator of functions that only compiled functions call: their machine code is cached with the caller's."""
 
 KERNEL, VALUE = ("@Kernel",), ("@Value",)
-"""Decorators of functions that are called by their address; functions of the second kind return a value."""
+"""Decorators of functions that are called by their address: a `Kernel` fills arrays, a `Value` returns a number."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One assignment `target = code` (or `+=`), with a comment on its meaning."""
+    """One assignment `target = code` (or another `operator`), with a comment on its meaning."""
 
     target: str
     code: str
@@ -41,7 +41,7 @@ class Line:
 class Kernel:
     """A numba function: `inputs` unpack arrays, `body` holds the common subexpressions, `outputs` fill arrays.
 
-    `results` holds the code of the returned value, if any; `decorators` are lines above the function.
+    `results` has the code of the returned value, if any; `decorators` are lines above the function.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Kernel:
 
 @dataclass(frozen=True)
 class Output:
-    """An expression that a kernel writes to `target`, by `=` or `+=`."""
+    """An expression that a kernel assigns (`=`) or adds (`+=`) to an array entry or variable `target`."""
 
     target: str
     value: Expr
@@ -77,11 +77,11 @@ def kernel(
     decorators: tuple[str, ...] = CACHED,
     straight_line: Sequence[Assignment] = (),
 ) -> Kernel:
-    """Lower expressions to a kernel.
+    """Return a kernel that evaluates expressions: the `outputs`, and the returned value `result` if there is one.
 
     `codes` has the code that reads each symbol; a symbol whose code is its own name is an argument. `assignments` give
-    values to further symbols, which later assignments and all outputs may read. A `straight_line` program does the
-    same, but has all common subexpressions already. A kernel has one or the other.
+    values to further symbols, which later assignments and all outputs may read. Assignments of a `straight_line`
+    program are used instead if common subexpressions have been found already.
     """
     names = [symbol for symbol, _ in (*assignments, *straight_line)]
     values = [*(value for _, value in (*assignments, *straight_line)), *(output.value for output in outputs)]
@@ -96,7 +96,7 @@ def kernel(
     else:
         fresh = (Symbol(f"x{i}", real=True) for i in range(10**9) if f"x{i}" not in taken)
         common, shared = sympy.cse(expressions, symbols=fresh, order="canonical")
-        # Each common subexpression stands before the first assignment that reads it; the others come last.
+        # Each common subexpression precedes the first assignment that reads it; those of outputs alone come last.
         waiting, order = dict(common), [symbol for symbol, _ in common]
 
         def supply(value: Expr) -> None:
@@ -113,7 +113,7 @@ def kernel(
         reduced = shared[len(names) :]
     operations = [int(e.count_ops()) for e in (*(value for _, value in body), *reduced)]
     before = sum(int(e.count_ops()) for e in expressions)
-    if straight_line:  # operations of all outputs without assignments
+    if straight_line:  # operations if each output were one expression without assignments
         totals: dict[Expr, int] = {}
         before = 0
         for index, (expression, count) in enumerate(zip(expressions, operations, strict=True)):
@@ -141,7 +141,7 @@ def kernel(
 
 
 def needed(assignments: Sequence[Assignment], read: Iterable[Expr]) -> list[Assignment]:
-    """Return the assignments that the expressions read, directly or through others."""
+    """Return the assignments to symbols that the expressions `read` contain, directly or through other assignments."""
     symbols: set[Symbol] = set().union(*(expression.free_symbols for expression in read))
     kept: list[Assignment] = []
     for symbol, value in reversed(assignments):
@@ -153,7 +153,7 @@ def needed(assignments: Sequence[Assignment], read: Iterable[Expr]) -> list[Assi
 
 @dataclass(frozen=True)
 class _Lookup:
-    """A table at a point: the code of the point, the line before which it is looked up, the names of derivatives."""
+    """The look-up of a table at a point: code of the point, number of the next line, and symbols of derivatives."""
 
     table: TableData
     code: str
@@ -164,7 +164,7 @@ class _Lookup:
 def _with_lookups(
     body: Sequence[Assignment], outputs: Sequence[Expr], taken: Collection[str]
 ) -> tuple[list[tuple[str, str]], list[Expr]]:
-    """Return the lines of a kernel as targets and code, with look-ups of tables, and the outputs without tables.
+    """Return pairs (target, code) of a kernel's body, with look-ups of tables, and outputs that read these look-ups.
 
     `taken` are names that the kernel uses already.
     """
@@ -172,7 +172,7 @@ def _with_lookups(
     used = set(taken)
 
     def name_of(function: TableBase, line: int) -> Symbol:
-        """Return the name of a derivative of a table at a point; the first line that reads one has the look-up."""
+        """Return the symbol of a table's derivative at a point; the table is looked up before the given line."""
         table, key = function.table, (function.table, function.args)
         if key not in lookups:
             lookups[key] = _Lookup(table, ", ".join(map(scalar_code, function.args)), line, {})

@@ -1,4 +1,4 @@
-"""A generated module as strings, tuples and numbers: the input of rendering, with nothing symbolic."""
+"""Records of a generated module as strings, tuples and numbers: the input of rendering, with nothing symbolic."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Argument:
 
 
 def arguments_of(model: Model | PairwiseModel) -> tuple[Argument, ...]:
-    """The parameters of a model with their defaults."""
+    """Return the parameters of a model as arguments with their defaults."""
     return tuple(Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True))
 
 
 def record_fields(model: Model | PairwiseModel) -> dict[str, Any]:
-    """Fields that the records of all tasks have in common."""
+    """Return the fields that the metadata records of all tasks have in common."""
     return {
         "problem": model.name, "title": model.title, "inputs": "", "steps": model.steps, "unused": model.unused,
         "parameters": {p.name: value for p, value in zip(model.parameters, model.defaults, strict=True)},
@@ -36,9 +36,9 @@ def record_fields(model: Model | PairwiseModel) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Origin:
-    """The origin of a generated module: source, place and command of the build, digest of the inputs, versions.
+    """The origin of a generated module: the source, and `command` and `place` (as words) that build the module again.
 
-    `reads` has a line for each data file that the problem reads.
+    `inputs` is the digest of the inputs. `reads` has a line for each data file that the problem reads.
     """
 
     source: str
@@ -51,10 +51,10 @@ class Origin:
 
 @dataclass(frozen=True)
 class Module:
-    """A generated module before rendering; `template` is the name of its template.
+    """A generated module before rendering; `template` is the name of its jinja template.
 
-    `metadata` is the record of the module; its `inputs` come from the `Origin`. `constants` are sizes, index arrays and
-    names. `sizes` are the sizes by which the loops are specialised.
+    `metadata` is the module's record, whose `inputs` come from the `Origin`. `constants` assign sizes, index arrays and
+    names. `sizes` are names and values that specialise the loops. `steps` is the default number of time steps.
     """
 
     template: str
@@ -71,7 +71,7 @@ class Module:
 
 @dataclass(frozen=True)
 class Choice:
-    """A function that calls the kernel of the first branch whose condition holds, or else the last kernel."""
+    """A function that calls the kernel of the first branch (condition, kernel) that holds, or else `otherwise`."""
 
     name: str
     summary: str
@@ -82,12 +82,12 @@ class Choice:
 
 @dataclass(frozen=True)
 class SensitivityText:
-    """Functions of a module with sensitivities, as code; the `..._inputs` read the symbols in this code.
+    """The code of functions in a module with sensitivities; fields `..._inputs` read the symbols in the other code.
 
-    `rates` are assignments to derivatives by the quantities. An entry of `following` has the name of a quantity and
-    assignments that hold unless this quantity is prescribed. `pins`, `bounds` (at most one group) and `durations` are
-    directional derivatives; `momenta` reads the derivatives of momenta. `fields` are the fields of the record
-    `DataDerivatives` with their code.
+    `rates` are derivatives of data with respect to the quantities that a user may vary. An entry of `following` is a
+    quantity with derivatives that hold unless the caller replaces its value. `pins`, `bounds` (at most one group) and
+    `durations` are directional derivatives of prescribed values, bounds and durations. `momenta` reads the derivatives
+    of momenta. `fields` are the fields of the runtime's record `DataDerivatives` with their code.
     """
 
     rate_inputs: tuple[Line, ...]
@@ -106,7 +106,7 @@ class SensitivityText:
 
 @dataclass(frozen=True)
 class BoundaryText:
-    """Boundary values as code in the arguments and in `inputs`, and an example of how to replace one of them."""
+    """Boundary values as code that reads arguments and `inputs`, and an example of replacing a boundary value."""
 
     values: tuple[Line, ...]
     inputs: tuple[Line, ...]
@@ -117,9 +117,9 @@ class BoundaryText:
 class DurationText:
     """The duration as code.
 
-    A fixed duration is one of the `arguments`, with a default; a free one is code of the unknowns. `grid` is the length
-    that the grid divides into steps, and `node_times` the times at nodes. With several phases, `of_phases` has one
-    group: inputs, and the duration of each phase. `each_phase` and `fractions` are words of docstrings.
+    A fixed duration is one of the `arguments`, with a default; a free one is `code` that reads the unknowns. `grid` is
+    the length that the grid divides into steps, and `node_times` the times at nodes. With several phases, `of_phases`
+    has one group: inputs, and the duration of each phase. `each_phase` and `fractions` are words for docstrings.
     """
 
     arguments: tuple[str, ...]
@@ -135,7 +135,10 @@ class DurationText:
 
 @dataclass(frozen=True)
 class GuessText:
-    """The initial guess as assignments to views of the unknowns; the inputs read the symbols in them."""
+    """The initial guess as assignments to array views of the unknowns; the inputs read the symbols in them.
+
+    `lines` are for nodes and intervals, `own` for linking variables of each body, `common` for other linking variables.
+    """
 
     inputs: tuple[Line, ...]
     lines: tuple[Line, ...]
@@ -147,7 +150,7 @@ class GuessText:
 
 @dataclass(frozen=True)
 class PinText:
-    """Prescribed end values as assignments to views of the unknowns."""
+    """Prescribed end values as assignments to array views of the unknowns; `inputs` read the symbols in them."""
 
     inputs: tuple[Line, ...]
     values: tuple[Line, ...]
@@ -155,7 +158,7 @@ class PinText:
 
 @dataclass(frozen=True)
 class BoundText:
-    """Bounds of unknowns as assignments to views; `lines` has one group, or none without inequalities."""
+    """Bounds of unknowns as assignments to array views; `lines` has one group, but none without inequalities."""
 
     inputs: tuple[Line, ...] = ()
     views: tuple[Line, ...] = ()
@@ -164,7 +167,7 @@ class BoundText:
 
 @dataclass(frozen=True)
 class SolutionText:
-    """Code that reads a solution: positions, momenta, controls and multipliers out of the unknowns."""
+    """Code that reads positions, momenta, controls and multipliers from the unknowns of a solution."""
 
     positions: str
     momenta: str
@@ -177,10 +180,10 @@ class ControlModule(Module):
     """A module that solves an optimal-control problem.
 
     `structure` and `features` are fields of the records `Structure` and `ControlProblem` with their code.
-    `data_arguments` are the arguments that replace tables and measurements, each with its description; `grid_code`
-    makes a grid with them. With conditions at inner times, `inner_times` has one group of times, and `inner_values`
-    are the parameters of these conditions. `coupling_kinds` has one group of kernels where bodies are coupled.
-    With several phases, `choices` select kernels. `sensitivities` has at most one entry.
+    `data_arguments` are arguments that replace tables and measurements, each with a description; `grid_code` makes a
+    grid with them. With conditions at inner times, `inner_times` has one group of times, and `inner_values` are the
+    parameters of these conditions. If bodies are coupled, `coupling_kinds` has one group: the kernels of the conditions
+    between them. With several phases, `choices` select kernels. `sensitivities` has at most one entry.
     """
 
     structure: tuple[tuple[str, str], ...]
@@ -205,10 +208,10 @@ class SimulateModule(Module):
     """A module that solves an initial value problem.
 
     `public` are the public names, and `record` the fields of the StepProblem with their code. For explicit steps in one
-    loop, `explicit_sizes` has the code of four numbers: states, stages, parts of a step, lengths of each part.
-    `duration` and `start_values` are code in the arguments. `table_arguments` has the name of the argument that
-    replaces tables, if any. `start` is the initial state (q, p) as code of the arguments and of the targets of
-    `start_values`, whose comments are the names of the prescribed quantities.
+    loop, `explicit_sizes` is code of four numbers: states, stages, substeps of a step, and lengths of a substep.
+    `duration` and `start_values` are code that reads arguments. `table_arguments` has the name of the argument that
+    replaces tables, if there are tables. `start` is the initial state (q, p) as code that reads arguments and targets
+    of `start_values`, whose comments are the names of the prescribed quantities.
     """
 
     public: tuple[str, ...]

@@ -1,8 +1,8 @@
-"""A pairwise Hamiltonian and its derivatives as loops over particles and pairs.
+"""A pairwise Hamiltonian H and its derivatives as loops over particles and pairs.
 
-States are arrays z of shape (2, n, d): positions z[0], momenta z[1]. Rows of second derivatives run over z in this
-order, z.reshape(2 n d). Every loop visits each pair once and writes to both of its particles. The loops are H, its
-gradient, its Hessian, products of the Hessian with directions, and the second derivatives by momenta.
+States are arrays z of shape (2, n, d): positions z[0], momenta z[1]. Rows of second derivatives follow the order of
+z.reshape(2 n d). Every loop visits each pair once and writes to both of its particles. The loops compute H, its
+gradient, its Hessian, Hessian products, and H_pp. `alone` is the self term, `pair` the pair term of particles i and j.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from codegen.emit.pairwise_derivatives import PairDerivatives, TermDerivatives
 from codegen.symbolic.graph import Assignment
 
 CLOSEST = Symbol("CLOSEST", positive=True)
-"""The least squared distance that kernels distinguish from zero, if the pair term has a limit there."""
+"""The least squared distance that kernels distinguish from zero if the pair term has a limit at coincidence."""
 STATE = ("z", "own", "parameters")
-"""The arguments of every loop: state, particles' own parameters, common parameters."""
+"""The arguments of every loop: the state, the particles' own parameters, and common parameters."""
 
 
 @dataclass(frozen=True)
 class PairLoop:
     """A function that visits all particles and all pairs, as groups of lines in the order of execution.
 
-    `arguments` are pointers and numbers; `views` make arrays of the pointers. `head` comes first. For each particle i
-    follow `inputs`, `alone` and `alone_outputs`; for each j < i `pair_inputs`, `pair` and `pair_outputs`; then `after`
-    for particle i. `tail` and `results` come last. `alone_directions` and `pair_directions` are repeated for each of
-    several directions. `over_pairs` and `over_directions` are the code of these inner loops, empty if not needed.
+    `arguments` are pointers and numbers; `views` make arrays from the pointers. `head` comes first. Each particle i
+    has `inputs`, `alone` and `alone_outputs`, then for each j < i `pair_inputs`, `pair` and `pair_outputs`, then
+    `after`. `tail` and `results` come last. `alone_directions` and `pair_directions` are repeated for each direction of
+    a Hessian product. `over_pairs` and `over_directions` are the code of these inner loops, empty if not needed.
     """
 
     name: str
@@ -75,9 +75,9 @@ class ParticleLoop:
 
 
 def signature(arguments: Sequence[str]) -> tuple[str, ...]:
-    """Return the arguments of a kernel, with the number of particles and the number of directions.
+    """Return the arguments of a kernel, with `count` and `columns` added where necessary.
 
-    The number of particles follows the first array of particles, the number of columns the directions.
+    `count`, the number of particles, follows `z` or `start`; `columns`, the number of directions, follows `directions`.
     """
     first = next((name for name in ("z", "start") if name in arguments), "")
     after = {first: "count", "directions": "columns"}
@@ -85,7 +85,7 @@ def signature(arguments: Sequence[str]) -> tuple[str, ...]:
 
 
 def views(arguments: Sequence[str], model: PairwiseModel, blocks: int = 1) -> tuple[Line, ...]:
-    """Return lines that make arrays of a kernel's pointers; `blocks` is the number of rows of H_pp for a particle."""
+    """Return lines that make arrays from a kernel's pointers; `blocks` is the number of rows of H_pp per particle."""
     size, own = len(model.coordinates), len(model.own)
     state, positions, rows = f"(2, count, {size})", f"(count, {size})", f"{2 * size}*count"
     shapes = {"z": state, "gradient": state, "hessian": f"({rows}, {rows})"}
@@ -97,7 +97,7 @@ def views(arguments: Sequence[str], model: PairwiseModel, blocks: int = 1) -> tu
 
 
 class Writer:
-    """The code of the symbols in all loops of a problem, and the scalars that belong to single particles."""
+    """The code of the symbols in all loops, and `singles`: scalars of one particle's position, evaluated only once."""
 
     def __init__(self, model: PairwiseModel, derivatives: PairDerivatives) -> None:
         self.model, self.derivatives = model, derivatives
@@ -116,14 +116,14 @@ class Writer:
                         self.single_codes[self.renamed(term, symbol)] = code
 
     def renamed(self, term: TermDerivatives, expression: Expr) -> Expr:
-        """Return an expression of one term in which scalars and derivatives of the self term have other names."""
+        """Return an expression of a term; in the self term, scalars and derivatives get the suffix `_alone`."""
         if term is self.derivatives.pair:
             return expression
         named = [symbol for symbol, _ in (*term.scalars, *term.slopes, *term.curvatures)]
         return expression.xreplace({symbol: Symbol(f"{symbol.name}_alone", real=True) for symbol in named})
 
     def codes(self, mark: str) -> dict[Symbol, str]:
-        """Return the code that reads the quantities of particle i or j."""
+        """Return the code that reads position, momentum and own parameters of the particle `mark`, "i" or "j"."""
         particle = self.model.first if mark == "i" else self.model.second
         codes = {s: f"z[0, {mark}, {a}]" for a, s in enumerate(particle.q)}
         codes |= {s: f"z[1, {mark}, {a}]" for a, s in enumerate(particle.p)}
@@ -132,7 +132,7 @@ class Writer:
     def lowered(
         self, term: TermDerivatives, outputs: Sequence[tuple[str, str, Expr]], names: Sequence[Assignment] = ()
     ) -> Kernel:
-        """Return scalars, derivatives `names` and outputs (target, operator, value) of a term, common parts shared."""
+        """Return a kernel of a term's scalars, of its derivatives `names`, and of outputs (target, operator, value)."""
         assignments = []
         for symbol, value in needed((*term.differences, *term.scalars, *names), [value for _, _, value in outputs]):
             renamed = self.renamed(term, symbol)
@@ -153,7 +153,7 @@ class Writer:
         outputs: Sequence[tuple[str, Expr]],
         inputs: Collection[Symbol],
     ) -> Kernel:
-        """Return outputs (target, value) that are summed over all particles; `inputs` are symbols that stay as read."""
+        """Return a kernel that adds outputs (target, value) of particle j; symbols `inputs` need no assignments."""
         distances = self.derivatives.pair.distances
         written = [
             (symbol, sympy.Max(value, CLOSEST) if symbol in distances else value)
@@ -177,7 +177,7 @@ class Writer:
         results: Sequence[str] = (),
         directions: tuple[Sequence[Line], Sequence[Line]] = ((), ()),
     ) -> PairLoop:
-        """Return a loop over both terms; parameters and quantities of particle i are read outside the loop over j."""
+        """Return a loop over particles and pairs; values that do not depend on particle j are read outside its loop."""
         uses_singles = any("singles[" in line.code for k in (alone, pair) for line in (*k.inputs, *k.body, *k.outputs))
         start = [Line("singles", "single_values(z)")] if uses_singles else []
         of_pair = [", j, " in line.code or "[j, " in line.code for line in pair.inputs]
@@ -211,9 +211,9 @@ class Writer:
 def pair_loops(
     model: PairwiseModel, derivatives: PairDerivatives, by_turns: bool = False
 ) -> tuple[tuple[str, ...], tuple[PairLoop, ...]]:
-    """Return the code of the scalars of single particles, and the loops for H and its derivatives.
+    """Return the code of scalars of single particles, and the loops for H and its derivatives.
 
-    If steps update positions and momenta `by_turns`, the loops are H, H_q and H_p.
+    If steps update positions and momenta `by_turns`, the loops compute only H, H_q and H_p.
     """
     writer = Writer(model, derivatives)
     size, alone, pair = writer.dimension, derivatives.alone, derivatives.pair
@@ -242,7 +242,7 @@ def pair_loops(
 
 
 def _gradient(writer: Writer, name: str, summary: str, indices: range) -> PairLoop:
-    """Return the loop for the derivatives of H by some of a particle's moving symbols: H_q, H_p or both."""
+    """Return the loop for H_q, H_p or both; `indices` select coordinates and momenta among a particle's symbols."""
     size, alone, pair = writer.dimension, writer.derivatives.alone, writer.derivatives.pair
     array = "gradient" if len(indices) == 2 * size else "rates"
 
@@ -250,7 +250,7 @@ def _gradient(writer: Writer, name: str, summary: str, indices: range) -> PairLo
         return f"{array}[{k // size}, {mark}, {k % size}]" if array == "gradient" else f"{array}[{mark}, {k % size}]"
 
     sums = {k: f"by_{writer.model.first.moving[k]}" for k in indices}
-    # A sum that begins with zero begins with a floating-point number.
+    # A sum that starts from zero must start from a floating-point zero.
     first = [alone.gradient[k] for k in indices]
     own = [(sums[k], "=", sympy.Float(0) if v == 0 else v) for k, v in zip(indices, first, strict=True)]
     both = [(sums[k], "+=", pair.gradient[k]) for k in indices]
@@ -265,7 +265,7 @@ def _gradient(writer: Writer, name: str, summary: str, indices: range) -> PairLo
 
 
 def _hessian(writer: Writer) -> PairLoop:
-    """Return the loop for all second derivatives as a matrix."""
+    """Return the loop that fills the Hessian of H as a matrix."""
     size = writer.dimension
     half, *rows = _offsets(size)
     kernels = []
@@ -275,7 +275,7 @@ def _hessian(writer: Writer) -> PairLoop:
         outputs = []
         for row, column, value in term.hessian:
             one, other = row // size, column // size
-            # j < i: momenta come after positions, particle i after particle j.
+            # Rows of momenta follow rows of positions, and rows of particle i follow rows of particle j < i.
             is_lower = (one % 2, -(one // 2)) >= (other % 2, -(other // 2))
             low, high = (row, column) if is_lower else (column, row)
             name = names.setdefault(value, f"h{len(names)}")
@@ -292,7 +292,7 @@ def _hessian(writer: Writer) -> PairLoop:
 
 
 def _hessian_products(writer: Writer) -> PairLoop:
-    """Return the loop for derivatives of the gradient along directions: fewer operations than second derivatives."""
+    """Return the loop for products of the Hessian with directions, which take fewer operations than the Hessian."""
     half, *rows = _offsets(writer.dimension)
     kernels, lines, operations = [], [], (0, 0)
     for term, offset in zip((writer.derivatives.alone, writer.derivatives.pair), rows, strict=True):
@@ -300,7 +300,7 @@ def _hessian_products(writer: Writer) -> PairLoop:
         made = writer.lowered(term, named)
         kernels.append(replace(made, body=(offset, *made.body, *made.outputs), outputs=()))
         along = _along_direction(writer, term)
-        # Common parts x0, x1, ... of the loop over pairs must keep their values: inside they are y0, y1, ...
+        # Common subexpressions x0, x1, ... of the outer loop keep their values: in the inner loop they are y0, y1, ...
         common = re.compile(r"\bx(\d+)\b")
         lines.append(
             [
@@ -320,7 +320,7 @@ def _hessian_products(writer: Writer) -> PairLoop:
 
 
 def _momentum_matrix(writer: Writer) -> PairLoop:
-    """Return the loop for H_pp: one row for each particle if H_pp is isotropic, else one for each component."""
+    """Return the loop for H_pp: one row per particle if H_pp is isotropic, else one row per momentum component."""
     size, isotropic = writer.dimension, writer.derivatives.isotropic
     kernels = []
     for term in (writer.derivatives.alone, writer.derivatives.pair):
@@ -332,7 +332,7 @@ def _momentum_matrix(writer: Writer) -> PairLoop:
             codes = [f"{'ij'[one // 2]}", f"{'ij'[other // 2]}"]
             if not isotropic:
                 codes = [f"{size}*{index} + {axis}" for index, axis in zip(codes, (a, b), strict=True)]
-            # The row of particle i comes after the row of j.
+            # The row of particle i follows the row of particle j < i.
             low, high = codes if one // 2 <= other // 2 else codes[::-1]
             outputs.append((f"matrix[{low}, {high}]", "+=", value))
         kernels.append(writer.lowered(term, outputs, term.slopes + term.curvatures))
@@ -347,7 +347,7 @@ def _momentum_matrix(writer: Writer) -> PairLoop:
 
 
 def _row(index: int, size: int) -> str:
-    """Return code of the row of a moving symbol of one of two particles."""
+    """Return code of the Hessian's row for coordinate or momentum `index` of a pair; `size` is the space dimension."""
     group, axis = divmod(index, size)
     particle, is_momentum = divmod(group, 2)
     parts = [*(["half"] if is_momentum else []), "row_" + "ij"[particle], *([str(axis)] if axis else [])]
@@ -355,7 +355,7 @@ def _row(index: int, size: int) -> str:
 
 
 def _offsets(size: int) -> tuple[Line, Line, Line]:
-    """Return the first row of momenta, and the first rows of particles i and j."""
+    """Return the lines that assign the first row of momenta, and the first rows of particles i and j."""
     return (
         Line("half", f"{size}*z.shape[1]" if size > 1 else "z.shape[1]", "where rows of momenta begin"),
         Line("row_i", f"{size}*i" if size > 1 else "i"),
@@ -364,7 +364,7 @@ def _offsets(size: int) -> tuple[Line, Line, Line]:
 
 
 def _along_direction(writer: Writer, term: TermDerivatives) -> Kernel:
-    """Return changes of the scalars, of the derivatives by them, and of the gradient along one direction c."""
+    """Return a kernel that adds a term's derivatives of the gradient along direction c to `products`."""
     size, moving = writer.dimension, term.moving
     changes = {z: Symbol(f"d_{z.name}", real=True) for z in moving}
     changes |= {d: Symbol(f"d_{d.name}", real=True) for d, _ in term.differences}
@@ -403,7 +403,7 @@ def _along_direction(writer: Writer, term: TermDerivatives) -> Kernel:
 
 
 def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[ParticleLoop, ...]:
-    """Return the loop for scalars of single particles, if any; for a connect problem the domain and the guessed way."""
+    """Return the loop for scalars of single particles, if any; for connect problems, loops for domain and guess."""
     loops = []
     if singles:
         size = f"{len(singles)}"
@@ -444,9 +444,9 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
 
 
 def accurate_sum(expression: Expr, model: PairwiseModel, codes: Sequence[str] = ()) -> str:
-    """Return code of a polynomial of one particle's coordinates; a sum of products of two is exact to the last digit.
+    """Return code of a polynomial in one particle's coordinates; products of two are summed with twice the digits.
 
-    `codes` read the coordinates, by default of particle i.
+    `codes` read the coordinates; by default, they read the coordinates of particle i.
     """
     codes = codes or [f"z[0, i, {a}]" for a in range(len(model.first.q))]
     reads = {s: Symbol(code, real=True) for s, code in zip(model.first.q, codes, strict=True)}

@@ -1,4 +1,4 @@
-"""PairwiseProgram and its derivatives -> Module: loops over particles and pairs, tables, description, and record."""
+"""Lowering of a problem of particles and its derivatives to a module: loops, constants, description, and record."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from codegen.runtime.record import ConnectRecord, Form, Method, ParticleRecord
 
 @dataclass(frozen=True)
 class ParticlesModule(Module):
-    """A module about particles; `own` are a particle's own parameters.
+    """A module that moves particles; `own` are the parameters of each particle.
 
     `public` are the public names, and `record` the fields of the PairProblem with their code. If threads share the
-    gradient, `threaded` has one group of lines, which make arrays of pointers. `tracer_loops` carry points along.
-    `start` and `own_values` are the default particles of a simulation.
+    gradient, `threaded` has one group of lines, which make arrays from pointers. `tracer_loops` move tracer points.
+    `start` (2, n, d) and `own_values` are the default particles of a simulation.
     """
 
     public: tuple[str, ...]
@@ -47,16 +47,13 @@ _PUBLIC = (
 ).split()
 """Public names of a module that connects points."""
 _LEAST_ACTION = ("misses_by_far", "momenta_of_least_action", "penalised")
-"""Further ones, if H is kinetic energy alone."""
+"""Further public names if H is kinetic energy alone."""
 _ACTION = "constraints cost cost_gradient hessian jacobian path start".split()
-"""Further ones behind `action_`, of the method action."""
+"""Further public names for the method "action", without their prefix `action_`."""
 
 
 def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> ParticlesModule:
-    """Return every loop over pairs, with the tables and texts of its module, as strings.
-
-    Only implicit steps of a simulation need second derivatives.
-    """
+    """Return the module of a particle problem as strings; explicit simulations need no second derivatives."""
     model, connects = program.model, program.model.connects
     by_turns = (
         not connects
@@ -213,10 +210,7 @@ def _left_out(
     by_turns: bool,
     gathered: bool,
 ) -> list[str]:
-    """Return the features that the module lacks, each with the reason.
-
-    With `by_turns` positions and momenta are updated in turn.
-    """
+    """Return the features that the module lacks, each with the reason; steps `by_turns` update q and p alternately."""
     model, is_implicit = program.model, any(a != 0 or b != 0 for _, a, b in program.substeps)
     reasons = (
         (not is_implicit and not by_turns, "Newton's method inside a step: the scheme is explicit"),
@@ -251,7 +245,7 @@ def _record(
     loops: Sequence[PairLoop | BlockLoop],
     reasons: Sequence[str],
 ) -> ParticleRecord:
-    """Return the record of the module; the record of a simulation names the coordinates of every particle."""
+    """Return the module's metadata record; for a simulation, it names the coordinates of every particle."""
     model = program.model
     fields = record_fields(model) | {
         "method": Method(program.method), "scheme": program.scheme, "order": program.order, "form": Form.HAMILTONIAN,

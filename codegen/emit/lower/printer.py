@@ -1,4 +1,4 @@
-"""Sympy expressions as Python source: scalar code for numba kernels, array code for vectorised functions."""
+"""Printing of sympy expressions as Python code: scalar code for numba kernels, array code for numpy functions."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from codegen.symbolic.tables import ORDERS
 
 _SHORT_DENOMINATORS = 64
 _STEEP = 16
-"""Numbers in exponents from which on factorisation takes too long."""
+"""Numerator or denominator inside exp(...) above which sympy's factorisation takes too long."""
 _READABLE = 1000
-"""Operations up to which a description shows an expression."""
+"""Largest number of operations of an expression that a description shows."""
 _FORMS = {
     "sign": "np.sign({})",
     "Heaviside": "(0.5 + 0.5*np.sign({}))",
@@ -26,12 +26,12 @@ _FORMS = {
     "x_minus_log1p": "x_minus_log1p({}, {})",
     "log1p_minus_ratio": "log1p_minus_ratio({}, {})",
 }
-"""Functions that are printed in the same way for numbers and arrays."""
+"""Format strings of functions that numbers and arrays have in common."""
 _NUMPY_NAMES = {f"a{name}": f"arc{name}" for name in "sin cos tan sinh cosh tanh tan2".split()}
 
 
 class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untyped
-    """Print with `math.` functions; integer and half-integer powers are products that numba unrolls."""
+    """A printer with functions of `math`; numba unrolls its integer and half-integer powers to products."""
 
     module = "math"
 
@@ -48,7 +48,7 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
         return _decimal(expr)
 
     def parenthesize(self, item: Expr, level: int, strict: bool = False) -> str:
-        """Print in parentheses; a fraction has its own."""
+        """Return code in parentheses where necessary; a printed fraction has parentheses already."""
         text = str(super().parenthesize(item, level, strict))
         return text[1:-1] if text.startswith("((") and isinstance(item, sympy.Rational) else text
 
@@ -59,7 +59,7 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
         return _decimal(expr)
 
     def _print_Pow(self, expr: Expr, rational: bool = False) -> str:
-        """Print negative powers as quotients: numba raises an error at 0.0**(-2), where 1/0.0**2 is infinite."""
+        """Return negative powers as quotients: numba raises an error at 0.0**(-2), where 1/0.0**2 is infinite."""
         base, exponent = expr.base, expr.exp
         if base == sympy.E:
             return f"{self.module}.exp({self._print(exponent)})"
@@ -71,7 +71,7 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
         return str(super()._print_Pow(expr, rational=rational))
 
     def _print_Piecewise(self, expr: Expr) -> str:
-        """Print NaN if no condition holds, where sympy writes None."""
+        """Return code that gives NaN if no condition holds, where sympy prints None."""
         text = str(super()._print_Piecewise(expr))
         return text.removesuffix("None)") + "math.nan)" if text.endswith(" else None)") else text
 
@@ -89,7 +89,7 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
         return self._of_floats(expr.stem, expr, f"{expr.order}, ")
 
     def _of_floats(self, function: str, expr: Expr, before: str = "") -> str:
-        """Print a function of numbers, which takes no arrays."""
+        """Return a call of a function that takes numbers, but no arrays; the code `before` precedes its argument."""
         return f"{function}({before}{self._print(expr.args[0])})"
 
     def _print_Pi(self, expr: Expr) -> str:
@@ -100,7 +100,7 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
 
 
 def _decimal(number: sympy.Number) -> str:
-    """Return a number in double precision; ExpressionError if the number overflows or underflows."""
+    """Return the digits of a number in double precision; raise ExpressionError if it overflows or underflows."""
     try:
         value = number.p / number.q if number.is_Rational else float(number)
     except OverflowError:
@@ -114,7 +114,7 @@ def _decimal(number: sympy.Number) -> str:
 
 
 class ArrayPrinter(ScalarPrinter):
-    """Print with `np.` functions, for expressions whose symbols are arrays."""
+    """A printer with functions of numpy, for expressions whose symbols are arrays."""
 
     module = "np"
 
@@ -133,7 +133,7 @@ class ArrayPrinter(ScalarPrinter):
         return super()._of_floats(f"np.vectorize({function})", expr, before)
 
     def _print_TableBase(self, expr: Expr) -> str:
-        """Print a look-up along arrays: only guesses have tables in array code, and all bodies have the same tables."""
+        """Return a table's look-up at arrays, which only guesses need; all bodies have the same tables."""
         number, at = ORDERS[len(expr.args)].index(expr.order), ", ".join(map(self._print, expr.args))
         return f"along({expr.table.shape.lookup}_values, grid.parameters[0], {number}, {at})"
 
@@ -156,12 +156,11 @@ for _name in "sin cos tan sinh cosh tanh exp log asin acos atan asinh acosh atan
 
 
 def stabilised(expression: sympy.Expr) -> sympy.Expr:
-    """Rewrite log(1 + x) and exp(x) - 1, which lose digits, and drop Dirac deltas of kinks.
+    """Return an expression with log1p and expm1 instead of log(1 + x) and exp(x) - 1, and without Dirac deltas.
 
-    A second derivative of |x|, Min or Max holds deltas. They are zero almost everywhere, and no quadrature sees them.
-    Steps, whose first derivative is a delta, are refused in the author's expressions. Exponentials of steep arguments
-    such as 1000 x are masked: for sympy's factorisation exp(1000 x) is a polynomial of degree 1000, which takes
-    minutes.
+    A second derivative of |x|, Min or Max contains deltas. They are zero almost everywhere, and quadrature ignores
+    them. Steps, whose first derivative is a delta, are refused in the author's expressions. Exponentials of steep
+    arguments, as exp(1000 x), are masked: sympy factors them as polynomials of degree 1000, which takes minutes.
     """
     if expression.has(sympy.DiracDelta):
         expression = expression.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
@@ -175,8 +174,8 @@ def stabilised(expression: sympy.Expr) -> sympy.Expr:
     names = {argument: sympy.Dummy(real=True) for argument in sorted(steep, key=sympy.default_sort_key)}
     expression = expression.xreplace({sympy.exp(argument): sympy.exp(name) for argument, name in names.items()})
     expression = optimize(expression, [log1p_opt])
-    # Factors may hide exp(x) - 1, as in y exp(x) - y, but only in sums that vanish with all exponents. To factor the
-    # others would take most of a build.
+    # Common factors may hide exp(x) - 1, as in y exp(x) - y, but only in sums that vanish if all exponents vanish.
+    # Factoring other sums would take most of the time of a build.
     if any(_vanishes_with_exponents(part) for part in expression.atoms(sympy.Add) if part.has(sympy.exp)):
         expression = optimize(expression, [expm1_opt])
     else:
@@ -185,7 +184,7 @@ def stabilised(expression: sympy.Expr) -> sympy.Expr:
 
 
 def _vanishes_with_exponents(total: sympy.Expr) -> bool:
-    """Return True if a sum is zero, at one point, where all its exponentials are one."""
+    """Return True if a sum with all its exponentials replaced by one is zero, as tested at one point."""
     ones = dict.fromkeys(total.atoms(sympy.exp), sympy.S.One)
     symbols = sorted(total.free_symbols, key=sympy.default_sort_key)
     point = {symbol: 0.5 + (0.6180339887 * index) % 1.0 for index, symbol in enumerate(symbols, start=1)}
@@ -195,7 +194,7 @@ def _vanishes_with_exponents(total: sympy.Expr) -> bool:
 
 
 def with_decimal_roots(expression: sympy.Expr) -> sympy.Expr:
-    """Replace roots of numbers, as in the coefficients of Gauss methods, by decimals that join other factors."""
+    """Return an expression with decimals instead of roots of numbers, so that they merge with other coefficients."""
     roots = [
         p for p in expression.atoms(sympy.Pow) if p.base.is_Rational and p.exp.is_Rational and not p.exp.is_Integer
     ]
@@ -203,22 +202,22 @@ def with_decimal_roots(expression: sympy.Expr) -> sympy.Expr:
 
 
 def scalar_code(expression: sympy.Expr) -> str:
-    """Return code of an expression of scalars."""
+    """Return Python code of an expression whose symbols are numbers."""
     return _without_needless_brackets(ScalarPrinter().doprint(expression))
 
 
 def array_code(expression: sympy.Expr) -> str:
-    """Return code of an expression whose symbols may be arrays of the same length."""
+    """Return numpy code of an expression whose symbols may be arrays of the same length."""
     return _without_needless_brackets(ArrayPrinter().doprint(expression))
 
 
 def _without_needless_brackets(code: str) -> str:
-    """Return code with 0.5*x in place of (0.5)*x: sympy takes a decimal for a fraction."""
+    """Return code with 0.5*x instead of (0.5)*x, which sympy prints for the fraction 1/2."""
     return re.sub(r"(?<![\w\]])\((\d+\.\d+)\)(?!\*\*)", r"\1", code)
 
 
 def readable(value: sympy.Expr) -> str:
-    """Return an expression for a description, or its size if it is too long to be read."""
+    """Return an expression as text for a description, or a phrase on its length if it is too long to read."""
     if expressions.longer_than(_READABLE, [value]):
         return f"an expression of more than {_READABLE} operations"
     return str(sympy.sstr(value))

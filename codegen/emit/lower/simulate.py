@@ -1,4 +1,4 @@
-"""StepProgram and its derivatives -> Module: kernels and texts of an initial value problem."""
+"""Lowering of an initial value problem and its derivatives to the kernels and texts of a module."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from codegen.symbolic.graph import StraightLine
 from codegen.symbolic.tables import TableData
 
 _LONG = 1000
-"""Operations from which on common parts of the equations are found on a graph of their values."""
+"""Number of operations from which common subexpressions of the equations are found on an expression graph."""
 _ARGUMENTS = ("state", "t", "lengths", "parameters")
-"""The arguments that every kernel of a step has."""
+"""The arguments that all kernels of a time step have in common."""
 
 
 def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateModule:
-    """Return every kernel of an initial value problem as strings."""
+    """Return the module that solves an initial value problem, with all kernels and texts as strings."""
     model, tables, codes = program.model, tables_of(program.model), _codes(program)
     equations = [value for _, value in program.equations]
     ranged = ranged_inputs(tables, len(model.parameters), equations)
@@ -118,7 +118,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
 
 
 def _codes(program: StepProgram) -> dict[Symbol, str]:
-    """Return the code that reads each symbol inside a kernel."""
+    """Return the code that reads each symbol inside a kernel of a time step."""
     codes = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(program.unknowns)}
     codes |= {symbol: f"state[{i}]" for i, symbol in enumerate(program.left_symbols)}
     codes |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(program.model.parameters)}
@@ -131,7 +131,7 @@ def _interval(program: StepProgram) -> tuple[Symbol, ...]:
 
 
 def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Kernel]:
-    """Return the kernel of an explicit step, or those of Newton's method for an implicit one."""
+    """Return the kernel of an explicit time step, or the kernels of Newton's method for an implicit step."""
     codes, names = _codes(program), [symbol.name for symbol in program.unknowns]
     interval = [Output(f"interval[{i}]", symbol, symbol.name) for i, symbol in enumerate(_interval(program))]
     if not program.unknowns:
@@ -154,7 +154,7 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
     written = (*program.before, *derivatives.assignments)
     of_residual = needed(written, derivatives.residual)
     of_both = needed(written, (*derivatives.residual, *(entry.value for entry in entries)))
-    # A straight-line program of long expressions has all their common parts.
+    # Long expressions are a straight-line program, which shares all common subexpressions already.
     is_straight = bool(derivatives.assignments)
     return [
         kernel(
@@ -181,7 +181,7 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
 
 
 def _solver(program: StepProgram, derivatives: StepDerivatives) -> StepSolver:
-    """Return the method that solves a step."""
+    """Return the method that solves the equations of a time step."""
     if not program.unknowns:
         return StepSolver.EXPLICIT
     if not program.linear:

@@ -1,7 +1,7 @@
-"""The tables of a module as strings: look-up functions, numbers, descriptions, and ranges.
+"""The tables of a module as strings: look-up functions, numbers, descriptions, and ranges of their inputs.
 
-A table may have a range that a solution must not leave. Kernels then return the least and the greatest input with which
-each such table is read.
+A table may have a range that a solution must not leave. Kernels then return the least and greatest values of the
+inputs with which each such table is read.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from codegen.symbolic.functions import TableBase, tables_of
 from codegen.symbolic.tables import KINDS, OUTSIDE, TableData
 
 FORCED = ('@njit(error_model="numpy", forceinline=True)',)
-"""Decorator of functions that become part of their callers, where unused derivatives are left out."""
+"""Decorator of functions that are inlined in their callers, where the compiler removes unused derivatives."""
 
 
 def table_kernels(tables: Sequence[TableData], first: int) -> tuple[Kernel, ...]:
-    """Return a look-up function for each table; the numbers of tables begin at index `first` of the parameters."""
+    """Return a look-up function for each table; the numbers of tables start at index `first` of the parameters."""
     kernels = []
     for table in tables:
         shape, begin = table.shape, first
@@ -44,7 +44,7 @@ def table_kernels(tables: Sequence[TableData], first: int) -> tuple[Kernel, ...]
 
 
 def guess_kernels(tables: Sequence[TableData]) -> tuple[Kernel, ...]:
-    """Return, for each table in guesses, a function that looks up many points."""
+    """Return a function for each table, used in initial guesses, that looks up the table at many points."""
     kernels = []
     for table in tables:
         shape, names = table.shape, ("x", "y")[: len(table.shape.sizes)]
@@ -57,7 +57,7 @@ def guess_kernels(tables: Sequence[TableData]) -> tuple[Kernel, ...]:
 
 
 def table_constants(tables: Sequence[TableData]) -> tuple[Line, ...]:
-    """Return the numbers of all tables, and their count."""
+    """Return the constants with the numbers of all tables and with their total count."""
     if not tables:
         return ()
     written = ""
@@ -73,13 +73,13 @@ def table_constants(tables: Sequence[TableData]) -> tuple[Line, ...]:
 
 
 def table_records(tables: Sequence[TableData]) -> dict[str, TableRecord]:
-    """Return, by the name of each table, the properties that a file of other numbers must have."""
+    """Return a record for each table name, with the properties that a file with replacement numbers must have."""
     shapes = [(table.source, table.shape) for table in tables]
     return {s.name: TableRecord(source, s.inputs, s.output, s.kind, s.outside, s.sizes) for source, s in shapes}
 
 
 def described_tables(tables: Sequence[TableData]) -> list[str]:
-    """Return two lines for each table, for the docstring of a module."""
+    """Return two lines of description for each table, for the docstring of a module."""
     lines = []
     for table in tables:
         lines.append(f"{table.summary}:")
@@ -89,7 +89,7 @@ def described_tables(tables: Sequence[TableData]) -> list[str]:
 
 @dataclass(frozen=True)
 class Input:
-    """An input of a table whose range a solution must not leave: its number, and the indices of its range."""
+    """Input `number` of a table, whose range a solution must not leave; `ends` are parameter indices of the range."""
 
     table: TableData
     number: int
@@ -102,10 +102,7 @@ class Input:
 
 
 def ranged_inputs(tables: Sequence[TableData], first: int, expressions: Sequence[Expr]) -> tuple[Input, ...]:
-    """Return the inputs that have a range, of tables in some expressions.
-
-    The numbers of tables begin at index `first` of the parameters.
-    """
+    """Return the inputs with a range, of `tables` in some expressions; tables are stored from parameter `first` on."""
     inputs, used = [], tables_of(expressions)
     for table in tables:
         index = first
@@ -118,7 +115,7 @@ def ranged_inputs(tables: Sequence[TableData], first: int, expressions: Sequence
 
 
 def range_constants(inputs: Sequence[Input]) -> tuple[Line, ...]:
-    """Return the names and ranges of the inputs."""
+    """Return the constants with the number, ranges and names of the inputs that have a range."""
     if not inputs:
         return ()
     ends = ", ".join(f"[{first}, {last}]" for first, last in (i.ends for i in inputs))
@@ -139,9 +136,9 @@ def inputs_kernel(
     entry: str = "inputs[{0}, {1}]",
     decorators: tuple[str, ...] = INNER,
 ) -> Kernel:
-    """Return a kernel for the least and greatest value of each input in some expressions; it skips other inputs.
+    """Return a kernel that fills the least and greatest value of each input in some expressions; it skips others.
 
-    `entry` is the code of a value: {0} is the number of the input, {1} is 0 for the least, 1 for the greatest value.
+    `where` ends its summary. `entry` is code of a value: {0} is the input's number, {1} is 0 (least) or 1 (greatest).
     """
     functions = set[Expr]().union(*(e.atoms(TableBase) for e in expressions))
     outputs = []

@@ -1,7 +1,7 @@
-"""Verification of a module's text: its derivatives agree with an independent differentiation.
+"""Verification of a module's text: its derivatives must agree with an independent differentiation.
 
-The interpreter executes the text, and the results are compared with the program's expressions, which are evaluated
-unchanged. The comparison shares only these expressions with the stages that made the text.
+Python executes the text without compilation. The results are compared with the expressions of the discretised problem,
+evaluated unchanged. The comparison has only these expressions in common with the stages that made the text.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from codegen.symbolic.functions import tables_of
 
 
 def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -> None:
-    """Raise VerificationError, with the name of the entry, if a kernel differs from its program."""
+    """Raise VerificationError, with the name of the entry, if a kernel in the text differs from the problem."""
     tables = () if isinstance(program, PairwiseProgram) else tables_of(program.model)
     parts = Text(text, tables)
     verify_tables(

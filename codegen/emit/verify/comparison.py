@@ -1,17 +1,17 @@
-"""Comparison of emitted values with exact ones: arithmetics, the points of comparison, and the second opinion.
+"""Comparison of emitted values with exact values: arithmetics, points of comparison, and a second opinion.
 
 Complex steps differentiate functions of complex arrays that continue real ones. With a tiny imaginary part,
 f(x + i d) = f(x) + i d f'(x) to all digits (Squire and Trapp, 1998, Using complex variables to estimate derivatives of
 real functions, SIAM Review 40). Real parts decide branches. Outside the real domain of a function the result is NaN, as
 in machine code.
 
-Where values in machine numbers differ, the second opinion computes both with many digits. Kernels are executed with
-numbers that carry the size of their terms. This separates an error from rounding of the coefficients in the text, which
-is the only permitted difference. References are differences, with 400 digits, of the expressions themselves.
+If values differ in floating-point arithmetic, a second opinion computes both with many digits. Kernels then use numbers
+that carry the size of their terms. This separates an error from the rounding of coefficients in the text, which is the
+only permitted difference. References are finite differences, with 400 digits, of the expressions themselves.
 
-Points of comparison are near the guess, and random. Near the guess are the points that a solver meets first: the
-module's own guess with default parameters and steps, and unknowns moved by fractions of their sizes. Multipliers have
-no guess and are random.
+Some points of comparison are random. Others are near the initial guess, where a solver begins: the module's own guess
+with default parameters and steps, and unknowns moved by fractions of their magnitudes. Multipliers have no guess and
+are random.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from codegen.symbolic.functions import by_name
 DIGITS = 400
 _INCREMENTS = ("1e-35", "1e-40")
 Exact = Callable[[Mapping[Symbol, Operand]], Operand]
-"""A function of numbers with many digits."""
+"""A function of numbers with many digits, by symbol."""
 Complex = type[np.complex128] | type[np.clongdouble]
-"""A complex type of numpy, which decides the precision."""
+"""A complex type of numpy, which sets the precision."""
 TOLERANCE = 1e-11
-"""Relative to the size of a value's terms; coefficients in a text have 17 digits."""
+"""Tolerance relative to the size of a value's terms; coefficients in a text have 17 digits."""
 
 
 class Sized:
-    """A number and the size of its terms: the first-order bound of its rounding error divided by epsilon."""
+    """A number and the size of its terms: a first-order bound of its rounding error, divided by machine epsilon."""
 
     __slots__ = ("size", "value")
 
@@ -77,12 +77,12 @@ class Sized:
 
 
 def sized(value: Operand) -> Sized:
-    """Return a number with a size."""
+    """Return a value as a `Sized` number; unless it has a size, its size is its magnitude."""
     return value if isinstance(value, Sized) else Sized(value)
 
 
 def _applied(function: Operand, *arguments: Operand) -> Sized:
-    """Return a function of sized numbers; its size includes the effect of changes of the arguments by their sizes."""
+    """Return a function's value at sized numbers; its size includes effects of argument changes by their sizes."""
     operands = [sized(argument) for argument in arguments]
     values = [argument.value for argument in operands]
     value, size, little = function(*values), mpmath.mpf(0), mpmath.mpf(10) ** -30
@@ -129,7 +129,7 @@ EXACT = Arithmetic(
 
 
 def difference(value: Exact, point: Mapping[Symbol, float], by: Sequence[Symbol]) -> tuple[Operand, Operand]:
-    """Return a value, or its derivative by one or two symbols, at a point, and the error of the result."""
+    """Return a value at a point, or its derivative with respect to one or two symbols `by`, and the result's error."""
     exact = {symbol: mpmath.mpf(float(number)) for symbol, number in point.items()}
 
     def quotient(increment: Operand) -> Operand:
@@ -149,13 +149,13 @@ def difference(value: Exact, point: Mapping[Symbol, float], by: Sequence[Symbol]
         return (at(a, b) - at(a) - at(b) + at()) / (steps[a] * steps[b])
 
     far, near = (quotient(mpmath.mpf(increment)) for increment in _INCREMENTS)
-    # A derivative may be lost in the rounding of far larger terms.
+    # Rounding errors of far larger terms may hide a derivative.
     smallest = mpmath.mpf(_INCREMENTS[1]) ** len(by)
     return near, abs(far - near) + abs(value(exact)) * mpmath.mpf(10) ** (5 - DIGITS) / smallest
 
 
 def power(base: Operand, exponent: Operand) -> Operand:
-    """Return the power; NaN for a negative base with an exponent that is no integer."""
+    """Return a power of numbers or arrays; NaN for a negative base with a non-integer exponent."""
     if isinstance(exponent, int):
         return np.asarray(base) ** exponent
     exponent = np.asarray(exponent)
@@ -167,7 +167,7 @@ def power(base: Operand, exponent: Operand) -> Operand:
 
 
 def named(name: str) -> Function:
-    """Return the function of one variable (atan2: two) with a name of `math` or `mpmath`."""
+    """Return the function on complex arrays with a name of `math` or `mpmath`, of one variable or two (atan2)."""
     if name in _INSIDE:
         function, inside = _INSIDE[name]
         return lambda x: np.where(inside(np.asarray(x).real), function(_complex(x)), np.nan)
@@ -177,7 +177,7 @@ def named(name: str) -> Function:
 
 
 def _extended(number: Operand) -> Operand:
-    """Return a number of mpmath in extended precision; beyond the range it is zero or infinite."""
+    """Return a number of mpmath in extended precision; outside the range of this type it is zero or infinite."""
     size = abs(number)
     if size < _SMALLEST or not size < 1 / _SMALLEST:
         return np.longdouble(0) if size < 1 else np.longdouble(mpmath.sign(number)) * np.inf
@@ -199,7 +199,7 @@ def _arctangent(y: Operand, x: Operand) -> Operand:
 
 
 def _by_digits(function: Function) -> Function:
-    """Return the continuation of a function by its value and derivative with 30 digits, number by number."""
+    """Return a function extended to complex arrays by its value and derivative, computed with 30 digits per number."""
 
     def continued(x: Operand) -> Operand:
         values = _complex(x)
@@ -239,17 +239,17 @@ _ENTIRE: dict[str, Function] = {
 
 _RELATIVE = 1e-9
 _ROUNDING = 100.0
-"""Least ratio of a difference that counts to the change from extended to double precision."""
+"""A difference counts if it exceeds the change from extended to double precision by this factor."""
 _OPINIONS = 12
 
 Evaluate = Callable[[Complex], tuple[Operand, Operand]]
-"""Emitted and exact values, arrays (points, entries), in a complex type of numpy."""
+"""A function that returns emitted and exact values, arrays (points, entries), in a complex type of numpy."""
 Opinion = Callable[[int, int], tuple[Sized, Operand, Operand]]
-"""Emitted value with many digits, right value, and its error, of an entry at a point."""
+"""A function of entry and point that returns, with many digits, the emitted value, the exact value and its error."""
 
 
 def complex_numbers(kind: Complex) -> Arithmetic:
-    """Return the arithmetic of complex arrays of a precision."""
+    """Return the arithmetic of complex arrays of a given type."""
     real = np.longdouble if kind is np.clongdouble else np.float64
 
     def chosen(is_better: Function) -> Function:
@@ -272,7 +272,7 @@ def complex_numbers(kind: Complex) -> Arithmetic:
 
 
 def step_of(kind: Complex) -> Operand:
-    """Return the imaginary step of a precision: its square is negligible beside 1, and small slopes are not lost."""
+    """Return the imaginary step for a complex type: its square is negligible, and small slopes do not underflow."""
     limits = np.finfo(kind)
     return limits.tiny ** limits.dtype.type(0.25)
 
@@ -280,8 +280,8 @@ def step_of(kind: Complex) -> Operand:
 def judge(names: Sequence[str], evaluate: Evaluate, opinion: Opinion) -> None:
     """Raise VerificationError for an entry that is wrong at some point; `names` are the names of the entries.
 
-    Entries that differ at most points are judged first, each at the point of the largest difference. A point without a
-    value decides nothing.
+    `evaluate` finds entries that differ, and `opinion` decides. Entries that differ at most points come first, each at
+    the points of its largest differences. A point where an entry has no value decides nothing.
     """
     with np.errstate(all="ignore"):
         emitted, exact = evaluate(np.clongdouble)
@@ -312,16 +312,16 @@ def judge(names: Sequence[str], evaluate: Evaluate, opinion: Opinion) -> None:
 Values = dict[Symbol, Operand]
 """The values of each symbol at some points, shape (points,)."""
 _MOVED = (0.004, 0.03, 0.2, 0.5)
-"""Displacements from the guess: kinks, which have no derivative, often lie at the guess itself."""
+"""Relative displacements from the guess; kinks, which have no derivative, often lie at the guess itself."""
 _BESIDE = 0.0137
 _KEPT = 5
-"""Points of each set at which kernels are compared."""
+"""Number of points of each set at which kernels are compared."""
 _STEPS = 24
 """Largest number of steps; a guess on more intervals shows nothing new."""
 
 
 def random_points(symbols: Sequence[Symbol], defaults: Mapping[Symbol, float], count: int, seed: int) -> Values:
-    """Return numbers about 1, then of magnitudes 1e-3 to 1e3; parameters about defaults, lengths of steps about 1/4."""
+    """Return random values: parameters near nonzero `defaults`, steps near 1/4, others near 1 or from 1e-3 to 1e3."""
     generator = np.random.default_rng(seed)
     wide = np.arange(count) % 3 == 2
     values: Values = {}
@@ -338,7 +338,7 @@ def random_points(symbols: Sequence[Symbol], defaults: Mapping[Symbol, float], c
 
 
 class GuessedPoints:
-    """Points near the initial guess of a control module."""
+    """A source of points near the initial guess of a control module, on a grid of at least `least` steps."""
 
     def __init__(self, module: Mapping[str, Operand], steps: int, least: int = 1) -> None:
         self.module = module
@@ -351,7 +351,7 @@ class GuessedPoints:
         self.generator = np.random.default_rng(3)
 
     def on_intervals(self, local: Sequence[Symbol], others: Sequence[Symbol], within: tuple[float, float]) -> Values:
-        """Return values on three intervals between two fractions of the chain; `others` are the parameters' symbols."""
+        """Return values of unknowns `local` and parameters `others` on three intervals; `within` are grid fractions."""
         count = self.grid.steps
         first, last = int(within[0] * count), max(int(within[0] * count), round(within[1] * count) - 1)
         intervals = sorted({first, (first + last) // 2, last})
@@ -361,7 +361,7 @@ class GuessedPoints:
         return values | {_TIME: t, STEP: np.full(t.size, self.grid.h)}
 
     def at_node(self, last: bool, local: Sequence[Symbol], others: Sequence[Symbol]) -> Values:
-        """Return values at the first or the last node."""
+        """Return values of unknowns `local` and parameters `others` at the first or the last node."""
         row = self.grid.steps * self.module["STRIDE"] if last else 0
         values = self._moved([row for _ in _MOVED], local, others)
         t = np.full(len(_MOVED), self.grid.steps * self.grid.h if last else 0.0)
@@ -386,23 +386,23 @@ class GuessedPoints:
         return values
 
     def _size(self, offset: int) -> float:
-        """Return the largest absolute value of an unknown along the guess, or 1."""
+        """Return the largest magnitude of an unknown in the guess, or 1 if this is zero or infinite."""
         stride = self.module["STRIDE"]
         size = float(np.abs(self.unknowns[offset % stride :: stride]).max(initial=0.0))
         return size if 0.0 < size < np.inf else 1.0
 
 
 _TIME = Symbol("t")
-"""The time of the model, whatever its name."""
+"""A placeholder for the model's symbol for time, which may have another name."""
 
 
 def with_time(values: Values, time: Symbol) -> Values:
-    """Return the values with the model's own symbol for time."""
+    """Return the values with the model's own symbol for time instead of the placeholder."""
     return {time if symbol is _TIME else symbol: value for symbol, value in values.items()}
 
 
 def finite_points(evaluate: Function, candidates: Sequence[Values]) -> tuple[Values, int]:
-    """Return the first points of each set at which all expressions have values, and their number."""
+    """Return the first points of each candidate set at which all expressions are finite, and their total number."""
     kept: list[tuple[Values, Operand]] = []
     for values in candidates:
         complex_values = {symbol: array.astype(np.clongdouble) for symbol, array in values.items()}

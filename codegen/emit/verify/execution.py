@@ -1,7 +1,7 @@
-"""Generated text executed by the interpreter: parts of a module unchanged, and kernels in any arithmetic.
+"""Execution of generated text by Python: definitions of a module unchanged, and kernels in any arithmetic.
 
-Sympy expressions are evaluated operation by operation in any arithmetic, equal parts only once. This code shares
-nothing with differentiation, with the search for common parts, or with printing.
+Sympy expressions are evaluated operation by operation in any arithmetic, equal subexpressions only once. This code has
+nothing in common with differentiation, with the search for common subexpressions, or with printing.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from codegen.symbolic.graph import Assignment
 from codegen.symbolic.tables import ORDERS, TableData, derivative
 
 Operand: TypeAlias = Any
-"""A number or an array of an arithmetic: complex arrays, numbers of mpmath, or numbers with the size of their terms."""
+"""A number or an array: a complex array, a number of mpmath, or a number with the size of its terms (`Sized`)."""
 Function: TypeAlias = Callable[..., Operand]
 """A function of operands, or a kernel that the interpreter executes."""
 
 
 @dataclass(frozen=True)
 class Arithmetic:
-    """The operations of a tape: `number` of a string of digits, `function` by its name in `math`, and so on."""
+    """The operations on one type of operands: `number` from digits, `function` by its name in `math`, and so on."""
 
     number: Callable[[str], Operand]
     function: Callable[[str], Function]
@@ -49,7 +49,7 @@ class Arithmetic:
 
 
 class Tape:
-    """The parts of some expressions, each after its own parts; they may read `assignments` to further symbols."""
+    """A list of all subexpressions of some expressions, arguments first; they may read symbols in `assignments`."""
 
     def __init__(self, expressions: Sequence[Expr], assignments: Sequence[Assignment] = ()) -> None:
         self.assignments = [(symbol, Tape([value])) for symbol, value in assignments]
@@ -70,7 +70,7 @@ class Tape:
         self.results = [self.indices[root] for root in roots]
 
     def evaluate(self, values: Mapping[Symbol, Operand], arithmetic: Arithmetic) -> list[Operand]:
-        """Return the values of the expressions at values of their symbols."""
+        """Return the values of the expressions for given values of their symbols."""
         results: list[Operand] = []
         values = dict(values)
         for symbol, tape in self.assignments:
@@ -81,7 +81,7 @@ class Tape:
 
 
 def _value(part: Basic, operands: list[Operand], values: Mapping[Symbol, Operand], a: Arithmetic) -> Operand:
-    """Return the value of an expression from the values of its arguments."""
+    """Return the value of an expression `part` from the values `operands` of its arguments."""
     if part.is_Symbol:
         return values[part]
     if part.is_Rational:
@@ -125,9 +125,9 @@ _RELATIONS: dict[str, Function] = {
 
 
 class Text:
-    """The text of a module, whose parts are executed without compilation to machine code.
+    """The text of a module, whose definitions are executed without compilation to machine code.
 
-    When kernels are executed, the look-ups of `tables` evaluate the tables themselves.
+    Kernels that look up `tables` evaluate the tables themselves instead of the emitted look-up functions.
     """
 
     def __init__(self, text: str, tables: Sequence[TableData] = ()) -> None:
@@ -149,7 +149,7 @@ class Text:
                 self._parts |= {part.id: node for part in named}
 
     def _import(self, node: ast.ImportFrom) -> None:
-        """Add the functions that kernels import from the runtime to the parts of the text."""
+        """Add the definitions that kernels import from the runtime to the definitions in the text."""
         module = str(node.module)
         included = "codegen.runtime.arithmetic", "codegen.runtime.particles.", "codegen.runtime.tabulated"
         if not module.startswith(included):
@@ -170,18 +170,18 @@ class Text:
         return name in self._parts
 
     def interpreted(self, *names: str) -> dict[str, Operand]:
-        """Execute the named parts and those that they need, without numba's decorators; return the namespace."""
+        """Execute the named definitions and all that they need, without numba's decorators; return the namespace."""
         namespace: dict[str, Operand] = {"prange": range, "__name__": "emitted", "carray": _carray}
         namespace |= dict.fromkeys(("Kernel", "Value", "Contracted"), _with_counts)
         namespace["njit"] = lambda **_: lambda function: function
         namespace["_interpreted"] = lambda loop: lambda function: loop(function, is_interpreted=True)
         body = [*self._imports, *ast.parse("Loop = _interpreted(globals().get('Loop'))").body, *self._needed(names)]
         exec(compile(ast.Module(body=body, type_ignores=[]), "<emitted>", "exec"), namespace)
-        namespace["math"] = _QuietMath()  # which the functions read when they are called
+        namespace["math"] = _QuietMath()  # functions read this name when they are called
         return namespace
 
     def kernels(self, names: Sequence[str], arithmetic: Arithmetic) -> dict[str, Function]:
-        """Return some functions, with those that they call, in another arithmetic than floating-point numbers."""
+        """Return the named functions, by name, so that they and all functions that they call use an arithmetic."""
         key = tuple(names)
         if key not in self._codes:
             needed = self._needed(names, {*STEMS, *self._tables})
@@ -220,7 +220,7 @@ class Text:
         return {name: namespace[name] for name in names if name in self._parts}
 
     def _needed(self, names: Iterable[str], replaced: Collection[str] = ()) -> list[ast.stmt]:
-        """Return the named parts and those that they read, in the order of the text, without `replaced` names."""
+        """Return the named definitions and all that they read, in the order of the text, except `replaced` names."""
         waiting, needed = list(names), set[str]()
         while waiting:
             name = waiting.pop()
@@ -233,12 +233,12 @@ class Text:
 
 
 def _lookup(table: TableData, a: Arithmetic, parameters: Operand, *at: Operand) -> tuple[Operand, ...]:
-    """Return all derivatives of a table at a point, as an emitted look-up does."""
+    """Return a table's value and derivatives at a point, in the order of an emitted look-up."""
     return tuple(derivative(table, order, at, a.real) for order in ORDERS[len(table.shape.inputs)])
 
 
 class _QuietMath:
-    """The functions of `math` with NaN and infinity where Python's raise errors, as machine code has them."""
+    """The functions of `math`, which return NaN where Python raises errors; machine code raises no errors either."""
 
     def __getattr__(self, name: str) -> Operand:
         attribute = getattr(math, name)
@@ -255,7 +255,7 @@ class _QuietMath:
 
 
 def _carray(pointer: Operand, shape: Operand) -> Operand:
-    """Return an array over the memory at a pointer, as numba does; an array stays as it is."""
+    """Return an array over the memory at a pointer, as numba's `carray` does; return an array unchanged."""
     if isinstance(pointer, np.ndarray):
         return pointer
     from numba import carray
@@ -264,14 +264,14 @@ def _carray(pointer: Operand, shape: Operand) -> Operand:
 
 
 def _with_counts(function: Function) -> Function:
-    """Return a kernel that is called without the numbers of particles and of columns."""
+    """Return a kernel that takes the counts of particles and columns from its arrays instead of as arguments."""
     code = function.__code__
     names = code.co_varnames[: code.co_argcount]
     return lambda *values: function(*with_counts(names, values))
 
 
 class _Functions:
-    """The module `math` of a text, in some arithmetic."""
+    """A replacement for module `math` in executed kernels, with the functions of an arithmetic."""
 
     def __init__(self, arithmetic: Arithmetic) -> None:
         self._arithmetic = arithmetic
@@ -283,7 +283,7 @@ class _Functions:
 
 
 class _Rewritten(ast.NodeTransformer):
-    """Rewrites powers, choices and comparisons as calls, since the operators of Python do not fit arrays."""
+    """A rewriter of powers, choices and comparisons as calls, because Python's operators do not suit arrays."""
 
     def visit(self, node: ast.AST) -> ast.AST:
         self.generic_visit(node)
@@ -320,7 +320,7 @@ _TOLERANCE = 1e-9
 
 
 def verify_tables(tables: Sequence[TableData], first: int, text: Text) -> None:
-    """Execute each look-up, with numbers from index `first` on; VerificationError names a wrong derivative."""
+    """Raise VerificationError if an emitted look-up differs from its table; tables start at parameter `first`."""
     if not tables:
         return
     module = text.interpreted("TABLES", *(table.shape.lookup for table in tables))
@@ -328,7 +328,7 @@ def verify_tables(tables: Sequence[TableData], first: int, text: Text) -> None:
     for table in tables:
         generator = np.random.default_rng(11)
         for _ in range(_POINTS):
-            # Points inside the table's range, and beyond it by a tenth of its width.
+            # Points inside the table's range, and up to a tenth of its width outside.
             point = [float(axis[0] + generator.uniform(-0.1, 1.1) * np.ptp(axis)) for axis in table.axes]
             values = module[table.shape.lookup](numbers, *point)
             for order, value in zip(ORDERS[len(table.shape.sizes)], values, strict=True):

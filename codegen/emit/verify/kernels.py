@@ -1,9 +1,9 @@
-"""Verification of the kernels of all three tasks against the expressions of the program.
+"""Verification of the kernels of all three tasks against the expressions of the discretised problem.
 
-Of a control problem these are the kernels of intervals of all kinds, samples, both ends, and the controls' block. Of a
-simulation they are the scheme's equations, the reduced equations for Newton's method, and the energy. Of particles
-they are the loops for H, its derivatives and products: the reference is the sum of the author's two terms over a few
-particles. Its first derivatives are complex steps, its second ones differences of these in extended precision.
+A control problem has kernels of intervals of all kinds, samples, both ends, and the controls' Hessian block. A
+simulation has the scheme's equations, the reduced equations for Newton's method, and the energy. Particles have loops
+for H, its derivatives and Hessian products: the reference is the sum of the author's two terms over a few particles.
+Its first derivatives are complex steps, its second derivatives differences of these in extended precision.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ _READ = (
     *("make_grid", "initial_guess", "read_shared", "STRIDE", "BODIES", "SHARED"),
     *(f"{share}HESSIAN_{side}" for share in ("", "START_", "END_") for side in ("ROWS", "COLUMNS")),
 )
-"""Parts of a module that are executed unchanged."""
+"""Names in a module whose definitions are executed unchanged."""
 
 
 def verify_control(program: ControlProgram, text: Text) -> None:
-    """Compare every kernel with its share of the Lagrangian; VerificationError names a wrong entry."""
+    """Compare every kernel with its share of the Lagrangian; raise VerificationError with the name of a wrong entry."""
     guessed = guessed_points(program, text)
     intervals = list(_intervals(program, guessed))
     block = [_control_block(program, *intervals[0])] if text.defines("control_hessian") else []
@@ -70,17 +70,17 @@ def verify_control(program: ControlProgram, text: Text) -> None:
 
 
 def guessed_points(program: ControlProgram, text: Text) -> GuessedPoints:
-    """Return points near the guess of a module."""
+    """Return a source of points near the initial guess of a control module."""
     return GuessedPoints(text.interpreted(*_READ), program.model.steps, len(program.inner.times) + 1)
 
 
 def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Share, Values]]:
-    """Yield the share of each kind of interval; with inner times, also of intervals that begin at no inner time."""
+    """Yield share and points of each kind of interval, then of intervals of each kind that begin at no inner time."""
     others, time = parameters(program), program.model.time
     local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
 
     def calling(begins_at: int) -> Operand:
-        """Return the call of a kernel of an interval that begins at the inner time of this number, or at none (-1)."""
+        """Return a function that calls a kernel of an interval that begins at inner time `begins_at`, or none (-1)."""
         times = program.inner.parameters[: len(program.inner.times)]
 
         def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> Operand:
@@ -94,7 +94,7 @@ def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tupl
     if program.inner.times:
         kinds += [((stem, f"{where} that begins at no inner time"), share, -1) for (stem, where), share, _ in kinds]
     for (stem, where), element, begins_at in kinds:
-        # The numbers of the left node.
+        # Values, at the left node, of the parameters of conditions at inner times.
         count, numbers = len(program.inner.times), [S.Zero] * len(program.inner.symbols)
         if begins_at >= 0:
             numbers = list(program.inner.parameters[count + begins_at :: count]) if count else []
@@ -120,7 +120,7 @@ def _mixed(
     samples: Sequence[tuple[Share, Values]],
     ends: Sequence[tuple[Share, Values]],
 ) -> list[tuple[Share, Values]]:
-    """Return the shares with derivatives by data in place of derivatives by unknowns."""
+    """Return shares that verify derivatives with respect to data, and mixed derivatives, with points for each share."""
     mixed, count = [], len(program.interval_elements)
     module = text.interpreted(*(f"{s}MIXED_{side}" for s in ("", "START_", "END_") for side in ("ROWS", "COLUMNS")))
     for number, (share, near) in enumerate((*intervals, *samples)):
@@ -136,13 +136,13 @@ def _mixed(
 
 
 def _sample(program: ControlProgram, share: Share, near: Values) -> tuple[Share, Values]:
-    """Return the share of a sample, with random measured values."""
+    """Return the share of a sample of measurements, and the points with random measured values."""
     assert program.sample is not None, "there are samples"
     others, time, sample = parameters(program), program.model.time, program.sample
     local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
 
     def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> Operand:
-        # A sample follows the parameters. It begins with its middle, which kernels do not read.
+        # A sample is stored behind the parameters. Its first entry is its middle, which kernels do not read.
         row = [*(values[s] for s in others), None, *(values[s] for s in sample.symbols)]
         return kernel([values[s] for s in local], values[time], values[STEP], row, len(others), filled)
 
@@ -155,7 +155,7 @@ def _sample(program: ControlProgram, share: Share, near: Values) -> tuple[Share,
 
 
 def _verify_values(program: ControlProgram, text: Text, share: Share, near: Values) -> None:
-    """Compare the observed values at a sample, on which no derivative depends, with their expressions."""
+    """Compare the observed values at a sample with their expressions; no derivative verifies these values."""
     assert program.sample is not None, "there are samples"
     tape, numbers = Tape(program.sample.observed), complex_numbers(np.complex128)
     points = {symbol: values.astype(complex) for symbol, values in near.items()}
@@ -173,7 +173,7 @@ def _verify_values(program: ControlProgram, text: Text, share: Share, near: Valu
 
 
 def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple[Share, Values]:
-    """Return the share with the kernel of the controls' block, which fills a lower triangle by row and column."""
+    """Return the share whose Hessian is the kernel of the controls' block, a lower triangle, and its points."""
     others, size = parameters(program), len(program.control_symbols)
     first = len(program.left_symbols) + len(program.interval_symbols)
     pairs = [(row, column) for row in range(size) for column in range(row + 1)]
@@ -195,7 +195,7 @@ def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple
 
 
 def part_of_chain(program: ControlProgram, stem: str) -> tuple[float, float]:
-    """Return the begin and end of a kind of intervals, as fractions of the whole chain."""
+    """Return where intervals of a kind begin and end, as fractions of all intervals; `stem` is the kernels' prefix."""
     if not program.phases:
         return 0.0, 1.0
     kind, number = stem.split("_")
@@ -204,7 +204,7 @@ def part_of_chain(program: ControlProgram, stem: str) -> tuple[float, float]:
 
 
 def _ends(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Share, Values]]:
-    """Yield the shares of both ends."""
+    """Yield the shares of both ends, each with points near the guess."""
     others, time = parameters(program), program.model.time
     for name, end, node in (
         ("start", program.start, program.left_symbols),
@@ -233,7 +233,7 @@ def _ends(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Sha
 
 
 def verify_step(program: StepProgram, text: Text) -> None:
-    """Compare every kernel with the program; VerificationError names a wrong value."""
+    """Compare every kernel of a simulation with its expressions; raise VerificationError for a wrong value."""
     interval = [*program.stage_symbols, *program.right_symbols]
     kernels = _StepKernels(program, text)
     written, values = zip(*program.equations, strict=True)
@@ -251,7 +251,7 @@ def verify_step(program: StepProgram, text: Text) -> None:
 
 
 class _StepKernels:
-    """Calls the kernels of a step, at points where the program's expressions have values."""
+    """A comparison of the kernels of a time step with expressions, at points where the expressions have values."""
 
     def __init__(self, program: StepProgram, text: Text) -> None:
         self.program, self.text = program, text
@@ -264,7 +264,10 @@ class _StepKernels:
         values: Sequence[Expr],
         names: Sequence[str],
     ) -> None:
-        """Compare a kernel that fills values; it reads symbols `inside` a step, state, time, lengths and parameters."""
+        """Compare the array that kernel `name` fills and the expressions `values`, which errors call `names`.
+
+        The kernel reads `inside`, symbols inside a step; the expressions may read `assignments`.
+        """
         if not values:
             return
         read = Tape(values, assignments)
@@ -301,7 +304,7 @@ class _StepKernels:
     def compare_slopes(
         self, unknowns: Sequence[Symbol], before: Sequence[Assignment], residual: Sequence[Expr], names: Sequence[str]
     ) -> None:
-        """Compare the Jacobian of the residual, and the residual that its kernel fills as well."""
+        """Compare both arrays that the kernel of the Jacobian fills: the residual, and its Jacobian."""
         read, size = Tape(residual, before), len(unknowns)
         points, count = self._points(unknowns, read)
 
@@ -346,7 +349,7 @@ class _StepKernels:
         )
 
     def _points(self, inside: Sequence[Symbol], read: Tape) -> tuple[Values, int]:
-        """Return states near the initial one, with default steps and parameters, and random points."""
+        """Return points where expressions `read` have values, near the initial state and random, and their count."""
         program, generator = self.program, np.random.default_rng(6)
         defaults = program.model.default_values
         arguments = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
@@ -371,10 +374,10 @@ def _columns(values: Sequence[Operand], count: int) -> Operand:
 
 _PARTICLES = 3
 _SCALES = (0.6, 0.05)
-"""Distances of particles from the origin, and sizes of their momenta."""
+"""Magnitudes of positions and momenta at which loops are compared."""
 _DIFFERENCE = 1e-7
 _FIRST, _SECOND = 1e-9, 1e-7
-"""Tolerances of values, and of second derivatives from differences, relative to an array's largest entry."""
+"""Tolerances relative to the largest entry of an array: for values and gradients, and for second derivatives."""
 _DIRECTIONS = 2
 _LOOPS = ("hamiltonian", "hamiltonian_gradient", "slope", "velocity", "hamiltonian_hessian", "hessian_products")
 _MATRIX = "momentum_matrix"
@@ -382,7 +385,7 @@ Array = Operand
 
 
 def verify_particles(program: PairwiseProgram, text: Text) -> None:
-    """Compare every loop with the author's terms; VerificationError names a wrong value."""
+    """Compare every loop over particles with the author's terms; raise VerificationError for a wrong value."""
     model, generator = program.model, np.random.default_rng(5)
     exact, module = _Hamiltonian(model), text.interpreted(*_LOOPS, _MATRIX)
     for scale in _SCALES:
@@ -408,7 +411,7 @@ def verify_particles(program: PairwiseProgram, text: Text) -> None:
 def _compared(
     module: dict[str, Operand], exact: _Hamiltonian, arguments: tuple[Array, Array, Array]
 ) -> Iterator[tuple[str, Array, Array, float]]:
-    """Yield the name of a quantity, its emitted and its right value, and the relative tolerance."""
+    """Yield, for each loop, the name of the quantity, its emitted value, its exact value and the relative tolerance."""
     energy, gradient, hessian = exact.at(*arguments)
     state = arguments[0]
 
@@ -433,7 +436,7 @@ def _compared(
 
 
 class _Hamiltonian:
-    """H of a few particles, by the author's terms, and its derivatives."""
+    """The Hamiltonian H of a few particles and its derivatives, computed from the author's terms."""
 
     def __init__(self, model: PairwiseModel) -> None:
         self.model = model
@@ -441,10 +444,10 @@ class _Hamiltonian:
         self.numbers, self.step = complex_numbers(np.clongdouble), step_of(np.clongdouble)
 
     def at(self, state: Array, own: Array, parameters: Array) -> tuple[Array, Array, Array]:
-        """Return H, its gradient (2, n, d) and its Hessian by the flat state."""
+        """Return H, its gradient (2, n, d), and its Hessian (2nd, 2nd) with respect to the flattened state."""
         size = state.size
         flat = state.reshape(-1).astype(np.clongdouble)
-        # Rows: the state itself, then moved ahead and back along each of its entries; columns: complex steps.
+        # Rows are the state itself, then states displaced by +-length in each entry; columns are complex steps.
         length = np.longdouble(_DIFFERENCE) * abs(flat).max()
         moves = length * np.concatenate([np.zeros((1, size)), np.eye(size), -np.eye(size)])
         points = (flat + moves)[:, None, :] + 1j * self.step * np.eye(size)

@@ -1,7 +1,7 @@
-"""Shares of the Lagrangian: emitted gradient and Hessian against complex steps.
+"""Verification of shares, which are contributions to the Lagrangian, by complex steps.
 
-The gradient is compared with complex steps of the unchanged expression. The Hessian is compared with complex steps of
-the emitted gradient, once this is verified.
+The emitted gradient is compared with complex steps of the unchanged expression. Then the emitted Hessian is compared
+with complex steps of the verified gradient.
 """
 
 from __future__ import annotations
@@ -33,15 +33,16 @@ from codegen.emit.verify.comparison import (
 from codegen.emit.verify.execution import Function, Operand, Tape, Text
 
 Call = Callable[[Function, Mapping[Symbol, Operand], list[Operand]], Operand]
-"""A function that calls a kernel with values of symbols and a list to fill."""
+"""A function that calls a kernel with values of symbols and a list that the kernel fills."""
 
 
 @dataclass(frozen=True)
 class Share:
-    """A scalar, the value that the kernel of its gradient returns, and the calls of the two kernels.
+    """A `scalar` whose emitted derivatives are compared, with the names of two kernels and functions that call them.
 
-    `output` is the returned value and `returned` its name. `indices` belong to the unknowns whose derivatives are
-    emitted; `pattern` has pairs of unknowns. Second derivatives are compared for `pairs` of indices, by default all.
+    The `gradient` kernel returns `output`, which errors call `returned`. `indices` select the unknowns whose
+    derivatives are emitted. `pattern` has (row, column) for each entry that the `hessian` kernel fills. Second
+    derivatives are compared for `pairs` of indices, by default for all pairs.
     """
 
     name: str
@@ -59,7 +60,7 @@ class Share:
 
 
 class ShareComparison:
-    """The comparison of one share, at the points where it has a value."""
+    """The comparison of one share's kernels with its expressions, at `candidates` where the expressions have values."""
 
     def __init__(self, share: Share, text: Text, candidates: Sequence[Values]) -> None:
         self.share, self.text = share, text
@@ -72,7 +73,7 @@ class ShareComparison:
         self._sized: dict[tuple[str, int], tuple[list[Operand], Operand]] = {}
 
     def verify(self) -> None:
-        """Raise VerificationError for a wrong entry: first of the returned value, then gradient, then Hessian."""
+        """Raise VerificationError if the returned value, the gradient or the Hessian is wrong, tested in this order."""
         if not self.count:
             return
         share = self.share
@@ -87,7 +88,7 @@ class ShareComparison:
         judge(names, lambda kind: self._evaluated(kind)[order], lambda e, p: self._opinion(order, by(e), p))
 
     def _evaluated(self, kind: Complex) -> tuple[Operand, ...]:
-        """Return emitted and exact values of the returned value, the gradient, and the Hessian; (points, entries)."""
+        """Return (emitted, exact) arrays (points, entries) for the returned value, the gradient and the Hessian."""
         if kind in self._evaluations:
             return self._evaluations[kind]
         share, numbers, step = self.share, complex_numbers(kind), step_of(kind)
@@ -140,25 +141,25 @@ class ShareComparison:
 
 
 Columns = dict[int, Symbol]
-"""Data by the index of the column in which kernels write the derivatives."""
+"""A map from the column in which kernels write derivatives to the datum by which they differentiate."""
 
 
 def columns_of(program: ControlProgram, begins_at: int = 0) -> Columns:
-    """Return the data of intervals that begin at the inner time of this number, or at none (-1)."""
+    """Return the data, by column, of intervals that begin at inner time number `begins_at`, or at none (-1)."""
     inner, data = program.inner, data_of(program)
     first, count = len(data) - len(inner.symbols), len(inner.times)
     columns = {i: datum for i, datum in enumerate(data[:first]) if datum not in inner.parameters}
-    if begins_at >= 0:  # numbers of the node stand among the parameters
+    if begins_at >= 0:  # data of the left node have their values among the parameters
         numbers = inner.parameters[count + begins_at :: count] if count else ()
         columns |= {first + i: number for i, number in enumerate(numbers)}
     return columns
 
 
 def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], columns: Columns) -> list[Share]:
-    """Return two shares in place of one: its slopes by data, and the mixed derivatives by unknowns and data.
+    """Return two shares, which verify a share's derivatives by data, and its mixed ones by unknowns and data.
 
-    `kernel` fills both, the latter by a `pattern` of unknowns and columns. Unknowns that are not among the share's
-    indices are pinned, and count as data.
+    `kernel` is the name of the kernel that fills both; `pattern` has (unknown, column) for each mixed entry. Unknowns
+    that are not among the share's indices are prescribed, and count as data.
     """
     data = [datum for datum in columns.values() if datum not in share.unknowns]
     unknowns = (*share.unknowns, *data)
@@ -193,7 +194,7 @@ def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], 
 
 
 def pattern_of(module: Mapping[str, Operand], name: str) -> tuple[tuple[int, int], ...]:
-    """Return the pairs of indices in the arrays `<name>_ROWS` and `<name>_COLUMNS` of a module, if it has them."""
+    """Return pairs (row, column) from a module's arrays `<name>_ROWS` and `<name>_COLUMNS`; empty without arrays."""
     rows, columns = (module.get(f"{name}_{side}", ()) for side in ("ROWS", "COLUMNS"))
     return tuple((int(row), int(column)) for row, column in zip(rows, columns, strict=True))
 
@@ -204,7 +205,7 @@ _KERNEL, _MIXED = "coupling_term", "coupling_mixed"
 
 
 def verify_couplings(program: ControlProgram, text: Text) -> None:
-    """Compare every condition between bodies with its terms in the tables; VerificationError names a wrong entry."""
+    """Compare every condition between bodies with its terms in the module; raise VerificationError for a wrong one."""
     if not program.couplings:
         return
     module = text.interpreted(*_TABLES)
@@ -219,7 +220,7 @@ def verify_couplings(program: ControlProgram, text: Text) -> None:
 
 
 def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, Sequence[int]]]) -> tuple[Share, Share]:
-    """Return the share with slopes by data in place of unknowns, and the share with mixed derivatives."""
+    """Return two shares, which verify a condition's derivatives by data, and its mixed ones by unknowns and data."""
     every, others, size = shared_symbols(program), parameters(program), len(share.unknowns)
     data = {column: s for column, s in columns_of(program, -1).items() if s in others}
     local = dict(zip(data, range(size, size + len(data)), strict=True))
@@ -252,7 +253,7 @@ def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, S
 
 
 def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[int, Sequence[int]]]) -> Share:
-    """Return a condition as a scalar of the shared unknowns in it or in its terms."""
+    """Return a share for a condition between bodies; `terms` are (kind, indices of linking variables) in the module."""
     every, others = shared_symbols(program), parameters(program)
     named = {index for _, indices in terms for index in indices}
     read = [index for index, symbol in enumerate(every) if index in named or coupling.expression.has(symbol)]
@@ -297,7 +298,7 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
 
 
 def shared_symbols(program: ControlProgram) -> list[Symbol]:
-    """Return a symbol for every shared unknown: of each body in turn, then of the whole problem."""
+    """Return a symbol for every linking variable: first for each body in turn, then for the whole problem."""
     symbols = [Symbol(f"_shared_{index}", real=True) for index in range(program.bodies * program.own)]
     for symbol, body, j in program.coupling_symbols:
         symbols[body * program.own + j] = symbol

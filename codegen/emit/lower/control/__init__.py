@@ -1,1 +1,1 @@
-"""A control problem and its derivatives as strings: `module` calls the others."""
+"""Lowering of a control problem and its derivatives to strings; `module` combines the parts from the other files."""

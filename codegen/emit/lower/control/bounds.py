@@ -1,4 +1,4 @@
-"""Prescribed end values and bounds of a control problem's unknowns, as assignments to views of the unknowns."""
+"""Prescribed end values and bounds of a control problem's unknowns, as assignments to array views of the unknowns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from codegen.emit.lower.printer import array_code
 
 
 def pins(program: ControlProgram) -> PinText:
-    """Return the prescribed values at both ends as code."""
+    """Return code that assigns the prescribed values at both ends to the unknowns."""
     ends = (("0", program.start), ("-1", program.end))
     values = [v for _, end in ends for _, v in end.pins] + [v for _, end in ends for _, _, v in end.shared]
     lines = []
@@ -35,7 +35,7 @@ def pins(program: ControlProgram) -> PinText:
 
 @dataclass(frozen=True)
 class Bound:
-    """A bound of an unknown: target of the assignment, value, name; `is_common` if one number holds for all bodies."""
+    """A bound of an unknown, assigned to `target`; `is_common` is True if all bodies have the same number."""
 
     target: str
     value: Expr
@@ -44,18 +44,18 @@ class Bound:
 
     @property
     def line(self) -> Line:
-        """The assignment of the bound."""
+        """The line that assigns the bound."""
         code = common_code(self.value) if self.is_common else array_code(self.value)
         return Line(self.target, {oo: "np.inf", -oo: "-np.inf"}.get(self.value) or code, self.name)
 
 
 def common_code(value: Expr) -> str:
-    """Return code of a number that all bodies share; parameters have a row for each body, all with this number."""
+    """Return code of a value that is equal for all bodies, as one number: parameters have a row for each body."""
     return f"np.max({array_code(value)})" if value.free_symbols else array_code(value)
 
 
 def bounds(program: ControlProgram) -> BoundText:
-    """Return the bounds as code; without inequalities there are none."""
+    """Return code that assigns all bounds; it is empty for a problem without inequalities."""
     if not program.has_inequalities:
         return BoundText()
     values = bound_values(program)
@@ -67,7 +67,7 @@ def bounds(program: ControlProgram) -> BoundText:
 
 
 def bound_views(program: ControlProgram) -> tuple[Line, ...]:
-    """Return lines that make views of the bounds of shared unknowns."""
+    """Return lines that make array views of the bounds of linking variables."""
     return (
         *shared_views(program, "lower_own, lower_common", "lower"),
         *shared_views(program, "upper_own, upper_common", "upper"),
@@ -88,7 +88,7 @@ def bound_values(program: ControlProgram) -> list[Bound]:
         for j, unknown in enumerate(phase.inside[:inside]):
             add(f"intervals[:, {phase_slice(program, i)}, {j}]", unknown)
         if i:
-            # The bounds of both phases hold for continuous quantities, and no bounds for prescribed ones.
+            # At a switch, continuous quantities obey the bounds of both phases; prescribed quantities have no bounds.
             before, after = program.phases[i - 1], program.phases[i]
             for j, (earlier, later) in enumerate(zip(before.node, after.node, strict=True)):
                 limits_before, limits = dict(_limits(earlier)), dict(_limits(later)) if j not in after.jumping else {}
@@ -125,16 +125,16 @@ def bound_values(program: ControlProgram) -> list[Bound]:
 
 
 def _limits(unknown: Unknown) -> Iterator[tuple[str, Expr]]:
-    """Yield side and value of each bound of an unknown."""
+    """Yield side ("lower" or "upper") and value of each bound of an unknown."""
     for side, value in (("lower", unknown.lower), ("upper", unknown.upper)):
         if value is not None:
             yield side, value
 
 
 def slack_bounds(program: ControlProgram) -> list[Line]:
-    """Return the bounds of slacks, then lines that remove bounds where an unknown is determined by other values.
+    """Return the bounds of slacks, then lines that remove bounds where other values determine an unknown.
 
-    A determined slack keeps its value above a bound below it, where a logarithm has a least value.
+    The bound of a determined slack becomes -1, so that the slack stays above it and its barrier term stays finite.
     """
     first = len(program.interval) + len(program.controls)
     lines = []

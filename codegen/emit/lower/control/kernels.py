@@ -1,7 +1,7 @@
 """The kernels of a control problem: intervals, both ends, samples, inputs of tables, and conditions between bodies.
 
-Conditions between bodies have one kernel for each kind of term, and tables of their instances: code does not grow with
-the number of bodies (see `codegen.symbolic.terms`). Measurements are constants of the module.
+The share of an interval, a sample or an end is its contribution to the Lagrangian. Conditions between bodies have one
+kernel per kind of term and tables of terms: code does not grow with the number of bodies (`codegen.symbolic.terms`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from codegen.symbolic.terms import Instance, Kind, sorted_terms
 
 
 def named_elements(program: ControlProgram) -> list[tuple[str, str]]:
-    """Return the stem of the kernels' names for each kind of interval, in order, and words for these intervals."""
+    """Return, for each kind of interval, the prefix of its kernels' names and words that describe such intervals."""
     if program.sample:
         return [("motion", ", without its samples")]
     if not program.phases:
@@ -40,7 +40,7 @@ def named_elements(program: ControlProgram) -> list[tuple[str, str]]:
 
 
 def choices(program: ControlProgram, has_sensitivities: bool) -> tuple[Choice, ...]:
-    """Return the functions that choose the kernel of an interval by its time; a phase begins at a whole number."""
+    """Return the functions that choose the kernel of an interval by its time t; each phase has a length of 1 in t."""
     if not program.phases:
         return ()
     kinds = [
@@ -56,7 +56,7 @@ def choices(program: ControlProgram, has_sensitivities: bool) -> tuple[Choice, .
         )
     stems = [stem for stem, _ in named_elements(program)]
     conditions = []
-    for stem in stems[:-1]:  # the interval lies before the end of those with this kernel; 1e-12 is for rounding
+    for stem in stems[:-1]:  # intervals before the end of this kind; 1e-12 allows for rounding
         kind, number = stem.split("_")
         conditions.append(f"t < {number} {'+' if kind == 'switch' else '-'} 1e-12")
     functions = []
@@ -69,7 +69,7 @@ def choices(program: ControlProgram, has_sensitivities: bool) -> tuple[Choice, .
 
 
 def symbol_codes(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol, str]:
-    """Return the code that reads each symbol inside a kernel; shared unknowns stand behind the parameters."""
+    """Return the code that reads each symbol inside a kernel; linking variables are stored behind the parameters."""
     codes = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(unknowns)}
     codes |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(parameters(program))}
     codes[program.model.time] = "t"
@@ -80,14 +80,14 @@ def symbol_codes(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Sy
 
 
 def sample_codes(program: ControlProgram) -> dict[Symbol, str]:
-    """Return the code that reads each symbol inside a kernel of a sample."""
+    """Return the code that reads each symbol inside a kernel of a sample of measurements."""
     assert program.sample is not None, "there are samples"
     numbers = {symbol: f"parameters[sample + {i}]" for i, symbol in enumerate(program.sample.symbols, start=1)}
     return {**symbol_codes(program, program.element_symbols), **numbers}
 
 
 def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
-    """Return the gradient and the Hessian of the shares of intervals, samples and both ends."""
+    """Return kernels of gradient and Hessian for each contribution to the Lagrangian: intervals, samples and ends."""
     kernels, arguments, share = list[Kernel](), ("unknowns", "t", "h", "parameters"), "an interval's share l"
     for (stem, where), element in zip(named_elements(program), derivatives.elements, strict=True):
         codes, unknowns = symbol_codes(program, element.unknowns), element.unknowns
@@ -148,7 +148,7 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
 
 
 def _sample_kernels(program: ControlProgram, sample: ElementDerivatives, element: ElementDerivatives) -> list[Kernel]:
-    """Return the observed values at a sample, and the gradient and Hessian of its losses, in the interval's pattern."""
+    """Return the kernels of the observed values at a sample and of its losses, with an interval's Hessian pattern."""
     assert program.sample is not None, "there are samples"
     codes, unknowns = sample_codes(program), sample.unknowns
     index = {(row, column): j for j, (row, column, _) in enumerate(element.hessian)}
@@ -183,7 +183,7 @@ def _sample_kernels(program: ControlProgram, sample: ElementDerivatives, element
 
 
 def inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[Kernel, ...]:
-    """Return the inputs with which tables are read, on every kind of interval and at both ends, if any have a range."""
+    """Return kernels of the least and greatest values of `ranged` table inputs, on all intervals and at both ends."""
     if not ranged:
         return ()
     codes = symbol_codes(program, program.element_symbols)
@@ -204,7 +204,7 @@ def inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[Ke
 
 
 def coupling_terms(program: ControlProgram) -> tuple[tuple[Kind, ...], tuple[Instance, ...]]:
-    """Return the kinds of terms in the conditions between bodies, and their instances by indices of shared unknowns."""
+    """Return the kinds of terms in conditions between bodies, and all terms as indices of linking variables."""
     if not program.couplings:
         return (), ()
     indices = {symbol: body * program.own + j for symbol, body, j in program.coupling_symbols}
@@ -214,7 +214,7 @@ def coupling_terms(program: ControlProgram) -> tuple[tuple[Kind, ...], tuple[Ins
 
 
 def coupling_kernels(program: ControlProgram, kinds: Sequence[Kind]) -> tuple[Kernel, ...]:
-    """Return a kernel for each kind of term: value, slopes and curvatures."""
+    """Return a kernel for each kind of term: its value, and first and second derivatives."""
     kernels = []
     for number, kind in enumerate(kinds):
         term, read = kind.expression, kind.arguments
@@ -236,13 +236,13 @@ def coupling_kernels(program: ControlProgram, kinds: Sequence[Kind]) -> tuple[Ke
 
 
 def term_codes(program: ControlProgram, kind: Kind) -> dict[Symbol, str]:
-    """Return the code that reads each symbol inside the kernel of a kind of term."""
+    """Return the code that reads each symbol inside the kernel of one kind of term."""
     codes = {symbol: f"values[{i}]" for i, symbol in enumerate(kind.arguments)}
     return codes | {symbol: f"parameters[{i}]" for i, symbol in enumerate(parameters(program))}
 
 
 def coupling_constants(instances: Sequence[Instance]) -> tuple[Line, ...]:
-    """Return the tables of the terms of all conditions between bodies."""
+    """Return index arrays of the terms in all conditions between bodies; `instances` are these terms."""
     if not instances:
         return ()
     width = max(1, *(len(instance.indices) for instance in instances))
@@ -256,7 +256,7 @@ def coupling_constants(instances: Sequence[Instance]) -> tuple[Line, ...]:
 
 
 def sample_constants(program: ControlProgram, tables: Sequence[TableData]) -> tuple[Line, ...]:
-    """Return the place of samples among the parameters, their length, and the measurements themselves."""
+    """Return constants: index of the first sample among the parameters, numbers per sample, and the measurements."""
     if program.sample is None:
         return ()
     first = len(parameters(program)) + sum(table.shape.count for table in tables)
@@ -273,7 +273,7 @@ def sample_constants(program: ControlProgram, tables: Sequence[TableData]) -> tu
 
 
 def sample_record(program: ControlProgram) -> ObservationRecord | None:
-    """Return the part of the record from which other measurements, and estimates, are read."""
+    """Return the layout of the measurements for the metadata record, or None if there are no measurements."""
     model = program.model
     if not model.measurements:
         return None

@@ -1,7 +1,7 @@
 """The unknowns of a control problem as strings: sizes, index arrays, durations, initial guesses, and solutions.
 
-Sizes decide which parts of the loops a module has. Guesses are assignments to views of the unknowns of nodes, of
-intervals, and of the unknowns that all intervals share.
+Sizes decide which parts of the loops a module has. Guesses are assignments to array views of the unknowns of nodes and
+intervals, and of the linking variables, which all intervals share.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from codegen.runtime.record import Kind
 from codegen.symbolic.functions import tables_of
 
 FRACTION = Symbol("fraction", real=True)
-"""The elapsed part of the duration; straight lines between the ends are functions of it."""
+"""The elapsed fraction of the duration; guesses that are straight lines between the ends depend on this symbol."""
 
 
 def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, int], ...]:
-    """Return the sizes by which loops are specialised: numbers of unknowns and conditions, and flags of features."""
+    """Return names and values of the sizes that specialise loops: counts of unknowns and conditions, and flags."""
     own, shared, couplings = program.own, len(program.shared), len(program.couplings)
     costs = [*(part.cost for part in program.interval_elements), program.start.cost, program.end.cost]
     return (
@@ -55,13 +55,13 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
 
 
 def parameters(program: ControlProgram) -> tuple[Symbol, ...]:
-    """Return the vector of parameters: the author's, boundary values, inner times, shared unknowns."""
+    """Return the symbols of the vector of parameters: the author's, boundary values, inner times, linking variables."""
     prescribed = (*program.model.parameters, *(value.symbol for value in program.boundary_values))
     return (*prescribed, *program.inner.parameters, *program.shared_symbols)
 
 
 def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[Line]:
-    """Return sizes, index arrays and patterns as constants of the module."""
+    """Return lines that define the module's constants: sizes, index arrays, and Hessian patterns."""
     inside = (*program.interval, *program.controls, *program.slacks)
     stride, condensed, stages = len(program.node) + len(inside), derivatives.condensed, derivatives.stages
     eliminated, number = inside[len(inside) - condensed :], dict(sizes(program, derivatives))
@@ -122,7 +122,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
 
 
 def structure(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, str], ...]:
-    """Return fields of the record `Structure` with their code: constants of the module, then flags."""
+    """Return the fields of the record `Structure` with their code: constants of the module, then flags that are set."""
     number = dict(sizes(program, derivatives))
     flags = {
         "backward": bool(number["BACKWARD"]),
@@ -150,11 +150,11 @@ _NO_FIELDS = ("ELEMENT", "ROOT", "BACKWARD", "BORDERED", "CARRIED", "START_COUNT
 _FIELDS = {"HESSIAN_ROWS": "rows", "HESSIAN_COLUMNS": "columns"} | {
     f"{end}_HESSIAN_{side}": f"{end}_{side}".lower() for end in ("START", "END") for side in ("ROWS", "COLUMNS")
 }
-"""Fields of the record whose names are not the module's constants in small letters."""
+"""Fields of the record whose names are not the names of the module's constants in lower case."""
 
 
 def inner_time_constants(program: ControlProgram) -> list[Line]:
-    """Return the number of inner times, and the indices of the unknowns that belong to them."""
+    """Return constants: the number of inner times, and indices of the parameters and unknowns that belong to them."""
     inner, first = program.inner, len(program.model.parameters) + len(program.boundary_values)
     if not inner.times:
         return []
@@ -171,7 +171,7 @@ def inner_time_constants(program: ControlProgram) -> list[Line]:
 
 
 def phase_constants(program: ControlProgram) -> list[Line]:
-    """Return the number of phases, and the unknowns of intervals that each phase lacks."""
+    """Return constants: the number of phases, and masks of the interval unknowns that each phase lacks."""
     if not program.phases:
         return []
     inside = range(len(program.interval) + len(program.controls) + len(program.slacks))
@@ -187,28 +187,28 @@ def phase_constants(program: ControlProgram) -> list[Line]:
 
 
 def has_nonlinear_ends(derivatives: ControlDerivatives) -> bool:
-    """Return True if the share of an end has entries in the KKT matrix."""
+    """Return True if the share of an end (its contribution to the Lagrangian) has entries in the KKT matrix."""
     return bool(derivatives.start.hessian or derivatives.end.hessian)
 
 
 def carries_right_hand_side(program: ControlProgram, derivatives: ControlDerivatives) -> bool:
-    """Return True if the rows of an element matrix have room for one more column.
+    """Return True if an interval's element matrix has an unused column, to hold the right-hand side.
 
-    The length of a row is a multiple of four.
+    Rows of an element matrix are padded to a multiple of four entries.
     """
     node, inside = len(program.node), len(program.interval) + len(program.controls) + len(program.slacks)
     block = node + inside - derivatives.condensed - 2 * derivatives.stages
     first_end = program.end if _sweeps_backward(program) else program.start
     first = block - len(_pinned(first_end)) if _borders_front(program) else 0
-    border = node + first + len(program.shared)  # the next node, block 0, shared unknowns
+    border = node + first + len(program.shared)  # the next node, block 0, linking variables
     return (block + border) % 4 > 0 and border % 4 > 0
 
 
 def _motion_indices(program: ControlProgram) -> tuple[list[int], list[int]]:
-    """Return local indices of the equations of a step, and of the unknowns that they determine.
+    """Return local indices of the multipliers of a step's equations, and of the unknowns that these determine.
 
-    These unknowns are the stages and the state after the step. Both lists are empty if the start does not prescribe all
-    states or the end prescribes anything: then no motion follows from a guess of controls.
+    These unknowns are the stages and the state after the step. Both lists are empty if controls do not determine the
+    motion, because the start leaves states free or the end prescribes values.
     """
     ends = program.start, program.end
     is_plain = program.method != "variational" and program.bodies == 1 and not program.phases and not program.sample
@@ -225,7 +225,7 @@ def _motion_indices(program: ControlProgram) -> tuple[list[int], list[int]]:
         return [], []
     if program.end.pins or program.end.conditions or program.end.slacks or program.end.bounds:
         return [], []
-    if program.path_multipliers > len(program.slack_multipliers):  # equalities, which controls have to obey
+    if program.path_multipliers > len(program.slack_multipliers):  # path equalities, which controls must satisfy
         return [], []
     equations = [node + i for i, unknown in enumerate(inside) if unknown.multiplier]
     stride = node + len(program.interval) + len(program.controls) + len(program.slacks)
@@ -236,25 +236,25 @@ def _motion_indices(program: ControlProgram) -> tuple[list[int], list[int]]:
 def _sweeps_backward(program: ControlProgram) -> bool:
     """Return True if elimination goes from the last interval to the first.
 
-    With equations on intervals, each equation is eliminated with the state at the interval's end, which it determines.
-    The other direction would integrate backward in time: with dissipative dynamics rounding errors would grow without
-    bound. Equations at nodes may be decided by controls before the last interval. They need the forward direction:
-    each is eliminated with the interval after its node, since the interval before it may leave no choice.
+    Each equation on an interval is eliminated with the state at the interval's end, which it determines. The other
+    direction would integrate backward in time, where rounding errors of dissipative dynamics grow without bound.
+    Equations at nodes, which controls before the last interval may decide, need the forward direction. Each of them is
+    eliminated with the interval after its node, since the interval before the node may leave no choice.
     """
     inner = (u for i, u in enumerate(program.node) if i not in program.only_at_ends)
     return program.method != "variational" and not any(u.multiplier for u in inner)
 
 
 def _borders_front(program: ControlProgram) -> bool:
-    """Return True if block 0 stays to the end of the elimination: its equations may determine other unknowns.
+    """Return True if block 0 is eliminated last, because its equations may determine unknowns of other blocks.
 
-    If nothing is prescribed at the end where elimination begins, they determine its state, as in all other blocks.
+    If nothing is prescribed at the end where elimination begins, they determine the state there, as in other blocks.
     """
     return bool(not _sweeps_backward(program) or _pinned(program.end) or program.only_at_ends)
 
 
 def _pinned(end: EndElement) -> list[int]:
-    """Return local indices of unknowns that are prescribed at an end, or equal a shared unknown."""
+    """Return local indices of unknowns that are prescribed at an end, or that equal a linking variable."""
     return sorted([*(i for i, _ in end.pins), *(i for i, _, _ in end.shared)])
 
 
@@ -268,9 +268,9 @@ def integers(values: Sequence[int]) -> str:
 
 
 def inputs(program: ControlProgram, values: Sequence[Expr], column: bool = True) -> tuple[Line, ...]:
-    """Return lines that read the symbols of expressions: arrays with an entry for every body, as columns by default.
+    """Return lines that read the symbols of expressions, as arrays with an entry per body, by default column vectors.
 
-    Of one body they are numbers: arrays of one number take several times as long.
+    With a single body, the lines read numbers, which are several times faster than arrays of one number.
     """
     used = set[Symbol]().union(*(value.free_symbols for value in values))
     suffix = ", None" if column else ""
@@ -284,24 +284,24 @@ def inputs(program: ControlProgram, values: Sequence[Expr], column: bool = True)
 
 
 def shared_views(program: ControlProgram, target: str, vector: str) -> tuple[Line, ...]:
-    """Return the line that makes views of the shared unknowns, if there are any."""
+    """Return the line that assigns array views of the linking variables in `vector` to `target`, if there are any."""
     return (Line(target, f"shared_views(grid, {vector})"),) if program.shared else ()
 
 
 def phase_steps(program: ControlProgram) -> tuple[Line, ...]:
-    """Return the line that gives the number of steps of a phase, if there are phases."""
+    """Return the line that assigns the number of steps of a phase; no line without phases."""
     return (Line("steps", "grid.steps // PHASES"),) if program.phases else ()
 
 
 def phase_slice(program: ControlProgram, i: int, at_nodes: bool = False) -> str:
-    """Return code of the slice of a phase's intervals, or nodes; the node at a switch belongs to the phase before."""
+    """Return code of the slice of intervals, or nodes, of phase i; a switch's node belongs to the phase before."""
     offset = " + 1" if at_nodes else ""
     begin = f"{_steps(i)}{offset} " if i else ""
     return f"{begin}:" + (f" {_steps(i + 1)}{offset}" if i + 1 < len(program.phases) else "")
 
 
 def phase_start(i: int) -> str:
-    """Return code of the slice of the node, or interval, at which phase i begins."""
+    """Return code of a slice with the one node, or interval, at which phase i begins."""
     return f"{_steps(i)} : {_steps(i)} + 1"
 
 
@@ -310,7 +310,7 @@ def _steps(number: int) -> str:
 
 
 def duration(program: ControlProgram) -> DurationText:
-    """Return the duration as code, or the durations of several phases, and the times of nodes."""
+    """Return code of the duration, or of the durations of several phases, and of the times at nodes."""
     if program.phases:
         durations = [phase.duration for phase in program.phases]
         return DurationText(
@@ -349,7 +349,7 @@ def duration_inputs(program: ControlProgram, durations: Sequence[Expr]) -> tuple
 
 
 def solution(program: ControlProgram) -> SolutionText:
-    """Return code that reads positions, momenta, controls and multipliers from the views of nodes and intervals."""
+    """Return code that reads positions, momenta, controls and multipliers from array views of nodes and intervals."""
     n, inside, node = len(program.model.coordinates), len(program.interval), len(program.node)
     m, controls = len(program.model.controls), f"intervals[:, :, {inside}:{inside + len(program.controls)}]"
     if program.controlled == "stages":
@@ -367,14 +367,14 @@ def solution(program: ControlProgram) -> SolutionText:
 
 
 def guesses(program: ControlProgram) -> GuessText:
-    """Return the initial guess as code over arrays of time."""
+    """Return code of the initial guess, evaluated at arrays of times."""
     lines, read = _phase_guesses(program) if program.phases else _guesses(program)
     common = program.shared_guess[program.own :]
     used = set[Symbol]().union(*(value.free_symbols for value in common))
     common_inputs = [
         Line(s.name, f"grid.parameters[0, {i}]") for i, s in enumerate(program.model.parameters) if s in used
     ]
-    own: dict[int, Line] = {}  # a body's shared unknown equals an unknown of an end node
+    own: dict[int, Line] = {}  # guess of a body's linking variable, which equals an unknown of an end node
     for node, end in (("0", program.start), ("-1", program.end)):
         for index, j, _ in end.shared:
             if j < program.own:
@@ -393,7 +393,7 @@ def guesses(program: ControlProgram) -> GuessText:
 
 
 def _phase_guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
-    """Return the guesses of nodes and intervals, phase by phase, and the expressions in them."""
+    """Return lines that guess the unknowns of nodes and intervals of each phase, and the expressions in them."""
     lines, read, node_times = [*phase_steps(program)], list[Expr](), "node_times(grid, unknowns)"
     for i, phase in enumerate(program.phases):
         nodes, intervals = phase_slice(program, i, at_nodes=True), phase_slice(program, i)
@@ -411,7 +411,7 @@ def _phase_guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
 
 
 def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
-    """Return the guesses of nodes and intervals, and the expressions in them."""
+    """Return lines that guess the unknowns of nodes and intervals without phases, and the expressions in them."""
     at_nodes = [(i, program.node[i].name, value) for i, value in enumerate(program.node_guess)]
     stages = enumerate(zip(program.interval_symbols, program.stage_guess, strict=False))
     inside = [(i, symbol.name, value) for i, (symbol, value) in stages]
@@ -427,12 +427,12 @@ def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
     for view, guessed in (("nodes", at_nodes), ("intervals", inside)):
         lines = []
         for i, name, value in guessed:
-            # In fractions of the duration, if no other time is in the guess.
+            # Write the guess in the fraction of the duration, unless the duration occurs otherwise.
             relative = value.xreplace({program.model.time: FRACTION * DURATION})
             lines.append(Line(f"{view}[:, :, {i}]", array_code(value if relative.has(DURATION) else relative), name))
         groups.append([line for line in lines if line.code != "0"])
     node_lines, interval_lines = groups
-    # Guesses follow the samples, at nodes and, on straight lines, inside intervals.
+    # Guesses interpolate the samples at nodes, and the mean of both nodes at stages inside intervals.
     prescribed = [{index for index, *_ in (*end.pins, *end.shared)} for end in (program.start, program.end)]
     straight = []
     for index, column in program.sample.guess if program.sample else ():

@@ -1,4 +1,4 @@
-"""ControlProgram and its derivatives -> ControlModule: kernels, constants, guesses, bounds and solutions as code."""
+"""Lowering of a control problem to a module: kernels, constants, initial guesses, bounds and solutions as code."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from codegen.symbolic.functions import tables_of
 def lower_control(
     program: ControlProgram, derivatives: ControlDerivatives, by_data: ControlSensitivities | None = None
 ) -> ControlModule:
-    """Return all kernels and tables of a control problem as strings; derivatives `by_data` add sensitivities."""
+    """Return the module of a control problem as strings; derivatives `by_data` add sensitivities to it."""
     model, inner, tables = program.model, program.inner, tables_of(program.model)
     first = len(layout.parameters(program))
     expressions = [e for share in program.interval_elements for e in (share.element, share.cost)]
@@ -58,7 +58,7 @@ def lower_control(
         meaning = "`observations` are other measurements, any number of them, in the order of OBSERVATIONS."
         data_arguments.append(("observations", meaning))
         grid_code = f"with_observations({grid_code}, observations)"
-    # Of several bodies boundary values are arrays.
+    # With several bodies, boundary values are arrays.
     values, boundary_code = program.boundary_values, array_code if program.bodies > 1 else scalar_code
     reads_body = program.body is not None and any(v.value.has(program.body) for v in values)
     example = f'as in {values[0].where}={{"{values[0].quantity}": 0.5}}' if values else "of which there are none"

@@ -1,8 +1,9 @@
-"""Sensitivities in a control module: kernels of mixed derivatives, constants, and functions of moving values.
+"""Sensitivities in a control module: kernels of mixed derivatives, constants, and directional derivatives.
 
 Data are parameters, boundary values, conditions at inner times, and the time and length of an interval. Quantities are
-the data that a user may vary. Kernels hold derivatives of the shares of the Lagrangian by data. Pinned values, bounds
-and durations are formulas outside these shares: their derivatives are directional, along rates of the parameters.
+the data that a user may vary. Kernels compute derivatives, with respect to data, of shares: the contributions of
+intervals, samples and ends to the Lagrangian. Prescribed values, bounds and durations are formulas outside the shares.
+They have directional derivatives along rates, which are derivatives of all parameters with respect to a quantity.
 """
 
 from __future__ import annotations
@@ -38,13 +39,13 @@ _ARGUMENTS = ("slopes", "mixed")
 
 
 def quantities(program: ControlProgram) -> tuple[str, ...]:
-    """Return the names of parameters, boundary values and a prescribed duration, as sweeps use them."""
+    """Return the names of quantities that a user may vary: parameters, boundary values, and a prescribed duration."""
     names = [*(p.name for p in program.model.parameters), *(f"{v.where}.{v.quantity}" for v in program.boundary_values)]
     return (*names, *(("duration",) if _varies_duration(program) else ()))
 
 
 def constants(program: ControlProgram, derivatives: ControlSensitivities) -> tuple[Line, ...]:
-    """Return the quantities, the numbers of data, and the patterns of mixed derivatives."""
+    """Return constants of the module: the quantities, counts of data, and patterns of mixed derivatives."""
     data, prescribed = data_of(program), _data(program)
     count = len(prescribed)
     shares = [*derivatives.elements, *(share for share in (derivatives.sample,) if share is not None)]
@@ -69,7 +70,7 @@ def constants(program: ControlProgram, derivatives: ControlSensitivities) -> tup
 
 
 def kernels(program: ControlProgram, derivatives: ControlSensitivities) -> tuple[Kernel, ...]:
-    """Return the kernels of derivatives by data: of intervals, samples, ends and conditions between bodies."""
+    """Return kernels of derivatives with respect to data for intervals, samples, ends and conditions between bodies."""
     arguments, every, data = ("unknowns", "t", "h", "parameters"), program.element_symbols, data_of(program)
     codes = symbol_codes(program, every)
     written = [
@@ -124,9 +125,9 @@ def _mixed_kernel(
     symbols: tuple[Sequence[Symbol], Sequence[Symbol]],
     index: Mapping[tuple[int, int], int] | None = None,
 ) -> Kernel:
-    """Return the kernel of one share, by unknowns and data.
+    """Return the kernel that fills, for one contribution to the Lagrangian, derivatives by data and mixed derivatives.
 
-    With the `index` of the pattern of intervals, the kernel adds to the derivatives of an interval.
+    `symbols` are (unknowns, data). With `index`, (unknown, datum) -> entry of an interval, it adds to that interval.
     """
     unknowns, data = symbols
     operator = "=" if index is None else "+="
@@ -142,7 +143,7 @@ def _mixed_kernel(
 
 
 def text_of(program: ControlProgram) -> SensitivityText:
-    """Return the functions of the rates of parameters, pinned values, bounds and durations."""
+    """Return the code of the derivatives of parameters, prescribed values, bounds and durations along rates."""
     data, bound_lines = _data(program), _bound_rates(program)
     pins, pin_rates = [], list[Expr]()
     for node, end in (("{}", program.start), ("{} - NODE", program.end)):
@@ -213,10 +214,10 @@ def text_of(program: ControlProgram) -> SensitivityText:
 def _quantity_rates(
     program: ControlProgram,
 ) -> tuple[tuple[Line, ...], tuple[Line, ...], tuple[tuple[str, tuple[Line, ...]], ...]]:
-    """Return derivatives of boundary values, conditions at inner times and the duration by parameters.
+    """Return code of boundary values', inner conditions' and the duration's derivatives with respect to parameters.
 
-    The first lines read symbols. The next hold always, the last unless the named quantity is prescribed. Numbers do
-    instead of arrays if no value depends on the body.
+    The first lines read symbols. The second lines always hold. The third are pairs of a quantity and lines that hold
+    unless the caller replaces its value. The code is scalar if no value depends on the body.
     """
     model, read = program.model, list[Expr]()
     values = (*(v.value for v in program.boundary_values), *program.inner.values)
@@ -249,18 +250,18 @@ def _quantity_rates(
 
 
 def _varies_duration(program: ControlProgram) -> bool:
-    """Return True if a prescribed duration may be changed; samples lie at times, which would move with it."""
+    """Return True if a user may vary a prescribed duration; samples forbid this, since they lie at fixed times."""
     return not program.scaled_time and program.sample is None
 
 
 def _data(program: ControlProgram) -> tuple[Symbol, ...]:
-    """Return the symbols among the parameters that are no unknowns."""
+    """Return the symbols in the vector of parameters, without linking variables."""
     every = parameters(program)
     return every[: len(every) - len(program.shared_symbols)]
 
 
 def _rate_symbol(symbol: Symbol, taken: Sequence[Symbol]) -> Symbol:
-    """Return the symbol of a rate, with a name that no symbol in `taken` has."""
+    """Return the symbol for the rate of a symbol, with a name that no symbol in `taken` has."""
     name = f"{symbol.name}_rate"
     while any(name == other.name for other in taken):
         name += "_"
@@ -268,19 +269,19 @@ def _rate_symbol(symbol: Symbol, taken: Sequence[Symbol]) -> Symbol:
 
 
 def _rate(value: Expr, symbols: Sequence[Symbol]) -> Expr:
-    """Return the derivative of a value along rates of symbols."""
+    """Return the directional derivative of a value along the rates of `symbols`."""
     return sympy.Add(*(sympy.diff(value, s) * _rate_symbol(s, symbols) for s in symbols if value.has(s)))
 
 
 def _rate_inputs(program: ControlProgram, values: Sequence[Expr], code: str) -> tuple[Line, ...]:
-    """Return lines that read the rates of data in some values."""
+    """Return lines that read the rates in some expressions; `code` has {} for the index of the datum."""
     used, data = set[Symbol]().union(*(value.free_symbols for value in values)), _data(program)
     rates = [_rate_symbol(symbol, data) for symbol in data]
     return tuple(Line(rate.name, code.format(i)) for i, rate in enumerate(rates) if rate in used)
 
 
 def _bound_rates(program: ControlProgram) -> tuple[Line, ...]:
-    """Return derivatives of bounds along rates, in the order of the bounds, if any bound depends on parameters."""
+    """Return code of the derivatives of all bounds along rates; empty if no bound depends on parameters."""
     if not program.has_inequalities:
         return ()
     data = _data(program)

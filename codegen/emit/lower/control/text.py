@@ -1,8 +1,8 @@
-"""The description of a control problem in words and formulas, and the record of the module.
+"""The description of a control problem in words and formulas, and the metadata record of its module.
 
-The description is the docstring of the module: the minimised quantity and the unknowns, bounds and conditions, the
-discrete equations, both ends. Features that a problem lacks are not mentioned. The record holds names, units and
-metadata; most of its fields are there only for features that a user should know of.
+The description is the docstring of the module: the objective and the unknowns, bounds and conditions, the discrete
+equations, both ends. It does not mention features that a problem lacks. The record holds names, units and metadata;
+most of its fields matter only for features that a user should know of.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LONGEST_DENOMINATOR = 1000
 
 
 def description(program: ControlProgram, kernels: Sequence[Kernel], tables: Sequence[str] = ()) -> list[str]:
-    """Return the lines of the docstring below the title: the problem, its `tables`, then operation counts."""
+    """Return the lines of the module's docstring: the problem, the description of `tables`, then operation counts."""
     blocks = [
         *_problem(program),
         *(_phases(program) if program.phases else _intervals(program)),
@@ -62,7 +62,7 @@ def _block(lead: str, lines: Sequence[str]) -> list[str]:
 
 
 def _problem(program: ControlProgram) -> Iterator[list[str]]:
-    """Yield the objective with the unknowns and the conditions at all times; then the segments of a delayed motion."""
+    """Yield blocks of lines: objective, unknowns, and conditions at all times; then segments of a delayed motion."""
     model = program.model
     terms = []
     if any(cost != 0 for cost in [phase.regular.cost for phase in program.phases] or [program.cost]):
@@ -97,13 +97,13 @@ def _problem(program: ControlProgram) -> Iterator[list[str]]:
 
 
 def _unknowns(program: ControlProgram) -> str:
-    """Return all unknowns that are neither multipliers nor slacks, with the words for nodes, intervals and ends."""
+    """Return a list, in words, of all unknowns except multipliers and slacks: at nodes, on intervals, and at ends."""
     slacks = {program.node[i].name for end in (program.start, program.end) for i, _ in end.slacks}
     ends = [program.node[i] for i in program.only_at_ends if program.node[i].name not in slacks]
     inside = (*program.interval, *program.controls)
     regular = [phase.regular.lacking for phase in program.phases]
     at_switches = [u for i, u in enumerate(inside) if regular and all(i in lacking for lacking in regular)]
-    # Shared unknowns of the author, or in the conditions at the ends.
+    # Linking variables that are free parameters of the author or occur in the conditions at the ends.
     free = [parameter.symbol for parameter in program.model.free_parameters]
     values = [condition.value for end in (program.start, program.end) for condition in end.conditions]
     shared = [
@@ -125,7 +125,7 @@ def _unknowns(program: ControlProgram) -> str:
 
 
 def _quantity(unknown: Unknown) -> str:
-    """Return the mathematical name of an unknown; the velocity at one end may have another name in the module."""
+    """Return the mathematical name of an unknown; the module may have another name for the velocity at an end."""
     return unknown.meaning.of if unknown.kind is Kind.END_VELOCITY else unknown.name
 
 
@@ -149,12 +149,12 @@ def _bounds(unknowns: Sequence[Unknown]) -> list[str]:
 
 
 def _conditions(model: Model) -> list[str]:
-    """Return the conditions on the motion, except those at its ends."""
+    """Return sentences for all conditions on the motion, except conditions at its ends."""
     return [sentence for kind in CONDITIONS for sentence in kind.sentences(model)]
 
 
 def _equations(equations: Sequence[Equation]) -> list[str]:
-    """Return the discrete equations, except conditions at nodes, which the bounds show, and a cost of zero."""
+    """Return the discrete equations as text, without a cost of zero; conditions at nodes appear as bounds instead."""
     return [
         f"{'0 >=' if e.slack else f'{e.left} ='} {sympy.sstr(e.value)}"
         for e in equations
@@ -163,7 +163,7 @@ def _equations(equations: Sequence[Equation]) -> list[str]:
 
 
 def _intervals(program: ControlProgram) -> Iterator[list[str]]:
-    """Yield the equations of one interval."""
+    """Yield the block of lines with the discrete equations of one interval."""
     length = "h = 1/N, in parts of the duration" if program.scaled_time else "h = duration/N"
     if program.inner.times:
         length = "with nodes at inner times"
@@ -177,7 +177,7 @@ def _intervals(program: ControlProgram) -> Iterator[list[str]]:
 
 
 def _phases(program: ControlProgram) -> Iterator[list[str]]:
-    """Yield the equations of an interval of each phase, and the relations at the switches."""
+    """Yield blocks of lines with the equations of each phase's intervals, and with the relations at switches."""
     lead = (
         "On each of N intervals of a phase, from t_k to t_k1 = t_k + h, h = 1/N (suffixes _k and _k1 mark its nodes), "
         "where t runs from the number of the phase, less one, to that number."
@@ -200,7 +200,7 @@ def _phases(program: ControlProgram) -> Iterator[list[str]]:
 
 
 def _balance(program: ControlProgram) -> Iterator[list[str]]:
-    """Yield the discrete Euler-Lagrange equations at nodes, for the variational method."""
+    """Yield the block of discrete Euler-Lagrange equations at nodes, for the variational method only."""
     if program.method != "variational":
         return
     forced = any(force != 0 for m in program.model.phases or (program.model,) for force in m.force)
@@ -227,7 +227,7 @@ def _balance(program: ControlProgram) -> Iterator[list[str]]:
 
 
 def _inner_times(program: ControlProgram) -> Iterator[list[str]]:
-    """Yield the unknowns of nodes at inner times; of free times also the equations of time."""
+    """Yield blocks of lines: the unknowns of nodes at inner times, and the equations of time if these are free."""
     inner = program.inner
     if not inner.times:
         return
@@ -242,7 +242,7 @@ def _inner_times(program: ControlProgram) -> Iterator[list[str]]:
 
 
 def _end(program: ControlProgram, where: str, end: EndElement, symbols: Sequence[Symbol]) -> Iterator[list[str]]:
-    """Yield prescribed values, momenta and conditions at one end."""
+    """Yield the block with the prescribed values, momenta and conditions at one end, if there are any."""
     names = _plain_names(program, symbols)
     values = [f"{v.quantity} = {sympy.sstr(v.value)}" for v in program.boundary_values if v.where == where]
     lasting = {c.name for c in program.model.path} | {f"{q} is periodic" for q, _ in program.model.periodic}
@@ -260,7 +260,7 @@ def _end(program: ControlProgram, where: str, end: EndElement, symbols: Sequence
 
 
 def _relation(equation: Equation) -> str:
-    """Return a condition in the author's words, or an equation for a quantity."""
+    """Return the text of a condition as the author wrote it, or else of the equation for a quantity."""
     if any(sign in equation.condition for sign in (" = ", " <= ", " >= ")):
         return equation.condition
     left = f"-{equation.slack}" if equation.slack else equation.left
@@ -268,7 +268,7 @@ def _relation(equation: Equation) -> str:
 
 
 def _plain_names(program: ControlProgram, symbols: Sequence[Symbol]) -> Mapping[Symbol, Symbol]:
-    """Return symbols with plain names for the unknowns of an end node, and for prescribed values."""
+    """Return a map from the symbols of an end node and of prescribed values to symbols without suffixes."""
     names = {value.symbol: Symbol(value.quantity, real=True) for value in program.boundary_values}
     return names | {symbol: Symbol(_quantity(u), real=True) for symbol, u in zip(symbols, program.node, strict=True)}
 
@@ -319,7 +319,7 @@ def record(
     tables: Sequence[TableData],
     sensitivities: tuple[str, ...] | None,
 ) -> ControlRecord:
-    """Return the record of the module; `sensitivities` are the quantities of derivatives of solutions, if any."""
+    """Return the module's metadata record; `sensitivities` name the quantities that a user may vary, if any."""
     model, values, inner = program.model, program.boundary_values, program.inner
     models, redundant = model.phases or (model,), program.redundant_couplings
     own, common = program.shared[: program.own], program.shared[program.own :]
@@ -327,7 +327,7 @@ def record(
         f"{u.name} of body {body}" if program.bodies > 1 else u.name for body in range(program.bodies) for u in own
     ]
     shared += [u.name for u in common] + [c.multiplier.name for c in program.couplings]
-    # Meanings of multipliers, slacks and forces of constraints; the names of other unknowns are enough.
+    # Multipliers, slacks and constraint forces need meanings; other unknowns have names that suffice.
     unknowns = (*program.node, *program.interval, *program.slacks, *program.shared)
     unknowns += tuple(coupling.multiplier for coupling in program.couplings)
     meanings = {u.name: u.meaning for u in unknowns if u.kind.role is not Role.VALUE or u.kind is Kind.NORMAL_FORCE}
@@ -404,7 +404,7 @@ def record(
 
 
 def _stages(program: ControlProgram) -> dict[str, str]:
-    """Return the names at stages, of states, controls and multipliers, with the name of the quantity at nodes."""
+    """Return a map from the names of states, controls and multipliers at stages to names of these quantities."""
     model = program.model
     quantities = {s.name for s in (*model.coordinates, *model.rates, *model.controls)}
     quantities |= {f"{prefix}_{name}" for name in quantities for prefix in ("mu", "lambda")}
@@ -413,7 +413,7 @@ def _stages(program: ControlProgram) -> dict[str, str]:
 
 
 def _angles(model: Model) -> dict[str, float]:
-    """Return, for each argument of sines and cosines, one radian in the unit of the coordinate or control."""
+    """Return one radian in the unit of each coordinate or control that is an angle inside sines or cosines."""
     radians: dict[str, float] = {}
     for part in model.phases or (model,):
         written = (part.function, *part.dynamics, *part.force, *((part.cost,) if part.cost is not None else ()))
@@ -426,9 +426,9 @@ def _angles(model: Model) -> dict[str, float]:
 
 
 def _unseen_controls(program: ControlProgram) -> tuple[str, ...]:
-    """Return nodal controls whose alternation leaves the discrete cost unchanged: only sums of neighbours occur.
+    """Return nodal controls that occur in the expanded discrete cost only as sums of neighbouring values.
 
-    The expanded expressions decide; `codegen check` decides by numbers.
+    Their oscillations leave the cost unchanged. `codegen check` detects this numerically.
     """
     if not program.nodal_controls or program.model.cost is None:
         return ()
@@ -440,7 +440,7 @@ def _unseen_controls(program: ControlProgram) -> tuple[str, ...]:
 
 
 def _history_jumps(model: Model) -> tuple[tuple[str, str, str], ...]:
-    """Return quantities whose initial value differs from the end of their history, with both values."""
+    """Return (quantity, initial value, end of its history) as text for each quantity whose two values differ."""
     initial, differing = prescribed(model, "start"), {}
     for delay in model.delays:
         last = delay.history.xreplace({model.time: sympy.S.Zero})
@@ -451,7 +451,7 @@ def _history_jumps(model: Model) -> tuple[tuple[str, str, str], ...]:
 
 
 def _integral_multipliers(program: ControlProgram) -> tuple[tuple[str, int], ...]:
-    """Return each integral constraint with the index of its multiplier among the unknowns that no node owns."""
+    """Return each integral constraint's name, and its multiplier's index among the linking variables of all bodies."""
     own, bodies = program.own, program.bodies
     multipliers = []
     for index, integrals in [(0, program.integrals), *((i, p.integrals) for i, p in enumerate(program.phases, 1))]:
