@@ -197,7 +197,7 @@ def _description(program: PairwiseProgram, loops: Sequence[PairLoop | BlockLoop]
             "full": "all steps and q_N + sigma^2 p_N = target, for all inner positions and all momenta",
             "action": "minimise 2 h sum H such that (q_k+1 - q_k)/h = H_p, whose conditions these steps are",
         }
-        lines += ["", f"What is solved ({program.method}): {solved[program.method]}."]
+        lines += ["", f"Equations ({program.method}): {solved[program.method]}."]
     lines += ["", "Operations of one pair, before and after common subexpressions are shared:", ""]
     return [*lines, *(f"    {visit.name}: {visit.operations_before} -> {visit.operations_after}" for visit in loops)]
 

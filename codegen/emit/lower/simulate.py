@@ -47,13 +47,14 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         *_step_kernels(program, derivatives),
         kernel(
             "step_equations",
-            "The scheme's equations as they stand above, `residual` (STAGES + STATE,); a step makes them vanish.",
+            "Fill `residual` (STAGES + STATE,) of the equations of the scheme, in the form of the docstring above.",
             ("state", "interval", *_ARGUMENTS[1:], "residual"), inside,
             [Output(f"residual[{i}]", value, names[i]) for i, value in enumerate(straight.values)],
             decorators=KERNEL, straight_line=straight.assignments,
         ),
         kernel(
-            "energy", "The Hamiltonian at `state` (STATE,).", ("state", "t", "parameters"), codes, (), program.energy,
+            "energy", "Return the Hamiltonian at `state` (STATE,).",
+            ("state", "t", "parameters"), codes, (), program.energy,
             decorators=VALUE, straight_line=needed(program.state_assignments, (program.energy,)),
         ),
     ]  # fmt: skip
@@ -85,7 +86,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     ]
     if program.unknowns:
         listed = ", ".join(symbol.name for symbol in program.unknowns)
-        lines.append(Line("UNKNOWNS", str(len(program.unknowns)), f"what a step solves for numerically: {listed}"))
+        lines.append(Line("UNKNOWNS", str(len(program.unknowns)), f"unknowns of the equations of a step: {listed}"))
     if program.fractions:
         rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
         meaning = "lengths of the steps of the base scheme that make up one step, relative to it"
@@ -158,17 +159,17 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
     is_straight = bool(derivatives.assignments)
     return [
         kernel(
-            "predict_step", f"Where to start solving from `state` (STATE,) for `unknowns` (UNKNOWNS,): {listed}.",
+            "predict_step", f"Fill `unknowns` (UNKNOWNS,), {listed}, with the initial guess at `state` (STATE,).",
             (*_ARGUMENTS, "unknowns"), codes, guess,
             decorators=KERNEL, straight_line=needed(program.state_assignments, program.guess),
         ),
         kernel(
-            "step_residual", f"What must vanish, `residual` (UNKNOWNS,), as a function of {listed}.",
+            "step_residual", f"Fill `residual` (UNKNOWNS,) of the equations of a step, a function of {listed}.",
             ("unknowns", *_ARGUMENTS, "residual"), codes, residual, None,
             () if is_straight else of_residual, KERNEL, straight_line=of_residual if is_straight else (),
         ),
         kernel(
-            "step_jacobian", f"Residual, and its `jacobian` (UNKNOWNS UNKNOWNS,) by {listed}.",
+            "step_jacobian", f"Fill the residual and its `jacobian` (UNKNOWNS UNKNOWNS,) with respect to {listed}.",
             ("unknowns", *_ARGUMENTS, "residual", "jacobian"), codes, [*residual, *entries], None,
             () if is_straight else of_both, KERNEL, straight_line=of_both if is_straight else (),
         ),

@@ -102,13 +102,13 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
         kernels += [
             kernel(
                 f"{stem}_gradient",
-                f"Gradient (ELEMENT + SHARED,) of {share} at `unknowns` (ELEMENT,){where}; returns Cd.",
+                f"Fill the gradient (ELEMENT + SHARED,) of {share} at `unknowns` (ELEMENT,){where}; return Cd.",
                 (*arguments, "gradient"), codes, gradient, element.cost,
                 decorators=INNER, straight_line=element.gradient_assignments,
             ),
             kernel(
                 f"{stem}_hessian",
-                f"Hessian (HESSIAN_ROWS.size,), lower triangle, of {share} of the Lagrangian{where}.",
+                f"Fill the Hessian (HESSIAN_ROWS.size,), lower triangle, of {share} of the Lagrangian{where}.",
                 (*arguments, "hessian"), codes, hessian,
                 decorators=INNER, straight_line=element.hessian_assignments,
             ),
@@ -126,8 +126,8 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
         kernels.append(
             kernel(
                 f"{name}_gradient",
-                f"Add the gradient (NODE + SHARED,) of the {name}'s own share, at `unknowns` (NODE,); "
-                "returns its cost.",
+                f"Add the gradient (NODE + SHARED,) of the share of the {name} at `unknowns` (NODE,); "
+                "return its cost.",
                 ("unknowns", "t", "parameters", "gradient"), codes, gradient, ended.cost,
                 decorators=INNER, straight_line=ended.gradient_assignments,
             )
@@ -137,7 +137,9 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
                 Output(f"hessian[{j}]", value, f"{unknowns[row]}, {unknowns[column]}")
                 for j, (row, column, value) in enumerate(ended.hessian)
             ]
-            summary = f"Hessian ({name.upper()}_HESSIAN_ROWS.size,), lower triangle, of the {name}'s own share."
+            summary = (
+                f"Fill the Hessian ({name.upper()}_HESSIAN_ROWS.size,), lower triangle, of the share of the {name}."
+            )
             kernels.append(
                 kernel(
                     f"{name}_hessian", summary, ("unknowns", "t", "parameters", "hessian"), codes, hessian,
@@ -163,14 +165,14 @@ def _sample_kernels(program: ControlProgram, sample: ElementDerivatives, element
         Output(f"hessian[{index[row, column]}]", value, f"by {unknowns[row]}, {unknowns[column]}", "+=")
         for row, column, value in sample.hessian
     ]
-    arguments, at = ("unknowns", "t", "h", "parameters", "sample"), "that stands at `sample` among the `parameters`"
+    arguments, at = ("unknowns", "t", "h", "parameters", "sample"), "at index `sample` of `parameters`"
     return [
         kernel(
-            "sample_values", f"What the motion has, `values` (m,), at the time of a sample {at}.",
+            "sample_values", f"Fill `values` (m,) with the measured quantities of the motion at a sample {at}.",
             (*arguments, "values"), codes, values, decorators=INNER,
         ),
         kernel(
-            "sample_gradient", f"Add the gradient of the losses of a sample {at}; returns them.",
+            "sample_gradient", f"Add the gradient of the losses of a sample {at}; return the losses.",
             (*arguments, "gradient"), codes, gradient, sample.cost,
             decorators=INNER, straight_line=sample.gradient_assignments,
         ),
@@ -250,7 +252,11 @@ def coupling_constants(instances: Sequence[Instance]) -> tuple[Line, ...]:
     return (
         Line("COUPLING_KINDS", integers([i.kind for i in instances]), "kind of every term of the conditions"),
         Line("COUPLING_ROWS", integers([i.row for i in instances]), "condition to which it belongs"),
-        Line("COUPLING_COUNTS", integers([len(i.indices) for i in instances]), "how many shared unknowns it reads"),
+        Line(
+            "COUPLING_COUNTS",
+            integers([len(i.indices) for i in instances]),
+            "number of linking variables of each condition",
+        ),
         Line("COUPLING_INDICES", f"np.array({rows}, dtype=np.int64)", "and which"),
     )
 

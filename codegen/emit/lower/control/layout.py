@@ -65,8 +65,12 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
     inside = (*program.interval, *program.controls, *program.slacks)
     stride, condensed, stages = len(program.node) + len(inside), derivatives.condensed, derivatives.stages
     eliminated, number = inside[len(inside) - condensed :], dict(sizes(program, derivatives))
-    of_stages = Line("STAGES", str(stages), f"eliminated first, with {_names(inside[stages : 2 * stages])}")
-    own = Line("OWN", str(number["OWN"]), f"shared unknowns of a body: {_names(program.shared[: program.own])}")
+    of_stages = Line(
+        "STAGES",
+        str(stages),
+        f"unknowns of stages, eliminated first, as many as equations {_names(inside[stages : 2 * stages])}",
+    )
+    own = Line("OWN", str(number["OWN"]), f"linking variables of a body: {_names(program.shared[: program.own])}")
     shared = [unknown.multiplier for unknown in program.shared]
     lines = [
         Line("NODE", str(len(program.node)), f"unknowns of a node: {_names(program.node)}"),
@@ -76,16 +80,24 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         Line("ELEMENT", str(stride + len(program.node)), "unknowns of an interval with both its nodes"),
         Line("BODIES", str(number["BODIES"]), "bodies, each with a chain of nodes and intervals"),
         *([own] if program.shared else []),
-        Line("SHARED", str(number["SHARED"]), f"with those of the whole problem: {_names(program.shared)}"),
-        Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between shared unknowns"),
-        Line("ROOT", str(number["ROOT"]), "unknowns that no node owns, with the conditions' multipliers"),
-        Line("BACKWARD", str(number["BACKWARD"]), "whether elimination goes from the last interval to the first"),
-        Line("BORDERED", str(number["BORDERED"]), "whether the first block stays to the end of the elimination"),
+        Line(
+            "SHARED", str(number["SHARED"]), f"linking variables of a body and of the problem: {_names(program.shared)}"
+        ),
+        Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between linking variables"),
+        Line(
+            "ROOT", str(number["ROOT"]), "linking variables of all bodies, and multipliers of conditions between them"
+        ),
+        Line("BACKWARD", str(number["BACKWARD"]), "1 if elimination goes from the last interval to the first"),
+        Line("BORDERED", str(number["BORDERED"]), "1 if the first block is eliminated last"),
         Line("CARRIED", str(number["CARRIED"]), "columns of right-hand sides that take part in the elimination"),
-        Line("IS_MULTIPLIER", f"np.array({[u.multiplier for u in (*program.node, *inside)]})", "of node and interval"),
-        *([Line("SHARED_IS_MULTIPLIER", f"np.array({shared})", "of shared unknowns")] if any(shared) else []),
-        Line("START_PINNED", integers(_pinned(program.start)), "unknowns of the first node that are given"),
-        Line("END_PINNED", integers(_pinned(program.end)), "unknowns of the last node that are given"),
+        Line(
+            "IS_MULTIPLIER",
+            f"np.array({[u.multiplier for u in (*program.node, *inside)]})",
+            "for the unknowns of a node and an interval",
+        ),
+        *([Line("SHARED_IS_MULTIPLIER", f"np.array({shared})", "for the linking variables")] if any(shared) else []),
+        Line("START_PINNED", integers(_pinned(program.start)), "unknowns of the first node that are prescribed"),
+        Line("END_PINNED", integers(_pinned(program.end)), "unknowns of the last node that are prescribed"),
         Line("ONLY_AT_ENDS", integers(program.only_at_ends), "unknowns that inner nodes do not have; zero there"),
         Line("HESSIAN_ROWS", integers([r for r, _, _ in derivatives.element.hessian])),
         Line("HESSIAN_COLUMNS", integers([c for _, c, _ in derivatives.element.hessian])),
@@ -93,15 +105,17 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
     equations, determined = _motion_indices(program)
     if equations and not derivatives.linear_quadratic:
         lines.append(Line("MOTION_EQUATIONS", integers(equations), "multipliers of the equations of a step"))
-        lines.append(Line("MOTION_UNKNOWNS", integers(determined), "what these determine: stages, the state after it"))
+        lines.append(
+            Line("MOTION_UNKNOWNS", integers(determined), "unknowns that they determine: stages and the next state")
+        )
     if program.method == "variational":
         n = len(program.model.coordinates)
         lines.append(Line("EQUATIONS", f"np.arange({n}, {2 * n})", "multipliers of the equations of motion in a node"))
     if program.start.shared or program.end.shared:
         for name, end in (("START", program.start), ("END", program.end)):
             tied, to = integers([i for i, _, _ in end.shared]), integers([j for _, j, _ in end.shared])
-            lines.append(Line(f"{name}_TIED", tied, "unknowns of the node that equal"))
-            lines.append(Line(f"{name}_SHARED", to, "these shared unknowns"))
+            lines.append(Line(f"{name}_TIED", tied, "unknowns of the node that equal linking variables"))
+            lines.append(Line(f"{name}_SHARED", to, "the linking variables"))
     curved = has_nonlinear_ends(derivatives)
     ends = (("START", derivatives.start.hessian), ("END", derivatives.end.hessian))
     for name, entries in ends if curved else ():

@@ -51,11 +51,11 @@ def constants(program: ControlProgram, derivatives: ControlSensitivities) -> tup
     shares = [*derivatives.elements, *(share for share in (derivatives.sample,) if share is not None)]
     acting = sorted({i for share in shares for i, _ in share.slopes if i < count})
     lines = [
-        Line("QUANTITIES", repr(quantities(program)), "what derivatives of solutions are by"),
-        Line("DATA", str(len(data)), f"what shares are differentiated by: {', '.join(map(str, data))}"),
-        Line("PARAMETRIC", str(count), "of these stand among the parameters"),
-        Line("ACTING", integers(acting), "of these act on intervals"),
-        Line("OWN_QUANTITIES", str(count - len(program.inner.parameters)), "of these are quantities"),
+        Line("QUANTITIES", repr(quantities(program)), "quantities of the derivatives of solutions"),
+        Line("DATA", str(len(data)), f"data of the derivatives of the Lagrangian: {', '.join(map(str, data))}"),
+        Line("PARAMETRIC", str(count), "data among the parameters"),
+        Line("ACTING", integers(acting), "data that act on intervals"),
+        Line("OWN_QUANTITIES", str(count - len(program.inner.parameters)), "data that are quantities"),
     ]
     if _bound_rates(program):
         values = [bound.value for bound in bound_values(program)]

@@ -164,12 +164,13 @@ def _equations(equations: Sequence[Equation]) -> list[str]:
 
 def _intervals(program: ControlProgram) -> Iterator[list[str]]:
     """Yield the block of lines with the discrete equations of one interval."""
-    length = "h = 1/N, in parts of the duration" if program.scaled_time else "h = duration/N"
+    length = "h = 1/N, relative to the duration" if program.scaled_time else "h = duration/N"
     if program.inner.times:
         length = "with nodes at inner times"
     if program.inner.scales:
         (step, lasting), _ = program.inner.scales
-        length = f"where h is a part of 1, the same between any two inner times, and lasts {lasting / step}*h"
+        lasts = f"the interval lasts {lasting / step}*h"
+        length = f"where h is relative to the duration and the same between two inner times, and {lasts}"
     yield _block(
         f"On each of N intervals, from t_k to t_k1 = t_k + h, {length} (suffixes _k and _k1 mark its nodes):",
         _equations(program.equations),
@@ -222,7 +223,7 @@ def _balance(program: ControlProgram) -> Iterator[list[str]]:
     switched = any(e.momentum for phase in program.phases for e in phase.switch_equations)
     lines += [f"p before a switch = {before}", f"p after a switch = {after}"] * switched
     if len(lines) > 1 + len(inner):
-        lead += ", and momenta where they are given"
+        lead += ", and prescribed momenta"
     yield _block(f"{lead}:", lines)
 
 
@@ -285,7 +286,7 @@ def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[s
         why = "" if program.has_inequalities or program.phases else "their Hessian block is constant, so "
         out.append(f"{kind} in the linear system: {why}each interval eliminates its own")
     if not has_nonlinear_ends(derivatives):
-        out.append("curvature of the boundary conditions: positions that they depend on are given")
+        out.append("curvature of the boundary conditions: positions that they depend on are prescribed")
     if not program.has_inequalities:
         out.append("interior point: there are no inequalities")
     if not program.shared:
