@@ -58,9 +58,9 @@ class Shapes:
     """The arrays of one module: the kind of their rows, and the names of their columns.
 
     `rows` maps an array to `node`, or to its number of rows on an interval. `parts` is the number of phases, each with
-    all intervals; `segments` is the number of segments, which share the intervals. A row is stored `every` so many
-    steps; `steps` is the problem's own number. `free` names the free parameters, and `by` the quantities with respect
-    to which derivatives are taken.
+    all intervals; `segments` is the number of segments, which share the intervals. `every` is the number of steps
+    between stored nodes, `steps` the problem's own number of steps. `free` names the free parameters, and `by` the
+    quantities with respect to which derivatives are taken.
     """
 
     rows: Mapping[str, str | int]
@@ -82,7 +82,7 @@ class Shapes:
 def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: int = 0) -> Shapes:
     """Return the shapes of the arrays of a module, with the quantities of derivatives if `sensitivities` is set.
 
-    Every `every`-th step is stored. `particles` is the number of particles of a module that connects points.
+    A simulation stores every `every`-th step. `particles` is the number of particles of a module that connects points.
     """
     metadata, task = module.metadata, task_of(module)
     if task.name == "connect":
@@ -154,7 +154,7 @@ class Layout:
         return 8 * sum(math.prod(shape) for shape in self.shapes.values())
 
     def placed(self, name: str, array: Matrix, columns: Sequence[str]) -> Matrix:
-        """Return an array of one case, with these columns, in the shape common to all cases; missing entries are NaN."""
+        """Return an array of a case, with these columns, in the shape common to all cases; missing entries are NaN."""
         dims = self.dims[name]
         if "stage" in dims:
             array = array.reshape(-1, self.sizes["stage"], array.shape[1])
