@@ -1,11 +1,11 @@
 """The solve of one case of a sweep, and the choice of its initial guess.
 
-A case is solved from the problem's own guess. If this fails, the guess is the solution of a neighbouring case. With
-warm starts the solution of the last solved case comes first. On a straight part of the path through the cases this
-guess extrapolates the last two solutions along their secant. If derivatives of the last solution exist, the guess
-follows the parabola with this tangent, or on a curved path the tangent alone. On a grid the errors of secant and
-tangent are of second order in the distance of the cases, and the error of the parabola is of third order. Source:
-Allgower and Georg (1990), Numerical continuation methods, chapters 2 and 6.
+A case is solved from the problem's own guess and, if this fails, from solutions of neighbouring cases. With warm starts
+the solution of the last solved case comes first. On a straight part of the path through the cases this guess
+extrapolates the last two solutions along their secant. With derivatives of the last solution, the guess follows the
+parabola with this tangent, or on a curved path the tangent. On a grid the errors of secant and tangent are of second
+order in the distance of the cases, and the error of the parabola is of third order. Source: Allgower and Georg (1990),
+Numerical continuation methods, chapters 2 and 6.
 """
 
 from __future__ import annotations
@@ -214,8 +214,7 @@ class Varied:
 def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start | None) -> Attempt:
     """Solve a case from `start`, or from the problem's own guess if `start` is None, and return the attempt.
 
-    For unusable values the status is UNUSABLE. A case counts as solved only if all equations hold, evaluated outside
-    the driver.
+    Unusable values give the status UNUSABLE. A case is solved only if all equations hold, evaluated outside the driver.
     """
     module = varied.given(values)
     of_kind = {quantity.kind: value for quantity, value in values.items()}

@@ -90,9 +90,7 @@ def _of_lines(
 
 
 def _of_ends(costs: Costs, places: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return two arrays (lines, n - 1), True for a cost at the beginning of a line, or after an unsolved case, that is
-    too high, or too low.
-    """
+    """Return two arrays (lines, n - 1), True where a cost without solved predecessor is too high, or too low."""
     number = places.size - 1
     later = [_shifted(costs, k)[:, :number] for k in range(AHEAD + 1)]
     positions = [_shifted(places[None], k)[:, :number] for k in range(AHEAD + 1)]
@@ -178,7 +176,7 @@ def improved(
 ) -> dict[int, list[Attempt]]:
     """Solve the worse case of every jump again, until no new jump appears, and return the new attempts by case.
 
-    `outcomes` are the attempts at all cases so far. `attempt(case, solution)` solves a case from the better neighbour's
+    `outcomes` has the outcome of each case. `attempt(case, solution)` solves a case from the better neighbour's
     solution. The best solution of a case is the cheapest among its outcome and its new attempts.
     """
     costs = np.array([outcome.cost if outcome.is_start else np.nan for outcome in outcomes])
@@ -232,18 +230,18 @@ class Scattered:
     clouds: tuple[_Cloud, ...]
 
     def jumps(self, costs: Costs, certain: bool = False) -> list[Pair]:
-        """Return pairs of neighbours between which the cost (n,) jumps; `certain` requires larger deviations."""
+        """Return pairs of neighbours between which the cost (n,) jumps; `certain` requires two large deviations."""
         return sorted(pair for cloud in self.clouds for pair in cloud.jumps(costs, certain))
 
     def followers(self, worse: int, better: int, costs: Costs) -> list[int]:
-        """Return the neighbours of the improved case `worse` on the side away from `better`, where it started."""
+        """Return the cases that may improve next: neighbours of `worse` on the side away from the case `better`."""
         return [other for cloud in self.clouds if worse in cloud.places for other in cloud.behind(worse, better)]
 
 
 def scattered(points: NDArray[np.float64], families: NDArray[np.intp], solved: NDArray[np.bool_]) -> Scattered:
     """Return the neighbours among n cases at points (n, quantities), scaled by the range of each quantity.
 
-    Only `solved` (n,) cases with the same number in `families` (n,) are neighbours.
+    Only `solved` (n,) cases with the same number in `families` (n,) can be neighbours.
     """
     clouds = []
     for family in np.unique(families):

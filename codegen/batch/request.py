@@ -38,11 +38,10 @@ OPTIONS = (
 
 @dataclass(frozen=True, eq=False)
 class SweepRequest:
-    """The options of a sweep: the solve that all cases share, the cases, and the storage of results.
+    """The options of a sweep: the solve that all cases share, the cases and a text about their origin, and the storage.
 
-    `origin` tells in words how the cases were made. `keep` names the arrays to store, or is None for all that fit.
-    `chunk` is the number of cases of a chunk, or None for about a second of work. `cluster` is the address of a
-    scheduler of dask, a client, "local", or None.
+    `keep` names the arrays to store, or is None for all that fit. `chunk` is the number of cases of a chunk, or None
+    for about a second of work. `cluster` is the address of a scheduler of dask, a client, "local", or None.
     """
 
     solve: Request
@@ -166,7 +165,7 @@ def quantities(names: Collection[str], module: GeneratedModule, arguments: Seque
     by_name = {quantity.name: quantity for quantity in candidates}
     for name in names:
         if name not in by_name:
-            # A duration that determines delays has derivatives but cannot vary.
+            # The duration of a problem with delays has derivatives but cannot vary.
             refused = {*duration_arguments(module)} - {*apart_from_delays(module)}
             offered = [word for word in by_name if word not in refused]
             close = difflib.get_close_matches(name, offered, 3, 0.5)

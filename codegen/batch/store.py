@@ -3,8 +3,8 @@
 All arrays of a store are created before the first solve. Every chunk of cases is one chunk of each array. So several
 workers can write at the same time, and memory does not grow with the number of cases.
 
-One sweep at a time writes to a store. A sweep that ends early reports the number of stored cases; `--resume` solves the
-others.
+Only one sweep at a time writes to a store. A sweep that ends early reports the number of stored cases; `--resume`
+solves the others.
 """
 
 from __future__ import annotations
@@ -189,16 +189,13 @@ def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[s
 
 
 def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> SweepJournal:
-    """Create a store without results, rename the complete store to `path`, and return its journal.
-
-    Raises FileError when the file system refuses.
-    """
+    """Create a store without results, rename it when complete, and return its journal; raises FileError if refused."""
     import zarr
 
     try:
         folder = Path(tempfile.mkdtemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix))
         try:
-            # xarray finds coordinates that are no dimensions in the attribute "coordinates".
+            # xarray reads the names of coordinates that are no dimensions from the attribute "coordinates".
             beside = [name for name, (dims, _) in frame.coordinates.items() if dims != (name,)]
             named = {"coordinates": " ".join(beside)} if beside else {}
             group = zarr.create_group(folder, overwrite=True, attributes={**frame.attributes, **named, DIGEST: digest})

@@ -80,10 +80,10 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
     cluster : str or distributed.Client, optional
         The address of a scheduler of dask, a client, or "local" for a new cluster on this machine.
     warm_starts : bool
-        Start an optimisation from the solution of the last solved neighbour. This takes fewer iterations for slowly
-        changing solutions, but stays at the same local optimum. The initial guess is extrapolated along the secant on a
-        straight part of the path through the cases, and with `sensitivities` along the tangent. By default neighbours
-        are tried only if the problem's own guess fails.
+        Start an optimisation from the last solved neighbour. This takes fewer iterations for slowly changing solutions,
+        but stays at the same local optimum. The initial guess is extrapolated along the secant if the path through the
+        cases is straight, and with `sensitivities` along the tangent. By default a neighbour's solution is tried only
+        if the problem's own guess fails.
     chunk : int, optional
         Number of cases that are solved and written together, by default as many as take about a second.
     sensitivities : bool

@@ -62,9 +62,8 @@ APART = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Modules:
-    """The modules of a sweep, the quantities that vary, and messages for the user.
+    """The modules (`variants`) by the texts of the arguments of problem() that vary, and messages for the user.
 
-    `arguments` names the arguments of problem() that vary; `variants` has the modules by the texts of these arguments.
     `first` is the first module that could be derived; `points` are the points of particles to connect, or None.
     """
 

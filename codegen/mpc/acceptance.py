@@ -56,8 +56,7 @@ class BestIterate:
     def iterations_per_call(self, done: int, most: int, affordable: int) -> int:
         """Return the number of iterations for the next call of the compiled search, at most `most` and `affordable`.
 
-        `done` iterations are finished. Without time or iterations left the number is 0: the search then only tests for
-        convergence.
+        `done` iterations are finished. Without time or iterations left the number is 0, for a convergence test alone.
         """
         self._called = now = self._clock()
         self._count_up_to(done)

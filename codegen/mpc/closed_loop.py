@@ -164,8 +164,7 @@ def close_loop(
     arguments : dict, optional
         Arguments of problem(), if the plant is a problem file.
     disturbances : dict of str to float or function of time, optional
-        Parameters of the plant that the controller does not know. Known disturbances belong to the `parameters` of the
-        controller.
+        Parameters of the plant that the controller does not know. Known disturbances are `parameters` of Controller.
     noise : float, array (states,) or dict of str to float
         Standard deviations of normally distributed measurement errors.
     delay : int, optional

@@ -121,7 +121,7 @@ class Controller:
         Number of intervals of the horizon.
     horizon : float, optional
         Length of the horizon in seconds, by default the problem's duration. If the duration is a parameter that other
-        formulas use, set this parameter instead.
+        formulas use, set this parameter in `parameters` instead.
     sample : float, optional
         Sampling time in seconds, by default the length of one interval.
     arguments, scheme, method
@@ -401,8 +401,7 @@ class Controller:
     ) -> tuple[Point, bool, str, str, int]:  # fmt: skip
         """Search for a plan from a guess; return (plan to apply, True if it is the guess, status, message, iterations).
 
-        `what` names the guess in messages, and `most` limits the iterations. The plan is evaluated outside the solver.
-        With a `failure` (status, message) there is no search.
+        `what` names the guess. The plan is evaluated outside the solver. With a `failure` the search is omitted.
         """
         status, message, iterations = "time limit", "time limit: there was no time for an iteration", 0
         point: Point | None = None
@@ -469,10 +468,7 @@ class Controller:
         return status, describe(grid, guess, point, status)[1], point, iterations
 
     def _warm_up(self, grid: Grid) -> Pace:
-        """Solve the problem for its own initial state, decide on scaling, and return the measured times of a step.
-
-        The solves also compile all functions before the first sampling time.
-        """
+        """Solve the problem for its own initial state: compile it, decide on scaling, and time the parts of a step."""
         module, given = self.module, self._values.given(0.0)
         if self._delay is not None:
             self._delay.state_after(self._interface.start_of(grid), 0.0, None)

@@ -234,8 +234,7 @@ class Values:
 class Grids:
     """The grids of a module with a number of steps; the last grid is used again if only the state changes.
 
-    `search` is the storage of the solver for the last grid, or None. With `is_searched` False, grids have no bounds and
-    no such storage.
+    `search` is the storage of the solver for the last grid. If `is_searched` is False, there are no storage and bounds.
     """
 
     def __init__(self, module: ControlModule, interface: Interface, steps: int, is_searched: bool = True) -> None:

@@ -34,8 +34,8 @@ VELOCITY_NEWTON_STEPS, VELOCITY_CLOSE = 20, 1e-12
 def velocities_of(momenta: Callable[[Vector], Vector], wanted: Vector, guess: Vector) -> Vector:
     """Return the velocities (coordinates,) with the momenta `wanted`, by Newton's method from an initial guess.
 
-    `momenta` maps velocities to momenta. Its Jacobian is approximated by difference quotients with step one. For
-    kinetic energies that are quadratic in velocities these are exact, and one Newton step suffices.
+    `momenta` maps velocities to momenta; its Jacobian has difference quotients with step one. For kinetic energies that
+    are quadratic in velocities they are exact, and one Newton step suffices.
     """
     v = guess
     for _ in range(VELOCITY_NEWTON_STEPS):

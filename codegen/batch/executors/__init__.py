@@ -21,7 +21,7 @@ from codegen.errors import ArgumentError, ExtraError, NumericsError, clause
 Solved: TypeAlias = "Iterator[tuple[int, Done]]"
 """An iterator over (number of a chunk, result of the chunk), in any order."""
 Executor: TypeAlias = "Callable[[Work, int], AbstractContextManager[Callable[[Sequence[int]], Solved]]]"
-"""A function (work, number of workers) -> context manager, whose value is a function (numbers of chunks) -> results.
+"""A function (work, number of workers) -> context manager of a function (numbers of chunks) -> results.
 
 Each chunk has exactly one result. If the workers of a chunk were lost several times, its result is `work.lost(...)`.
 """
@@ -54,7 +54,7 @@ EXECUTORS = {
 
 
 def executor_for(workers: int, cluster: object = None) -> Executor:
-    """Return the executor for a cluster, or without a cluster for this number of workers on this machine."""
+    """Return the dask executor if a cluster is given, else the executor for this number of workers."""
     if cluster is not None:
         running: Any = EXECUTORS["dask"].running
         return partial(running, cluster=cluster)
@@ -64,8 +64,8 @@ def executor_for(workers: int, cluster: object = None) -> Executor:
 def connected(cluster: object) -> AbstractContextManager[object]:
     """Return a context manager with the dask client of a cluster, or with None if `cluster` is None.
 
-    Raises ExtraError if dask is not installed, ClusterError if no scheduler answers or has workers, and ArgumentError
-    for an invalid value of `cluster`.
+    Raises ExtraError if dask is not installed, ClusterError if no scheduler answers or the cluster has no workers, and
+    ArgumentError for an invalid value of `cluster`.
     """
     if cluster is None:
         return nullcontext()
@@ -76,14 +76,14 @@ def connected(cluster: object) -> AbstractContextManager[object]:
 
 
 Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]
-"""A function (action, number of parts) -> context manager, whose value (finished parts, text) shows the progress."""
+"""A function (action, number of parts) -> context manager of a function (finished parts, text) that shows progress."""
 Working: TypeAlias = Callable[[str], AbstractContextManager[object]]
 """A function (action) -> context manager, which shows activity during a long step."""
 
 
 @contextmanager
 def silent(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
-    """Show no progress; a value for Progress."""
+    """Show no progress; a function of type Progress."""
     yield lambda done, text: None
 
 

@@ -3,9 +3,9 @@
 Work is small and is pickled once for each worker. Chunks are numbered from zero; a worker receives the number of a
 chunk, or a piece with its data.
 
-A journal is a file that lists the finished chunks of some work. Its lines are JSON: a header with the digest of the
-work, then one line for each chunk. A line is written after the results of its chunk. So an interrupt loses only chunks
-in progress. An incomplete last line is ignored.
+A journal file lists the finished chunks of some work as lines of JSON: a header with the digest of the work, then one
+line for each chunk. A line is written after the results of its chunk, so an interrupt loses only chunks in progress.
+An incomplete last line is ignored.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ def workers_folder() -> Path:
 
 @contextmanager
 def alone(name: str) -> Iterator[None]:
-    """Let only one process of this machine at a time run blocks with this name, if the system has file locks."""
+    """Run a block when no other process of this machine has the lock `name`, if the system has file locks."""
     folder = workers_folder()
     try:
         with _lock_file(folder, name) as file:
@@ -211,7 +211,7 @@ def alone(name: str) -> Iterator[None]:
 
 @contextmanager
 def only_one(name: str, taken: CodegenError) -> Iterator[None]:
-    """Let only one process of this machine run blocks of this name; raise `taken` in others. An exit unlocks."""
+    """Run a block with the lock `name`; raise `taken` if another process has the lock, which ends with its process."""
     try:
         file = _lock_file(workers_folder(), name)
     except OSError:  # without a cache folder there is no lock

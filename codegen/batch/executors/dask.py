@@ -1,8 +1,8 @@
 """The executor for a cluster of dask, whose workers compile modules and store the results of their chunks.
 
-The client keeps a bounded number of chunks in flight, that is sent to workers and not yet returned. So the memory of
+The client bounds the number of chunks in flight, which are sent to workers and not yet returned. So the memory of
 client and scheduler does not grow with the number of cases. The scheduler repeats chunks of lost workers. After the
-loss of the scheduler the journal allows to resume the work: a chunk that is written twice has the same numbers.
+loss of the scheduler the work can be resumed from its journal: a chunk that is written twice has the same numbers.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _RESUME = "what is written stays; begin the cluster again, and give --resume"
 def connected(cluster: object) -> Iterator[Any]:
     """Yield a client of the scheduler at an address, or `cluster` itself if it is a client or LOCAL.
 
-    Raises ClusterError if no scheduler answers or has workers, and ArgumentError for other values of `cluster`.
+    Raises ClusterError if no scheduler answers or there are no workers, and ArgumentError for other values.
     """
     if isinstance(cluster, Client):
         if cluster.asynchronous:
@@ -154,8 +154,8 @@ class _Crew:
     def solve(self, numbers: Sequence[int]) -> Solved:
         """Keep the queues of the workers filled, and yield the result of each chunk when it is finished.
 
-        A lost worker may have had an innocent chunk in its queue. So chunks with lost workers are repeated at the end,
-        one at a time.
+        A chunk can be lost because of another chunk that ended its worker. So lost chunks are repeated one at a time
+        after all others.
         """
         waiting, suspects = iter(numbers), list[int]()
         while True:
