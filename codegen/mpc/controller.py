@@ -53,8 +53,8 @@ class Feedback:
         Inputs in the units of the problem, which act from the time t, or t plus the delay, until the next inputs act.
     status : str
         "solved" if all equations hold to the tolerance, evaluated outside the solver. "iteration limit" or "time limit"
-        if iterations or time were used up, "non-finite" for example if the measured state has a number that is not
-        finite, otherwise the kind of failure.
+        if iterations or time were used up. "non-finite" for example if the measured state has a number that is not
+        finite. Otherwise the kind of failure.
     message : str
         A sentence that explains the status.
     cost, residual : float
