@@ -1,1 +1,1 @@
-"""Many solves: cases, executors, stores."""
+"""Sweeps, which are many solves of one problem: their cases, executors and stores."""

@@ -1,10 +1,11 @@
-"""One solve of one case of a sweep, and its start.
+"""The solve of one case of a sweep, and the choice of its initial guess.
 
-A case starts from its own guess. If that fails, or before it with warm starts, the case starts from solved neighbours
-on the path through the cases. On a straight part of the path the start extrapolates the last two solutions along their
-secant. With derivatives of the last solution it follows the parabola with that tangent, or elsewhere the tangent alone.
-On a grid of cases the error of secant and tangent is of second order in the distance, that of the parabola of third
-order. Source: Allgower and Georg (1990), Numerical continuation methods, chapters 2 and 6.
+A case is solved from the problem's own guess and, if this fails, from solutions of neighbouring cases. With warm starts
+the solution of the last solved case comes first. On a straight part of the path through the cases this guess
+extrapolates the last two solutions along their secant. With derivatives of the last solution, the guess follows the
+parabola with this tangent, or on a curved path the tangent. On a grid the errors of secant and tangent are of second
+order in the distance of the cases, and the error of the parabola is of third order. Source: Allgower and Georg (1990),
+Numerical continuation methods, chapters 2 and 6.
 """
 
 from __future__ import annotations
@@ -34,16 +35,16 @@ from codegen.solving.warm_start import transferred
 from codegen.solving.warm_start import varied as varied_guess
 
 OTHERS = 3
-"""Number of neighbours that are tried after the problem's own guess."""
+"""Number of neighbouring solutions that are tried after the problem's own guess."""
 FARTHEST = 2.0
-"""Largest extrapolation along a secant, relative to the distance of its two solutions."""
+"""Largest extrapolation along a secant, relative to the distance between its two cases."""
 STRAIGHT = 1e-6
 """Largest relative deviation of a step from the direction of the previous one on a straight path."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """A solution to start from, moved by `factor` times its difference from `before`, along its tangent, or both."""
+    """A start from a solution, moved by `factor` times its difference from `before`, along its tangent, or both."""
 
     solution: Attempt
     before: Attempt | None = None
@@ -52,11 +53,11 @@ class Start:
 
 
 class Continuation:
-    """The solutions of a chunk so far, and the starts of the next case.
+    """The solutions of a chunk so far, and the choice of the starts for the next case.
 
-    `points` (n, quantities) are the cases scaled by the range of each quantity. `families` (n,) numbers the modules of
-    cases: only cases of the same family start from each other. With `warm` starts the last neighbour is tried before
-    the problem's own guess.
+    `points` (n, quantities) are the n cases, scaled by the range of each quantity. `families` (n,) has equal numbers
+    for cases with the same module and guess: only such cases start from each other. With `warm` starts the last
+    solution is tried before the problem's own guess.
     """
 
     def __init__(self, points: Matrix, families: NDArray[np.intp], warm: bool) -> None:
@@ -66,10 +67,10 @@ class Continuation:
         self._path: dict[int, list[int]] = {}
 
     def solve(self, index: int, attempt: Callable[[Start | None], Attempt]) -> list[Attempt]:
-        """Return the attempts at a case; the last one is its outcome.
+        """Solve a case from one start after the other and return all attempts; the last attempt is the outcome.
 
-        The outcome is the first solved attempt, else the attempt from the problem's own guess. `attempt` solves from a
-        start, or from the own guess for None.
+        The outcome is the first solved attempt, else the attempt from the problem's own guess. `attempt` solves the
+        case from its argument, or from the problem's own guess if the argument is None.
         """
         attempts: list[Attempt] = []
         from_guess: Attempt | None = None
@@ -101,7 +102,7 @@ class Continuation:
                 yield Start(self._solved[others[k]])
 
     def _first(self, index: int, path: Sequence[int]) -> Start | None:
-        """Return the last solution, moved along its tangent, and along the secant if the path is straight."""
+        """Return the start from the last solution on the path, extrapolated if possible; None for an empty path."""
         if not path:
             return None
         last = self._solved[path[-1]]
@@ -124,13 +125,13 @@ OF_SWEEPS = {
     NOT_BUILT: "the module of the case could not be derived",
     LOST: "process after process ended while it solved the case's chunk",
 }
-"""Statuses of cases that are errors of single solves."""
+"""Statuses of cases whose single solve would raise an error, and their meanings."""
 MEANINGS = {**STATUSES, **OF_SWEEPS}
 
 
 @dataclass(frozen=True)
 class Variant:
-    """The module for some values of arguments of problem(): its file, or None for a loaded module, and its arrays.
+    """The module for one combination of arguments of problem(): its file, or None without a file, and its arrays.
 
     `shapes` is None if the module could not be derived; then `message` gives the reason.
     """
@@ -142,7 +143,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One solve of a case, with its number of intervals of each phase or segment, and its derivatives, if requested."""
+    """The result of a solve on `steps` intervals of each phase or segment; `rates` has the requested derivatives."""
 
     outline: Outline
     steps: int
@@ -151,17 +152,17 @@ class Attempt:
     rates: CaseRates | None = None
 
     def without_arrays(self) -> Attempt:
-        """Return the attempt without arrays, with the unknowns and the tangent that other cases start from."""
+        """Delete the arrays, and return the attempt with the unknowns and the tangent for starts of other cases."""
         self.outline.arrays.clear()  # a copy would take a hundredth of the time of a solve
         return self if self.rates is None else replace(self, rates=CaseRates(tangent=self.rates.tangent))
 
     def without_tangent(self) -> Attempt:
-        """Return the attempt without derivatives."""
+        """Return the attempt without derivatives if it has a tangent, else unchanged."""
         return replace(self, rates=None) if self.has_tangent else self
 
     @property
     def has_tangent(self) -> bool:
-        """True if other cases can start along a tangent."""
+        """True if the derivatives for a start along the tangent exist."""
         return self.rates is not None and self.rates.tangent is not None
 
     @property
@@ -181,12 +182,12 @@ class Attempt:
 
 
 def failed(status: str, message: str) -> Attempt:
-    """Return an attempt without a solution."""
+    """Return an attempt with this status and message, and without a solution."""
     return Attempt(Outline(status, one_line(message), None, math.nan, {}, None), 0, 0, 0.0)
 
 
 class Varied:
-    """A module with parameter overrides that change from case to case, and the run of the driver.
+    """A module whose parameter overrides change from case to case, its driver, and the options `run` of each solve.
 
     `wanted` are the requested derivatives, or None.
     """
@@ -198,7 +199,7 @@ class Varied:
         self._module = with_arguments(module)
 
     def given(self, values: Mapping[Quantity, float]) -> Any:
-        """Return the module with the values of a case; the next call replaces them."""
+        """Return the module with the values of a case as parameter overrides; the next call replaces these values."""
         arguments = given_to(values)
         if is_connect(self.module):
             return with_arguments(self.module, **arguments)
@@ -211,9 +212,9 @@ class Varied:
 
 
 def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start | None) -> Attempt:
-    """Solve a case from a neighbour's solution, or from the problem's own guess for None.
+    """Solve a case from `start`, or from the problem's own guess if `start` is None, and return the attempt.
 
-    Unusable numbers are a status. A case is solved only if all equations hold when evaluated outside the driver.
+    Unusable values give the status UNUSABLE. A case is solved only if all equations hold, evaluated outside the driver.
     """
     module = varied.given(values)
     of_kind = {quantity.kind: value for quantity, value in values.items()}
@@ -245,7 +246,7 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start | 
 
 
 def _unknowns(module: ControlModule, steps: int, start: Start, values: Mapping[Quantity, float]) -> Vector:
-    """Return the unknowns (n,) of a start on a number of intervals; see the docstring of this module."""
+    """Return the initial guess (n,) of a start for `steps` intervals; see the docstring of this module."""
     unknowns, rates = start.solution.outline.unknowns, start.solution.rates
     assert unknowns is not None, "only solutions with unknowns are starts"
     if start.solution.steps != steps:

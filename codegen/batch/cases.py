@@ -1,10 +1,10 @@
 """The cases of a sweep: a grid of values, a table with a row for each case, or samples of distributions.
 
-Values are numbers, or texts for arguments of problem() that take words. A grid stores the values of each quantity once,
-so its size is the sum of the axes and not their product.
+Values are numbers, or texts for arguments of problem() that take words. A grid stores the values of each quantity once.
+So its memory grows with the sum of the numbers of values, not with the number of cases.
 
-Samples follow distributions of scipy.stats, at random points, a Latin hypercube or a Sobol sequence. Sources: McKay,
-Beckman and Conover (1979) for Latin hypercubes; Sobol' (1967) and Owen (1998) for scrambled sequences.
+Samples follow distributions of scipy.stats. Their quantiles are random points, a Latin hypercube or a Sobol sequence.
+Sources: McKay, Beckman and Conover (1979) for Latin hypercubes; Sobol' (1967) and Owen (1998) for scrambled sequences.
 """
 
 from __future__ import annotations
@@ -29,15 +29,16 @@ from codegen.errors import ArgumentError, NumericsError, clause, one_line
 Values: TypeAlias = NDArray[np.float64] | NDArray[np.str_]
 MOST_CASES = 100_000_000
 CASE = "case"
-"""The single dimension of cases that are no grid."""
+"""Name of the only dimension of cases from a table or from samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cases:
     """The values of the varied quantities, and the dimension along which each quantity varies.
 
-    `columns` has an array (n,) for each quantity, as long as its dimension `axes[name]`. The number of cases is the
-    product of `shape`; the last dimension varies fastest. `lines` (n,) are the lines in `file`, if the cases were read.
+    `dims` and `shape` are the names and lengths of the dimensions; the last dimension varies fastest. `axes[name]` is
+    the index of a quantity's dimension, and `columns[name]` (n,) its values along this dimension. `lines` (n,) are the
+    line numbers of cases that were read from `file`.
     """
 
     dims: tuple[str, ...]
@@ -63,33 +64,33 @@ class Cases:
         return self.dims != (CASE,)
 
     def origin(self, row: int) -> str:
-        """Return the start of a message with file and line of a row, empty for cases without a file."""
+        """Return "FILE:LINE: " as a prefix of messages about a row, or an empty text for cases without a file."""
         return "" if self.lines is None else f"{self.file}:{self.lines[row]}: "
 
     def places(self, indices: NDArray[np.intp]) -> dict[str, NDArray[np.intp]]:
-        """Return the indices (n,) of n cases in the column of each quantity."""
+        """Return, for each quantity, the indices (n,) into its column for the cases with these indices (n,)."""
         along = np.unravel_index(indices, self.shape)
         return {name: np.asarray(along[axis]) for name, axis in self.axes.items()}
 
     def chosen(self, indices: NDArray[np.intp]) -> dict[str, Values]:
-        """Return the values of n cases, a column (n,) for each quantity."""
+        """Return the values (n,) of each quantity for the cases with these indices (n,)."""
         return {name: self.columns[name][place] for name, place in self.places(indices).items()}
 
     def values(self, indices: NDArray[np.intp]) -> list[dict[str, float | str]]:
-        """Return the values of some cases by name."""
+        """Return a mapping of names to values for each of the cases with these indices (n,)."""
         return rows_of(self.chosen(indices))
 
     def points(self, indices: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return cases as points (n, quantities), each quantity scaled by its range; words are numbered."""
+        """Return the cases with these indices (n,) as points (n, quantities); each quantity is scaled by its range."""
         return np.column_stack([self._scaled(name, column) for name, column in self.chosen(indices).items()])
 
     def points_along(self, axis: int) -> NDArray[np.float64]:
-        """Return the scaled values of the quantities of a dimension as points (n, quantities)."""
+        """Return the n values along one dimension as points (n, quantities), each scaled by its range."""
         own = [name for name, place in self.axes.items() if place == axis]
         return np.column_stack([self._scaled(name, self.columns[name]) for name in own])
 
     def _scaled(self, name: str, column: Values) -> NDArray[np.float64]:
-        """Return values relative to the range of a quantity, or the numbers of words."""
+        """Return (value - least value) / range for numbers, and the position in sorted order for texts."""
         known = self._ranges[name]
         if not isinstance(known, tuple):
             return np.searchsorted(known, column).astype(float)
@@ -98,7 +99,7 @@ class Cases:
 
     @cached_property
     def _ranges(self) -> dict[str, tuple[float, float] | NDArray[np.str_]]:
-        """The least value and the extent of each quantity, or its words: columns may be long, and chunks many."""
+        """The least value and the range of each quantity, or its sorted texts; stored, because columns may be long."""
         return {
             name: np.unique(column).astype(np.str_)
             if column.dtype.kind == "U"
@@ -108,12 +109,12 @@ class Cases:
 
 
 def rows_of(columns: Mapping[str, Values]) -> list[dict[str, float | str]]:
-    """Return the values by name of each row of columns (n,)."""
+    """Return each row of the columns (n,) as a mapping of names to values."""
     return [dict(zip(columns, row)) for row in zip(*(column.tolist() for column in columns.values()), strict=True)]
 
 
 def grid(axes: Mapping[str, object], zipped: Sequence[Sequence[str]] = ()) -> Cases:
-    """Return all combinations of the values of each quantity; a zipped group varies along one dimension.
+    """Return all combinations of the values of each quantity; a zipped group of names varies along one dimension.
 
     Raises ArgumentError for invalid values, and for names that cannot be zipped.
     """
@@ -158,7 +159,7 @@ def values_of(name: str, values: object) -> Values:
 
 
 def axis_of(item: str) -> tuple[str, Values]:
-    """Return name and values of `--vary`: NAME=first:last:count or NAME=a,b,c; raises ArgumentError for other texts."""
+    """Return the name and values of `--vary NAME=first:last:count` or `NAME=a,b,c`; raises ArgumentError otherwise."""
     name, text = assigned("--vary", item, "r1=5.5:6.5:101")
     if ":" not in text:
         words = [word.strip() for word in text.split(",")]
@@ -177,7 +178,7 @@ def axis_of(item: str) -> tuple[str, Values]:
 
 
 def assigned(option: str, item: str, example: str) -> tuple[str, str]:
-    """Return both sides of NAME=TEXT; raises ArgumentError if one is missing."""
+    """Return name and text of an item NAME=TEXT of an option; raises ArgumentError if one of them is missing."""
     name, equals, text = item.partition("=")
     if not (name.strip() and equals and text.strip()):
         raise ArgumentError(clause(f"{option} {item!r} is not of the form NAME=..."), f"write {option} {example}")
@@ -185,7 +186,7 @@ def assigned(option: str, item: str, example: str) -> tuple[str, str]:
 
 
 def number_of(what: str, text: str) -> float:
-    """Return a finite number; raises ArgumentError for another text."""
+    """Return the finite number in a text; raises ArgumentError, with a message about `what`, for another text."""
     try:
         number = float(text)
     except ValueError:
@@ -196,7 +197,7 @@ def number_of(what: str, text: str) -> float:
 
 
 def _column(words: Sequence[str]) -> Values:
-    """Return numbers if all words are numbers, else texts."""
+    """Return an array of numbers if all words are numbers, else an array of texts."""
     try:
         return np.array([float(word) for word in words])
     except ValueError:
@@ -224,7 +225,7 @@ def table(source: Any) -> Cases:
 
 
 def _table_of(path: Path) -> Cases:
-    """Return the cases of a file, with their lines."""
+    """Return the cases of a file of comma-separated values, with their line numbers."""
     texts: dict[str, list[str]] = {}
     numbers = list[int]()
     try:
@@ -262,7 +263,7 @@ def _table_of(path: Path) -> Cases:
 
 
 def as_rows(columns: Mapping[str, Values], number: int) -> Cases:
-    """Return cases along a single dimension."""
+    """Return cases along a single dimension, from columns (number,)."""
     return Cases((CASE,), (number,), columns, dict.fromkeys(columns, 0))
 
 
@@ -297,7 +298,7 @@ SAMPLINGS: dict[str, Callable[[int, int, np.random.Generator], NDArray[np.float6
 
 @runtime_checkable
 class Distribution(Protocol):
-    """A frozen distribution of scipy."""
+    """A distribution of scipy.stats with fixed parameters ("frozen")."""
 
     def ppf(self, q: object) -> NDArray[np.float64]:
         """Return the quantiles of probabilities."""
@@ -322,7 +323,7 @@ PLAIN: dict[str, Callable[..., Distribution]] = {"uniform": _uniform, "normal": 
 
 
 def samples(distributions: Mapping[str, object], number: int, sampling: str, seed: int) -> Cases:
-    """Return samples of independent quantities, the same for the same sampling method and seed.
+    """Return samples of independent quantities; the same arguments give the same samples.
 
     A distribution is a text such as `normal(100, 5)`, or a frozen distribution of scipy. Raises ArgumentError for an
     invalid distribution, sampling method, number or seed.
@@ -334,7 +335,7 @@ def samples(distributions: Mapping[str, object], number: int, sampling: str, see
         raise ArgumentError(f"--seed {clause(repr(seed))}", "give a whole number that is not negative")
     frozen = {name: _distribution(name, text) for name, text in distributions.items()}
     points = SAMPLINGS[sampling](number, len(frozen), np.random.default_rng(seed))
-    # Most distributions are infinite at 0 and 1.
+    # Quantiles of most distributions are infinite at 0 and 1.
     points = np.clip(points, 2.0**-53, 1.0 - 2.0**-53)
     columns = {}
     for (name, distribution), places in zip(frozen.items(), points.T, strict=True):
@@ -353,7 +354,7 @@ def require_sampling(sampling: str) -> None:
 
 
 def _distribution(name: str, distribution: object) -> Distribution:
-    """Return a frozen distribution of scipy; raises ArgumentError for an invalid text."""
+    """Return the frozen distribution that a text or object describes; raises ArgumentError for an invalid text."""
     if isinstance(distribution, Distribution):
         return distribution
     from scipy import stats
@@ -377,7 +378,7 @@ def _distribution(name: str, distribution: object) -> Distribution:
     try:
         frozen = constructor(*positional, **named)
         frozen.ppf(0.5)
-    except TypeError:  # its text names internal functions
+    except TypeError:  # its message names internal functions: write another one
         if family in PLAIN:
             arguments = list(inspect.signature(constructor).parameters)
         else:

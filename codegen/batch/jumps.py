@@ -1,16 +1,16 @@
-"""Jumps of the cost between local optima of neighbouring cases.
+"""The detection of jumps of the cost between neighbouring cases whose solves ended in different local optima.
 
-On a grid, consider the cost along a line. For a smooth cost, the difference of two neighbours lies between the
-predictions from the slopes on both sides, or close to them. This remains true where one branch of optima takes over
-from another at equal cost. The difference lies outside where a search has ended in the worse of two optima. At an end
-of a line, or next to a failed case, there is one slope only. There a parabola and a cubic through the following costs
-predict the cost. A deviation at an end is worth a new solve, but it is no certain jump, because a smooth cost may grow
-faster towards an end.
+Consider the cost along a line of a grid. The slopes on both sides of two neighbours predict the difference of their
+costs. For a smooth cost, the difference lies between these predictions or close to them. This remains true where two
+branches of optima meet at equal cost. If a solve has ended in the worse of two optima, the difference lies outside. At
+an end of a line, or next to a failed case, only one slope exists. There a parabola and a cubic through the next costs
+predict the cost. A deviation at an end justifies a new solve, but is no certain jump: a smooth cost may grow faster
+towards an end.
 
-Scattered cases are samples and rows of tables. The slope at a case is that of a plane through the case and those of its
-neighbours that lie away from the other case. If both predictions err to the same side there is a jump. The allowed
-error follows from the surroundings: it is the median error of predictions there, relative to their second-order terms.
-Source of planes through scattered neighbours: Lancaster and Salkauskas (1981), Mathematics of Computation 37.
+Scattered cases are samples and rows of tables. For a pair of cases, the slope at a case is the slope of a plane through
+this case and its neighbours on the side away from the other case. If both predictions err to the same side, the cost
+jumps. The allowed error is the median error of predictions nearby, relative to their second-order terms. Source of
+planes through scattered neighbours: Lancaster and Salkauskas (1981), Mathematics of Computation 37.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ if TYPE_CHECKING:
 
 Costs: TypeAlias = NDArray[np.float64]
 Pair: TypeAlias = tuple[int, int]
-"""A case on the worse side of a jump and its neighbour on the better side; the last dimension varies fastest."""
+"""Indices (worse, better) of two neighbouring cases with a jump of the cost; the last dimension varies fastest."""
 
 LEAST = 4
-"""Least number of values of a quantity for which jumps can be detected."""
+"""Least number of values along a dimension for which jumps are detected."""
 BENT, STEEP, ROUNDING = 0.5, 0.05, 1e-6
-"""Allowed deviation from the predictions, relative to their distance, to the larger one, and to the cost."""
+"""Allowed deviation from two predictions, relative to their difference, to the larger prediction, and to the cost."""
 BENT_AT_ENDS = 4.0
-"""The first of these factors at the ends of lines, for certain jumps."""
+"""Value that replaces BENT at the ends of lines, where one of the slopes is extrapolated."""
 AHEAD = 4
-"""Number of values that predict the cost at an end; with one less, the prediction is less certain."""
+"""Number of costs that predict the cost at an end; with three costs the prediction is less certain."""
 
 
 def jumps_of(costs: Costs, places: Sequence[NDArray[np.float64]], certain: bool = False) -> list[Pair]:
     """Return pairs of neighbours on a grid of costs between which the cost jumps; NaN (no solution) is skipped.
 
-    `certain` jumps exclude kinks, where one curved branch of optima ends and another one begins. `places` has the
-    positions (n,) along each dimension, or is empty for a dimension of words.
+    `places` has the positions (n,) along each dimension, or is empty for a dimension of texts. `certain` excludes
+    deviations at ends, and kinks, where one curved branch of optima ends and another one begins.
     """
     numbers = np.arange(costs.size).reshape(costs.shape)
     found: list[Pair] = []
@@ -61,9 +61,9 @@ def jumps_of(costs: Costs, places: Sequence[NDArray[np.float64]], certain: bool 
 def _of_lines(
     costs: Costs, distances: NDArray[np.float64], certain: bool
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return for pairs (lines, n - 1) of neighbours whether the later one, and whether the earlier one, is worse.
+    """Return two arrays (lines, n - 1), True for pairs of neighbours whose later, or whose earlier, cost is too high.
 
-    Values may decrease along a line. A pair at equal positions has no slope and is never a jump.
+    `costs` are (lines, n). `distances` (n - 1,) of neighbours may be negative; a pair at distance 0 is never a jump.
     """
     with np.errstate(all="ignore"):
         steps = np.diff(costs, axis=1)
@@ -90,12 +90,12 @@ def _of_lines(
 
 
 def _of_ends(costs: Costs, places: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return for pairs (lines, n - 1) behind an unsolved case whether the first cost is too high, and too low."""
+    """Return two arrays (lines, n - 1), True where a cost without solved predecessor is too high, or too low."""
     number = places.size - 1
     later = [_shifted(costs, k)[:, :number] for k in range(AHEAD + 1)]
     positions = [_shifted(places[None], k)[:, :number] for k in range(AHEAD + 1)]
     line, parabola, cubic = (_polynomial(later[1:k], positions[1:k], positions[0]) for k in (3, 4, 5))
-    # Four values have no cubic: the error of the line bounds the error of the parabola.
+    # Without enough costs for a cubic, the error of the line bounds the error of the parabola.
     low = np.where(np.isnan(cubic), np.minimum(line, 2.0 * parabola - line), np.minimum(parabola, cubic))
     high = np.where(np.isnan(cubic), np.maximum(line, 2.0 * parabola - line), np.maximum(parabola, cubic))
     step = np.maximum.reduce([np.abs(value - later[1]) for value in (line, low, high)])
@@ -108,12 +108,12 @@ def _of_ends(costs: Costs, places: NDArray[np.float64]) -> tuple[NDArray[np.bool
 
 
 def _shifted(values: Costs, places: int) -> Costs:
-    """Return rows (lines, n) shifted by some places, with NaN at their end."""
+    """Return rows (lines, n) shifted to the left by `places` entries, with NaN at their ends."""
     return np.column_stack([values[:, places:], np.full((len(values), places), np.nan)])
 
 
 def _polynomial(values: Sequence[Costs], places: Sequence[Costs], place: Costs) -> Costs:
-    """Return the value at a position of the interpolation polynomial; Neville's algorithm."""
+    """Return the value at `place` of the polynomial through `values` at `places`, by Neville's algorithm."""
     table = list(values)
     for degree in range(1, len(table)):
         for k in range(len(table) - degree):
@@ -123,9 +123,9 @@ def _polynomial(values: Sequence[Costs], places: Sequence[Costs], place: Costs) 
 
 
 def along_dimensions(points: Costs, shape: Sequence[int]) -> list[NDArray[np.float64]]:
-    """Return the positions of the rows of a grid along its dimensions, from the points (n, quantities) of its cells.
+    """Return the positions along each dimension of a grid, from the points (n, quantities) of all its cases.
 
-    For quantities that vary together the position is the length of the path through their values.
+    For quantities that vary together, the position is the length of the path through their values.
     """
     cells, number = points.reshape(*shape, -1), points.shape[1]
     lines = (np.moveaxis(cells, axis, 0).reshape(size, -1, number)[:, 0] for axis, size in enumerate(shape))
@@ -133,14 +133,14 @@ def along_dimensions(points: Costs, shape: Sequence[int]) -> list[NDArray[np.flo
 
 
 def along(points: Costs) -> NDArray[np.float64]:
-    """Return the distance of points (n, quantities) from the first one along the path through them."""
+    """Return the distance (n,) of each point (n, quantities) from the first point, along the path through them."""
     parts = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(parts)])
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The neighbours on a grid of cases, or a block of one, by its shape and the `places` of `jumps_of`."""
+    """The neighbours on a grid of cases or a block of a grid; `places` are the positions as for `jumps_of`."""
 
     shape: tuple[int, ...]
     places: tuple[NDArray[np.float64], ...]
@@ -150,17 +150,17 @@ class Grid:
         return jumps_of(costs.reshape(self.shape), self.places, certain)
 
     def followers(self, worse: int, better: int, costs: Costs) -> list[int]:
-        """Return the cases that an improved case may improve: the case behind it, and at an end the neighbour it
-        started from.
+        """Return the cases that may improve from the new solution of case `worse`, found from case `better`.
 
-        At an end no slope tells which of two costs lies on the better branch.
+        These are the next case in the same direction and, at an end, the case `better`: no slope tells there which
+        cost lies on the better branch.
         """
         place, origin = (np.array(np.unravel_index(k, self.shape)) for k in (worse, better))
         behind = self._solved(2 * place - origin, costs)
         return behind if self._solved(2 * origin - place, costs) else [*behind, better]
 
     def _solved(self, place: NDArray[np.intp], costs: Costs) -> list[int]:
-        """Return the case at an index of the grid, if it exists and has a solution."""
+        """Return a list with the case at a grid index, empty if the case does not exist or has no solution."""
         if (place < 0).any() or (place >= self.shape).any():
             return []
         case = int(np.ravel_multi_index(tuple(place), self.shape))
@@ -168,16 +168,16 @@ class Grid:
 
 
 BETTER = 1e-7
-"""Least relative reduction of the cost by another solution."""
+"""Least relative reduction of the cost by which another solution counts as better."""
 
 
 def improved(
     outcomes: Sequence[Attempt], neighbours: Neighbours, attempt: Callable[[int, Attempt], Attempt]
 ) -> dict[int, list[Attempt]]:
-    """Solve the worse side of every jump from its neighbour, and new jumps likewise, until nothing improves.
+    """Solve the worse case of every jump again, until no new jump appears, and return the new attempts by case.
 
-    `outcomes` are the outcomes of all cases; `attempt` solves a case from a solution. Returns the further attempts by
-    case. The best solution is the cheapest of these and of the outcome.
+    `outcomes` has the outcome of each case. `attempt(case, solution)` solves a case from the better neighbour's
+    solution. The best solution of a case is the cheapest among its outcome and its new attempts.
     """
     costs = np.array([outcome.cost if outcome.is_start else np.nan for outcome in outcomes])
     best, tried = list(outcomes), set[tuple[int, int, float]]()
@@ -201,47 +201,47 @@ def improved(
 
 
 def is_better(one: Attempt, other: Attempt) -> bool:
-    """Return True if a solution costs less than another solution of the same case, beyond rounding."""
+    """Return True if `one` is a solution that costs less than `other`, by more than the relative reduction BETTER."""
     return one.is_start and one.cost < other.cost - BETTER * abs(other.cost)
 
 
 SCATTERED_LEAST = 2
-"""Least number of cases, for each quantity and one more, for which jumps can be detected."""
+"""Jumps are detected among at least this number of cases times (quantities + 1)."""
 NEAR, MOST_NEAR, AROUND = 2, 6, 4
-"""Neighbours for each quantity that a case is compared with, at most MOST_NEAR; neighbours for each quantity in a
-slope.
+"""Number of neighbours per quantity that a case is compared with, at most MOST_NEAR in total; number of neighbours
+per quantity that determine a slope.
 """
 OFF, OFF_AT_ENDS = 2.0, 8.0
-"""Allowed errors of predictions relative to the surroundings; with one prediction only."""
+"""Allowed errors relative to the median error nearby, for pairs with two predictions and with one prediction."""
 CERTAIN = 2.0
 """Factor on the allowed errors for certain jumps."""
 MISSED, FARTHEST = 0.01, 50.0
-"""Limits of a prediction: the relative part of the way that its neighbours miss, and its second-order terms relative to
-the square of the way.
+"""Limits of a valid prediction: the part of the vector between the two cases that the weighted neighbours miss, and the
+second-order terms relative to the square of the distance.
 """
 _BLOCK = 4096
-"""Number of predictions that are computed at a time to bound the memory."""
+"""Number of predictions that are computed together, which bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scattered:
-    """The solved cases of a chunk, in clouds of cases that can be compared with each other."""
+    """The neighbours among the solved cases of a chunk; each cloud has the cases of one family."""
 
     clouds: tuple[_Cloud, ...]
 
     def jumps(self, costs: Costs, certain: bool = False) -> list[Pair]:
-        """Return pairs of neighbours between which the cost (n,) jumps; `certain` jumps have large errors."""
+        """Return pairs of neighbours between which the cost (n,) jumps; `certain` requires two large deviations."""
         return sorted(pair for cloud in self.clouds for pair in cloud.jumps(costs, certain))
 
     def followers(self, worse: int, better: int, costs: Costs) -> list[int]:
-        """Return the neighbours behind an improved case, seen from the neighbour that it started from."""
+        """Return the cases that may improve next: neighbours of `worse` on the side away from the case `better`."""
         return [other for cloud in self.clouds if worse in cloud.places for other in cloud.behind(worse, better)]
 
 
 def scattered(points: NDArray[np.float64], families: NDArray[np.intp], solved: NDArray[np.bool_]) -> Scattered:
-    """Return the neighbours among scaled points (n, quantities) of a chunk, within each family (n,).
+    """Return the neighbours among n cases at points (n, quantities), scaled by the range of each quantity.
 
-    Cases that are not `solved` (n,) have no cost.
+    Only `solved` (n,) cases with the same number in `families` (n,) can be neighbours.
     """
     clouds = []
     for family in np.unique(families):
@@ -268,11 +268,11 @@ def scattered(points: NDArray[np.float64], families: NDArray[np.intp], solved: N
 
 @dataclass(frozen=True, eq=False)
 class _Cloud:
-    """Cases (n,) by their numbers in the chunk, their points, and the nearest `around` (n, k) each.
+    """The n cases of a family: their numbers `own` (n,) in the chunk, points, and nearest neighbours `around` (n, k).
 
-    The first m of these are compared with the case. `weights` (2, n, m, k) are the weights of cost differences in the
-    predictions, from a case to its neighbour and back. Second-order terms `seconds` (2, n, m) are NaN without a
-    prediction.
+    A case is compared with its first m neighbours. A predicted cost difference is a sum of known cost differences with
+    `weights` (2, n, m, k), from the case to its neighbour and back. The second-order terms `seconds` (2, n, m) are NaN
+    without a valid prediction. `places` is the inverse of `own`.
     """
 
     own: NDArray[np.intp]
@@ -283,7 +283,7 @@ class _Cloud:
     places: dict[int, int]
 
     def jumps(self, costs: Costs, certain: bool) -> Iterator[Pair]:
-        """Yield pairs (worse, better) between which the cost jumps, by their numbers in the chunk."""
+        """Return pairs (worse, better) of cases between which the cost jumps, by their numbers in the chunk."""
         own = costs[self.own]
         near = self.around[:, : self.seconds.shape[2]]
         step = own[near] - own[:, None]
@@ -291,7 +291,7 @@ class _Cloud:
         back = np.einsum("nmk,nmk->nm", self.weights[1], own[self.around[near]] - own[near][..., None])
         with np.errstate(invalid="ignore"):
             off = np.where(np.isnan(self.seconds), np.nan, np.stack([step - ahead, -step - back]))
-            # The median error about each case (n,), from errors (2, n, m).
+            # The median error (n,) around each case, from relative errors (2, n, m).
             errors = np.abs(off) / self.seconds
             each = _middle(np.concatenate([errors[0], errors[1]], axis=1))
             usual = _middle(np.column_stack([each, each[self.around]]))
@@ -308,7 +308,7 @@ class _Cloud:
         return iter({(int(self.own[worse]), int(self.own[better])) for worse, better in pairs})
 
     def behind(self, worse: int, better: int) -> list[int]:
-        """Return the neighbours of a case that lie away from another one."""
+        """Return the neighbours of the case `worse` on the side away from the case `better`."""
         case, other = self.places[worse], self.places[better]
         near = self.around[case, : self.seconds.shape[2]]
         ahead = (self.points[near] - self.points[case]) @ (self.points[case] - self.points[other])
@@ -316,11 +316,11 @@ class _Cloud:
 
 
 def _apart_first(points: NDArray[np.float64], around: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the neighbours (n, k) of points in another order: Gabriel neighbours first.
+    """Return the neighbours `around` (n, k) of points (n, d), reordered with Gabriel neighbours first.
 
-    The ball about a point and its Gabriel neighbour has no other neighbour inside. So each point has neighbours to all
-    sides. Source: Gabriel and Sokal (1969), Systematic Zoology 18, A new statistical approach to geographic variation
-    analysis.
+    The line from a point to its Gabriel neighbour is the diameter of a ball without other neighbours. So the first
+    neighbours lie on all sides. Source: Gabriel and Sokal (1969), Systematic Zoology 18, A new statistical approach to
+    geographic variation analysis.
     """
     ordered = []
     for k in range(0, len(around), _BLOCK // 8):
@@ -336,7 +336,7 @@ def _apart_first(points: NDArray[np.float64], around: NDArray[np.intp]) -> NDArr
 def _predictions(
     points: NDArray[np.float64], around: NDArray[np.intp], begins: NDArray[np.intp], ends: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return weights (p, k) that predict the step from each of p cases to another, and second-order terms (p,)."""
+    """Return the results of `_slopes` for p pairs of cases with the indices `begins` (p,) and `ends` (p,)."""
     parts = [
         _slopes(points[around[begins[k : k + _BLOCK]]] - points[begins[k : k + _BLOCK], None],
                 points[ends[k : k + _BLOCK]] - points[begins[k : k + _BLOCK]])
@@ -347,16 +347,17 @@ def _predictions(
 
 
 def _slopes(others: NDArray[np.float64], ways: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return weights (p, k) of the costs at `others` (p, k, d) in the prediction of a plane along `ways` (p, d).
+    """Return weights (p, k) of cost differences in the prediction along `ways` (p, d), and second-order terms (p,).
 
-    Only points behind the case have weights. Their sum of squares, each times the square of its distance, is least.
+    `others` (p, k, d) are the vectors from each case to its neighbours. Neighbours on the side of `ways` have weight
+    zero. The sum of squares of weight times distance is least. The second-order terms are NaN for invalid predictions.
     """
     squares, distance = (others**2).sum(axis=2), (ways**2).sum(axis=1)
     is_behind = ((others @ ways[:, :, None])[:, :, 0] <= 0.0) & (squares > 0.0)
     counted = np.where(is_behind, 1.0 / np.where(squares > 0.0, squares, 1.0), 0.0)
     weighted = others * counted[:, :, None]
     normal = np.swapaxes(weighted, 1, 2) @ others
-    # The regularisation covers points on a line or a plane.
+    # The regularisation keeps the matrix regular if all points lie on a line or a plane.
     size = np.trace(normal, axis1=1, axis2=2)[:, None, None]
     normal += np.where(size > 0.0, 1e-9 * size, 1.0) * np.eye(ways.shape[1])
     weights = (weighted @ np.linalg.solve(normal, ways[:, :, None]))[:, :, 0]
@@ -367,10 +368,10 @@ def _slopes(others: NDArray[np.float64], ways: NDArray[np.float64]) -> tuple[NDA
 
 
 Neighbours: TypeAlias = Grid | Scattered
-"""The neighbours among cases whose costs (n,) are NaN without a solution."""
+"""The neighbours among n cases; the costs (n,) that the methods take are NaN for cases without a solution."""
 
 
 def _middle(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the median of each row without NaN, the lower one of two."""
+    """Return the median of each row without its NaN; the lower of two middle values counts."""
     number = np.maximum(1, np.isfinite(table).sum(axis=1))
     return np.asarray(np.sort(table, axis=1)[np.arange(len(table)), (number - 1) // 2])

@@ -3,8 +3,8 @@
 Cases may differ in their number of intervals. With arguments of problem() they may differ in coordinates and controls.
 Arrays have the size of the largest case; missing entries are NaN.
 
-Chunks are blocks of cases that are solved in sequence and written at once. They depend on the sweep alone, so results
-do not depend on the number of processes.
+Chunks are blocks of cases that are solved in sequence and written together. The division into chunks does not depend on
+the number of processes, so the results do not either.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from codegen.solving.results.segments import multiplier_names, segments_of
 from codegen.solving.tasks import task_of
 
 KEPT = ("t", "q", "u")
-"""Arrays that are kept by default when all arrays would take too much space."""
+"""Arrays that are stored by default when all arrays would take too much space."""
 FITS = 250_000_000
-"""Bytes of all arrays, before compression, up to which all arrays are kept by default."""
+"""Bytes of all arrays, before compression, up to which all arrays are stored by default."""
 NUMBERS = {"cost": "f8", "residual": "f8", "iterations": "i4", "seconds": "f8"}
 JUMPS = {"improvement": "f8", "jump": "i4"}
-"""Numbers of each case of sweeps that look for jumps: the gain from a new start, and 1 where a jump remains."""
+"""Additional numbers of each case if jumps are detected: the reduction of the cost by a new start, and 1 at a jump."""
 WORDS = ("status", "message")
 _COLUMNS = {"q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier"}
-"""The column dimension of arrays that have columns."""
+"""Name of the column dimension of each array with columns."""
 _ALL = ("t", "q", "p", "u", "multipliers", "energy")
 RATE = "d_"
 """Prefix of the names of derivatives."""
 BY = "by"
-"""The dimension of the quantities that derivatives are taken by."""
+"""Name of the dimension of the quantities with respect to which derivatives are taken."""
 _RATES = ("t", "q", "p", "u", "multipliers")
-"""Arrays with derivatives."""
+"""Arrays whose derivatives can be stored."""
 RESERVED = frozenset(
     (
         *(*_ALL, *NUMBERS, *JUMPS, *WORDS, *_COLUMNS.values(), "node", "interval", "stage", "case"),
@@ -58,8 +58,9 @@ class Shapes:
     """The arrays of one module: the kind of their rows, and the names of their columns.
 
     `rows` maps an array to `node`, or to its number of rows on an interval. `parts` is the number of phases, each with
-    all intervals; `segments` is the number of segments, which share the intervals. `steps` is the problem's own number
-    of steps, `free` names the free parameters, `by` the quantities that derivatives are taken by.
+    all intervals; `segments` is the number of segments, which share the intervals. `every` is the number of steps
+    between stored nodes, `steps` the problem's own number of steps. `free` names the free parameters, and `by` the
+    quantities with respect to which derivatives are taken.
     """
 
     rows: Mapping[str, str | int]
@@ -72,16 +73,16 @@ class Shapes:
     by: tuple[str, ...] = ()
 
     def intervals(self, steps: int) -> int:
-        """Return the number of intervals between stored nodes."""
+        """Return the number of intervals between stored nodes, for a number of time steps."""
         if self.segments:
             return self.segments * -(-steps // self.segments)
         return self.parts * (steps // self.every)
 
 
 def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: int = 0) -> Shapes:
-    """Return the arrays of a module without a solve, with derivatives if `sensitivities` is set.
+    """Return the shapes of the arrays of a module, with the quantities of derivatives if `sensitivities` is set.
 
-    `particles` is the number of particles of a module that connects points.
+    A simulation stores every `every`-th step. `particles` is the number of particles of a module that connects points.
     """
     metadata, task = module.metadata, task_of(module)
     if task.name == "connect":
@@ -110,7 +111,7 @@ def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: i
 
 @dataclass(frozen=True)
 class Layout:
-    """The arrays of all cases: their dimensions except the dimensions of cases, sizes, and names of columns.
+    """The stored arrays: their dimensions `dims` within a case, the `sizes` of dimensions, and the `names` of columns.
 
     `free` are free parameters, one number for each case. `left_out` are arrays that would take too much space.
     """
@@ -124,12 +125,12 @@ class Layout:
 
     @property
     def numbers(self) -> dict[str, str]:
-        """The numbers of each case and their types."""
+        """The names and types of the numbers of each case."""
         return {**NUMBERS, **(JUMPS if self.has_jumps else {}), **{free_label(name): "f8" for name in self.free}}
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The texts of each case."""
+        """The names of the texts of each case."""
         return (*WORDS, f"{RATE}message") if self.has_rates else WORDS
 
     @property
@@ -153,7 +154,7 @@ class Layout:
         return 8 * sum(math.prod(shape) for shape in self.shapes.values())
 
     def placed(self, name: str, array: Matrix, columns: Sequence[str]) -> Matrix:
-        """Return the numbers of a case in the shape of its array, with NaN for missing entries."""
+        """Return an array of a case, with these columns, in the shape common to all cases; missing entries are NaN."""
         dims = self.dims[name]
         if "stage" in dims:
             array = array.reshape(-1, self.sizes["stage"], array.shape[1])
@@ -168,7 +169,7 @@ class Layout:
         return whole
 
     def placed_rates(self, name: str, rates: NDArray[np.float64], shapes: Shapes) -> NDArray[np.float64]:
-        """Return derivatives (m, ...) of a case by the quantities of its module in the shape of their array."""
+        """Return derivatives (m, ...) with respect to the m quantities `shapes.by` in the shape common to all cases."""
         whole = np.full(self.shapes[name], np.nan)
         of = name.removeprefix(RATE)
         columns = shapes.columns.get(of, ())
@@ -184,10 +185,10 @@ def free_label(name: str) -> str:
 
 
 def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str] | None, cases: int) -> Layout:
-    """Return the arrays that are kept of `cases` cases of some modules.
+    """Return the layout of the arrays to store for `cases` cases of modules with these shapes.
 
-    `steps` is the largest number of intervals, or None for each module's own. `keep` names arrays, or is None for all
-    that fit. Raises ArgumentError for an unknown array, or for one that the modules store in different ways.
+    `steps` is the largest number of steps, or None for each module's own number. `keep` names arrays, or is None for
+    all that fit into FITS bytes. Raises ArgumentError for an array that is unknown or differs in kind between modules.
     """
     shapes = tuple(shapes)
     have = [name for name in _ALL if _row_kinds(shapes, name)]
@@ -202,7 +203,7 @@ def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str] |
 
 
 def _layout_with(shapes: Sequence[Shapes], steps: int | None, keep: Sequence[str], have: Sequence[str]) -> Layout:
-    """Return the layout of the arrays `keep`; `have` are all arrays of the modules."""
+    """Return the layout of the arrays named in `keep`; `have` names all arrays of the modules."""
     by = tuple(dict.fromkeys(name for own in shapes for name in own.by))
     free = tuple(dict.fromkeys(name for own in shapes for name in own.free))
     rates = [name for name in _RATES if by and name in have and f"{RATE}{name}" in keep]
@@ -238,18 +239,17 @@ def _layout_with(shapes: Sequence[Shapes], steps: int | None, keep: Sequence[str
 
 
 def _row_kinds(shapes: Iterable[Shapes], name: str) -> set[str | int]:
-    """Return the kinds of rows of an array among the modules that have the array."""
+    """Return the different kinds of rows, as in `Shapes.rows`, of an array in the modules that have the array."""
     return {own.rows[name] for own in shapes if name in own.rows and (name not in _COLUMNS or own.columns.get(name))}
 
 
 MOST = 4096
-"""Largest number of cases of a chunk: the search for neighbours is quadratic in it."""
+"""Largest number of cases of a chunk; the time of the search for neighbours grows with its square."""
 OVERHEAD = 3e-4
 """Seconds that a case takes in addition to its iterations."""
 CONTROL_RATE, SIMULATE_RATE, CONNECT_RATE = 1.6e-8, 3e-7, 5e-9
-"""Seconds per unit of work. An optimisation counts iterations, intervals and the square of the unknowns of an interval.
-A simulation counts steps and numbers of a state. Connected particles count iterations, steps and the square of all
-coordinates.
+"""Seconds per unit of work. The work of an optimisation is iterations * intervals * (unknowns of an interval)^2, of a
+simulation steps * coordinates, and of connected particles iterations * steps * (all coordinates)^2.
 """
 RATES = 5
 """Number of iterations that take as long as the sensitivities of a case."""
@@ -259,7 +259,7 @@ SLOWER = 50.0
 
 @dataclass(frozen=True)
 class Chunks:
-    """The cells of a grid of cases in blocks of one shape, smaller at the far edges; blocks are numbered like cases."""
+    """The division of a grid of cases of a `shape` into blocks; blocks at the end of a dimension may be smaller."""
 
     shape: tuple[int, ...]
     block: tuple[int, ...]
@@ -275,7 +275,7 @@ class Chunks:
         return math.prod(self.counts)
 
     def region(self, number: int) -> tuple[slice, ...]:
-        """Return the slice of a block in each dimension."""
+        """Return the slice of a block in each dimension; the last dimension of block numbers varies fastest."""
         place = np.unravel_index(number, self.counts)
         begins = (int(k) * part for k, part in zip(place, self.block, strict=True))
         return tuple(slice(begin, min(begin + part, size)) for begin, part, size in zip(begins, self.block, self.shape))
@@ -285,14 +285,14 @@ class Chunks:
         return tuple(part.stop - part.start for part in self.region(number))
 
     def cases(self, number: int) -> NDArray[np.intp]:
-        """Return the cases (n,) of a block; the last dimension varies fastest."""
+        """Return the indices (n,) of the cases of a block; the last dimension varies fastest."""
         parts = np.ix_(*(np.arange(part.start, part.stop) for part in self.region(number)))
         return np.asarray(np.ravel_multi_index(parts, self.shape)).ravel()
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """The data of a chunk for its worker: its place, and its cases in their order.
+    """The data of a chunk for its worker: its number, its slices in the grid, and its n cases in their order.
 
     `columns` has the values (n,) of each quantity, `points` (n, quantities) the values scaled by their ranges.
     """
@@ -310,9 +310,9 @@ class Piece:
 
 
 def blocks_of(shape: Sequence[int], size: int, whole: Sequence[bool]) -> Chunks:
-    """Return blocks of about `size` cells: whole rows of the last dimensions, then a part of one dimension.
+    """Return blocks of about `size` cases: whole rows of the last dimensions, then a part of one dimension.
 
-    A dimension that is not `whole` is cut into single cells, because its values belong to different modules.
+    A dimension that is not `whole` is cut into single values, because its values belong to different modules.
     """
     block, remaining = [1] * len(shape), max(1, min(size, MOST))
     for axis in reversed(range(len(shape))):
@@ -326,7 +326,7 @@ def blocks_of(shape: Sequence[int], size: int, whole: Sequence[bool]) -> Chunks:
 
 
 def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: int, has_rates: bool = False) -> int:
-    """Return the number of cases that take about a second, from the iterations of a typical one.
+    """Return the number of cases that take about a second, from the number of iterations of a typical case.
 
     The number follows from counts and not from measured times. So a sweep has the same chunks and results on every run.
     """
@@ -344,9 +344,9 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
 
 
 def serpentine(shape: Sequence[int]) -> NDArray[np.intp]:
-    """Return the cells of a grid in an order in which successive cells are neighbours.
+    """Return the indices of all cases of a grid in an order in which successive cases are neighbours.
 
-    Every other row is reversed, in all dimensions; cells are numbered with the last dimension varying fastest.
+    Every other row is reversed, in all dimensions; in the indices the last dimension varies fastest.
     """
     order = np.zeros(1, dtype=np.intp)
     size = 1
@@ -357,7 +357,7 @@ def serpentine(shape: Sequence[int]) -> NDArray[np.intp]:
 
 
 def nearest_chain(points: Matrix) -> NDArray[np.intp]:
-    """Return an order of points (n, dimensions) from the first one on, each followed by the nearest remaining point."""
+    """Return an order (n,) of points (n, dimensions): the first point, then always the nearest remaining point."""
     number = len(points)
     order = np.zeros(number, dtype=np.intp)
     remaining, rest = np.arange(1, number), points[1:].copy()

@@ -1,4 +1,4 @@
-"""The request of a sweep, its checks that need no module, and the quantities that can vary."""
+"""The request of a sweep with all checks that need no module, and the quantities that can vary."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ OPTIONS = (
 
 @dataclass(frozen=True, eq=False)
 class SweepRequest:
-    """The solve that all cases share, the cases with their origin, and the treatment of results.
+    """The options of a sweep: the solve that all cases share, the cases and a text about their origin, and the storage.
 
-    `keep` names arrays, or is None for all that fit. `chunk` is the number of cases of a chunk, or None for about a
-    second of work. `cluster` is the address of a scheduler of dask, a client, "local", or None.
+    `keep` names the arrays to store, or is None for all that fit. `chunk` is the number of cases of a chunk, or None
+    for about a second of work. `cluster` is the address of a scheduler of dask, a client, "local", or None.
     """
 
     solve: Request
@@ -74,7 +74,7 @@ def sweep_request(
     cluster: object = None,
     **options: Any,
 ) -> SweepRequest:
-    """Return the request of these arguments, the arguments of `codegen.sweep`.
+    """Check the arguments of `codegen.sweep` and return them as a request.
 
     Raises ArgumentError for arguments that do not exist or do not fit together, NumericsError for unusable numbers.
     """
@@ -139,8 +139,8 @@ class Quantity:
     """A varied quantity: its name, its kind, and its key in the functions of the module.
 
     The kind is `parameter` (an argument of the module's functions), `boundary` (a prescribed value, with end and name
-    as key), `steps`, `guess` (of an optimisation: 1 is the problem's own guess, larger numbers seed random variations),
-    or `argument` (of problem(), with a module for each value).
+    as key), `steps`, `guess` (the initial guess of an optimisation: 1 is the problem's own, larger numbers seed random
+    variations), or `argument` (of problem(), with a module for each value).
     """
 
     name: str
@@ -149,11 +149,11 @@ class Quantity:
 
 
 def quantities(names: Collection[str], module: GeneratedModule, arguments: Sequence[str]) -> tuple[Quantity, ...]:
-    """Return the quantities that names mean for a module and the `arguments` of its problem().
+    """Return the quantities with these names; `arguments` are the names of the arguments of problem().
 
-    Raises ArgumentError with close names for an unknown one.
+    Raises ArgumentError, with similar names, for an unknown name.
     """
-    # An argument of problem() comes last and replaces a parameter of the same name: it may do more than set it.
+    # An argument of problem() comes last and replaces a parameter of the same name, because it may do more.
     candidates = [
         Quantity(STEPS, STEPS, STEPS),
         *([Quantity(GUESS, GUESS, GUESS)] if is_control(module) else []),
@@ -165,7 +165,7 @@ def quantities(names: Collection[str], module: GeneratedModule, arguments: Seque
     by_name = {quantity.name: quantity for quantity in candidates}
     for name in names:
         if name not in by_name:
-            # A duration that determines delays has derivatives but cannot vary.
+            # The duration of a problem with delays has derivatives but cannot vary.
             refused = {*duration_arguments(module)} - {*apart_from_delays(module)}
             offered = [word for word in by_name if word not in refused]
             close = difflib.get_close_matches(name, offered, 3, 0.5)
@@ -176,7 +176,7 @@ def quantities(names: Collection[str], module: GeneratedModule, arguments: Seque
 
 
 def require_fitting(varied: Iterable[Quantity], cases: Cases) -> None:
-    """Raise an error for words as numbers, and for counts that are no positive integers."""
+    """Raise an error for texts where numbers are needed, and for counts that are no positive integers."""
     for quantity in varied:
         column = cases.columns[quantity.name]
         if quantity.kind != "argument" and column.dtype.kind == "U":
@@ -199,14 +199,14 @@ def _is_number(word: str) -> bool:
 
 
 def as_argument(value: float | str) -> str:
-    """Return a value as a text for `--set`; whole numbers fit arguments of type int and float."""
+    """Return a value as a text for `--set`; whole numbers have no decimal point, which fits both int and float."""
     if isinstance(value, str):
         return value
     return str(int(value)) if value == int(value) and abs(value) < 1e15 else repr(value)
 
 
 def given_to(module_values: Mapping[Quantity, float]) -> dict[str, float | dict[str, float]]:
-    """Return the arguments of a module's functions for the values of a case."""
+    """Return the keyword arguments of a module's functions that set the parameters and boundary values of a case."""
     arguments: dict[str, float] = {}
     ends: dict[str, dict[str, float]] = {}
     for quantity, value in module_values.items():
@@ -220,24 +220,24 @@ def given_to(module_values: Mapping[Quantity, float]) -> dict[str, float | dict[
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """Derivatives `rates` (m, n) of the n unknowns of a solution by m varied quantities with `values` (m,)."""
+    """The derivatives `rates` (m, n) of n unknowns with respect to m varied quantities, at their `values` (m,)."""
 
     quantities: tuple[Quantity, ...]
     values: Vector
     rates: Matrix
 
     def move(self, values: Mapping[Quantity, float]) -> Vector:
-        """Return the first-order change (n,) of the unknowns for other values."""
+        """Return the first-order change (n,) of the unknowns for other values of the quantities."""
         steps = np.array([values[own] for own in self.quantities]) - self.values
         return np.asarray(steps @ self.rates)
 
 
 @dataclass(frozen=True, eq=False)
 class CaseRates:
-    """Derivatives of a case by all m quantities: `arrays` (m, ...) by the names of a data set, and a message.
+    """The derivatives of a case with respect to m quantities: `arrays` (m, ...) by their names in the data set.
 
-    The message gives the reason if there are no derivatives; it also names one-sided or inaccurate ones. `tangent` is
-    None if a varied quantity has no derivatives.
+    The message gives the reason if there are no derivatives, and names one-sided or inaccurate derivatives. `tangent`
+    is None if it was not requested, or if there are no derivatives with respect to a varied quantity.
     """
 
     message: str = ""
@@ -247,9 +247,9 @@ class CaseRates:
 
 @dataclass(frozen=True)
 class Wanted:
-    """The requested derivatives: of the cost, of free parameters, of `arrays`, and `tangents`.
+    """The requested derivatives: of the cost, of free parameters, of `arrays`, and, with `tangents`, of the unknowns.
 
-    There are no derivatives of varied quantities.
+    The `varied` quantities stay fixed when other quantities change, even if formulas relate them.
     """
 
     varied: tuple[Quantity, ...]
@@ -259,7 +259,7 @@ class Wanted:
     def of_solution(
         self, module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, values: Mapping[Quantity, float]
     ) -> CaseRates:
-        """Return the derivatives of a solved case; `module` has its values."""
+        """Return the derivatives of a solved case; `module` already has the values of the case."""
         names = module.metadata.sensitivities or ()
         fixed = [own.name for own in self.varied if own.name in names]
         try:

@@ -1,10 +1,10 @@
 """The data set of a sweep in memory, in a netCDF file, or in a zarr store that is written chunk by chunk.
 
-A store is laid out before the first solve. Every chunk of cases is one chunk of each array. So several processes write
-at the same time, and memory does not grow with the number of cases.
+All arrays of a store are created before the first solve. Every chunk of cases is one chunk of each array. So several
+workers can write at the same time, and memory does not grow with the number of cases.
 
-One process at a time writes to a store. A sweep that ends early reports the number of stored cases; `--resume` does the
-rest.
+Only one sweep at a time writes to a store. A sweep that ends early reports the number of stored cases; `--resume`
+solves the others.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class SweepJournal:
 
 
 def read_sweep_journal(path: Path, digest: str) -> SweepJournal:
-    """Return the journal of a sweep; raises ArgumentError for another sweep or a damaged journal."""
+    """Return the journal of the sweep with this digest; raises ArgumentError for another sweep or a damaged journal."""
     file = read_journal(path, "sweep", digest, ANOTHER)
     try:
         chunks = Chunks(tuple(map(int, file.header["cases"])), tuple(map(int, file.header["chunk"])))
@@ -64,7 +64,7 @@ def read_sweep_journal(path: Path, digest: str) -> SweepJournal:
 
 @contextmanager
 def resumable(out: Path, journal: SweepJournal) -> Iterator[None]:
-    """Add the number of stored cases to an interrupt, and to the errors of a full disk and of a lost cluster."""
+    """Add the number of stored cases to the message if an interrupt, a full disk or a lost cluster ends the block."""
     rest = "--resume does the rest"
     try:
         yield
@@ -80,7 +80,7 @@ def resumable(out: Path, journal: SweepJournal) -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A data set without numbers: cases and arrays with their dimensions, and attributes."""
+    """The structure of a data set without its results: cases, arrays with their dimensions, and attributes."""
 
     cases: Cases
     layout: Layout
@@ -88,18 +88,18 @@ class Frame:
 
     @property
     def labels(self) -> dict[str, str]:
-        """Variable names of the varied quantities, with an underscore if the name is taken."""
+        """The variable name of each varied quantity: its name, with an underscore if the name is taken."""
         taken = {*RESERVED, *self.layout.numbers, *self.layout.dims}
         return {name: f"{name}_" if name in taken else name for name in self.cases.columns}
 
     @property
     def case_dims(self) -> tuple[str, ...]:
-        """The dimensions of cases."""
+        """The names of the dimensions of cases."""
         return tuple(self.labels.get(dim, dim) for dim in self.cases.dims)
 
     @property
     def coordinates(self) -> dict[str, tuple[tuple[str, ...], NDArray[Any]]]:
-        """Dimensions and values of varied quantities and of column names."""
+        """The dimensions and values of the coordinates: varied quantities and names of columns."""
         dims = self.case_dims
         varied = {
             self.labels[name]: ((dims[self.cases.axes[name]],), np.asarray(column))
@@ -110,7 +110,7 @@ class Frame:
 
     @property
     def variables(self) -> dict[str, tuple[tuple[str, ...], tuple[int, ...], str]]:
-        """Dimensions, shapes and types of variables by name; texts have the type `str`."""
+        """The dimensions, shape and type of each variable by name; texts have the type `str`."""
         dims, shape = self.case_dims, self.cases.shape
         layout = self.layout
         variables = {name: ((*dims, *layout.dims[name]), (*shape, *layout.shapes[name]), "f8") for name in layout.dims}
@@ -118,7 +118,7 @@ class Frame:
         return variables | dict.fromkeys(layout.words, (dims, shape, "str"))
 
     def outlined(self) -> Dataset:
-        """Return the data set with constant arrays, which take no memory."""
+        """Return the data set without results; its arrays repeat one value and take no memory."""
         import xarray
 
         fills: dict[str, str | float] = {"str": "", "i4": 0, "f8": np.nan}
@@ -130,7 +130,7 @@ class Frame:
 
 
 def write_netcdf(data: Dataset, path: Path) -> None:
-    """Replace a netCDF file; raises FileError when the file system refuses."""
+    """Write or replace a netCDF file; raises FileError when the file system refuses."""
     with replacing(path) as temporary:
         data.to_netcdf(temporary)
 
@@ -138,12 +138,12 @@ def write_netcdf(data: Dataset, path: Path) -> None:
 DIGEST = "sweep"
 """The attribute of a store that identifies its sweep."""
 _CONFIG: Any = {"write_empty_chunks": True}
-"""Failed cases are written as well, so a missing file of a chunk was deleted."""
+"""Chunks without results are written as well, so a missing file of a finished chunk was deleted."""
 
 
 @dataclass(frozen=True)
 class Store:
-    """The folder of a zarr store; it can be pickled."""
+    """A zarr store in a folder; the object can be pickled."""
 
     path: Path
 
@@ -157,7 +157,7 @@ class Store:
             raise refused(error, self.path) from error
 
     def mark(self) -> tuple[int, ...]:
-        """Return an identification of this store, empty if it does not exist."""
+        """Return inode, time and size of the metadata file, which identify the store; empty without a store."""
         try:
             status = (self.path / "zarr.json").stat()
         except OSError:
@@ -165,13 +165,13 @@ class Store:
         return status.st_ino, status.st_mtime_ns, status.st_size
 
     def read(self, name: str) -> NDArray[np.float64]:
-        """Return all numbers of a variable."""
+        """Return the numbers of a variable for all cases."""
         import zarr
 
         return np.asarray(zarr.open_group(self.path, mode="r", use_consolidated=False)[name][...])  # type: ignore[index]
 
     def dataset(self) -> Dataset:
-        """Return the data set, whose numbers are read on demand."""
+        """Return the data set; its numbers are read on demand."""
         import xarray
 
         data: Dataset = xarray.open_zarr(self.path, chunks=None)
@@ -180,7 +180,7 @@ class Store:
 
 @lru_cache(maxsize=1)
 def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[str, Array[Any]]:
-    """Return the open arrays of a store with this `mark`: opening takes a third of the time of writing."""
+    """Return the open arrays of the store with this `mark`; cached, as opening takes a third of the writing time."""
     import zarr
 
     group = zarr.open_group(path, mode="r+", use_consolidated=False)
@@ -189,13 +189,13 @@ def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[s
 
 
 def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> SweepJournal:
-    """Lay out a store and its journal, and rename the complete store; raises FileError when the file system refuses."""
+    """Create a store without results, rename it when complete, and return its journal; raises FileError if refused."""
     import zarr
 
     try:
         folder = Path(tempfile.mkdtemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix))
         try:
-            # The arrays without the numbers of cases.
+            # xarray reads the names of coordinates that are no dimensions from the attribute "coordinates".
             beside = [name for name, (dims, _) in frame.coordinates.items() if dims != (name,)]
             named = {"coordinates": " ".join(beside)} if beside else {}
             group = zarr.create_group(folder, overwrite=True, attributes={**frame.attributes, **named, DIGEST: digest})
@@ -221,7 +221,7 @@ def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> SweepJournal
 
 
 def resumed(path: Path, frame: Frame, digest: str) -> SweepJournal:
-    """Return the journal of an existing store.
+    """Return the journal of an existing store, after a check of the files of all finished chunks.
 
     Raises ArgumentError if the folder is no store, is the store of another sweep, or lacks files.
     """
@@ -245,7 +245,7 @@ def resumed(path: Path, frame: Frame, digest: str) -> SweepJournal:
 
 
 def _require_files(path: Path, name: str, indices: list[tuple[int, ...]]) -> None:
-    """Raise ArgumentError if an array, or one of its chunks, has no file."""
+    """Raise ArgumentError if an array, or one of its chunks with these indices, has no file."""
     for file in ("zarr.json", *("/".join(map(str, ("c", *place))) for place in indices)):
         if not (path / name / file).is_file():
             lacking = f"{name}/{file}" if (path / name).is_dir() else name

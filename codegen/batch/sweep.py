@@ -1,7 +1,7 @@
 """A sweep: many solves of one problem, for a grid, a table or samples of cases, in several processes, as one data set.
 
-The steps are: derive the modules, lay out the arrays, choose the chunks, solve them by an executor, and mark the jumps
-of the cost that remain.
+The steps are: derive the modules, choose the layout of the arrays and the chunks, solve the chunks by an executor, and
+mark the jumps of the cost that remain.
 """
 
 from __future__ import annotations
@@ -71,22 +71,23 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
     resume : bool
         Continue a store of the same sweep.
     keep : sequence of str, optional
-        Names of arrays to keep among t, q, p, u, multipliers and energy. With `sensitivities` also the derivatives d_t,
-        d_q, d_p, d_u and d_multipliers. By default all arrays are kept, or t, q and u if all cases would take more
-        than 250 MB without compression.
+        Names of arrays to store among t, q, p, u, multipliers and energy. With `sensitivities` also the derivatives
+        d_t, d_q, d_p, d_u and d_multipliers. By default all arrays but these derivatives are stored, or only t, q and u
+        if all arrays would take more than 250 MB without compression.
     workers : int, optional
-        Number of processes, by default the number of processors. Results do not depend on it. Where processes are
-        spawned, a script needs `if __name__ == "__main__"`.
+        Number of processes, by default the number of processors. Results do not depend on this number. Where processes
+        are spawned, as on Windows and macOS, a script needs `if __name__ == "__main__"`.
     cluster : str or distributed.Client, optional
         The address of a scheduler of dask, a client, or "local" for a new cluster on this machine.
     warm_starts : bool
         Start an optimisation from the last solved neighbour. This takes fewer iterations for slowly changing solutions,
-        but stays at the same local optimum. With `sensitivities` the start follows the tangent, else the secant on a
-        straight part of the path. By default neighbours are tried only if the problem's own guess fails.
+        but stays at the same local optimum. The initial guess is extrapolated along the secant if the path through the
+        cases is straight, and with `sensitivities` along the tangent. By default a neighbour's solution is tried only
+        if the problem's own guess fails.
     chunk : int, optional
-        Number of cases that are solved and written together, by default about a second of work.
+        Number of cases that are solved and written together, by default as many as take about a second.
     sensitivities : bool
-        Compute derivatives of the cost by all parameters, prescribed values and a given duration that do not vary.
+        Compute derivatives of the cost with respect to all parameters, prescribed values and a fixed duration.
     **options
         `driver`, `arguments`, `scheme`, `method`, `controls`, `steps`, `every`,
         `tolerance`, `max_iterations`, `time_limit`, `scaling` and `points`, as for `codegen.solve`.
@@ -98,8 +99,8 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
         intervals, padded with NaN where `steps` vary. For each case cost, residual (evaluated outside the driver),
         iterations and seconds of all attempts, status, message, and free parameters. With sensitivities d_cost
         (..., by), d_T for a free parameter T, d_q (..., by, node, names), and d_message with the reason of NaN. For
-        optimisations `improvement`, the gain of a start from beyond a jump of the cost, and `jump`, 1 next to a better
-        neighbour. A failed case has NaN in cost and arrays.
+        optimisations `improvement`, the reduction of the cost by a new solve from the better side of a jump, and
+        `jump`, 1 if a better neighbour remains. A failed case has NaN in cost and arrays.
 
     Raises
     ------
@@ -130,8 +131,8 @@ MOST_LOOKED_THROUGH = 10_000_000
 class SweepOutcome:
     """The outcome of a sweep: the tally, the time, messages for the user, and the results.
 
-    `before` is the number of cases that the store already had; their solves are not part of `seconds`. `layout` has the
-    arrays that are kept.
+    `before` is the number of cases that the store already had; their solves are not part of `seconds`. `dataset` opens
+    the results, and `layout` has the stored arrays.
     """
 
     tally: Tally
@@ -158,9 +159,9 @@ def outcome_of(
     progress: Progress = silent,
     require: Callable[[Dataset], None] = lambda outlined: None,
 ) -> SweepOutcome:
-    """Run a sweep; see `codegen.sweep`. Errors in the request are raised before any long computation.
+    """Run a sweep and return its outcome; errors in the request are raised before the first solve. See `codegen.sweep`.
 
-    `require` receives the data set without numbers before the first solve, and may raise an error.
+    `working` and `progress` show progress. `require` checks the data set before the first solve, still without results.
     """
     begin = time.perf_counter()
     for name in ("xarray", "zarr"):
@@ -200,7 +201,7 @@ def outcome_of(
 def _into_memory(
     request: SweepRequest, modules: Modules, work: Work, frame: Frame, team: Team
 ) -> tuple[Tally, int, Callable[[], Dataset]]:
-    """Solve all cases with rows in memory, then write the file, if requested."""
+    """Solve all cases in memory, write the requested file, and return (tally, 0, function for the data set)."""
     import xarray
 
     arrays: Rows = {
@@ -233,7 +234,7 @@ def _into_memory(
 def _into_store(
     request: SweepRequest, modules: Modules, work: Work, frame: Frame, team: Team
 ) -> tuple[Tally, int, Callable[[], Dataset]]:
-    """Solve the chunks that a new or resumed store lacks; also return the number of cases that it had."""
+    """Solve the missing chunks of a store; return (tally, cases stored before, function for the data set)."""
     assert request.out is not None, "a store has a path"
     digest, target = _digest(request, modules, work), Store(request.out.absolute())
     taken = ArgumentError(
@@ -267,9 +268,9 @@ def _is_cut(work: Work) -> bool:
 def _marked(
     work: Work, tally: Tally, costs: Costs, write: Callable[[tuple[slice, ...], Rows], None], team: Team
 ) -> Tally:
-    """Mark the jumps that remain in the grid, and return the tally with their number.
+    """Mark the jumps of the cost that remain in the whole grid by `write`, and return the tally with their number.
 
-    Jumps inside chunks were marked by their workers. Across chunks no case was started from the other side.
+    Workers have marked jumps inside chunks. Across the border of chunks no case was started from the other side.
     """
     words = {work.cases.axes[own.name] for own in work.quantities if own.kind == "argument"}
     places = [np.zeros(0) if axis in words else along(work.cases.points_along(axis)) for axis in range(costs.ndim)]
@@ -286,9 +287,9 @@ def _marked(
 
 
 def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt) -> Chunks:
-    """Return chunks of about a second, from the iterations of a tried case.
+    """Return chunks of the requested size, or of about a second, from the iterations of a tried case.
 
-    Dimensions of arguments of problem() are cut into single values.
+    Dimensions of arguments of problem() are cut into single values, because each value has its own module.
     """
     cases = work.cases
     arguments = {cases.axes[name] for name in modules.arguments}
@@ -299,7 +300,7 @@ def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt)
 
 
 def _tried(work: Work, team: Team) -> Attempt:
-    """Solve the first, the middle or the last case of every module; return the first solved attempt.
+    """Solve the first, else the middle, else the last case with every module; return the first solved attempt.
 
     This happens before workers are forked, so that machine code is loaded once and missing code is compiled once.
     """
@@ -316,7 +317,7 @@ def _tried(work: Work, team: Team) -> Attempt:
 
 
 def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str, str | int]:
-    """Return the attributes of the data set, texts and numbers about its origin."""
+    """Return the attributes of the data set, which describe its origin."""
     own = modules.first.metadata
     packages = {**versions(), **{name: metadata.version(name) for name in ("xarray", "zarr")}}
     # The text of the problem: an object, its file, or the file of its module.

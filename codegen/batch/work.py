@@ -1,7 +1,7 @@
-"""The modules of a sweep, and its work: the solves of the cases of a chunk and the rows of their results.
+"""The modules of a sweep, and its work: a worker solves the cases of a chunk and stores their results as rows.
 
-Each combination of arguments of problem() that vary has its own module, derived and compiled once. The work is pickled
-once for each worker and is small; after that workers receive chunks.
+Each combination of values of varied arguments of problem() has its own module, derived and compiled once. The work is
+small and is pickled once for each worker; after that workers receive chunks.
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ if TYPE_CHECKING:
 MOST_MODULES = 100
 """Largest number of modules of a sweep: each takes seconds to derive and compile."""
 Rows = dict[str, NDArray[Any]]
-"""Arrays by name, with a row for each case of a chunk in the order of the cases."""
+"""The results of a chunk: arrays by name, with a row for each case in the order of the cases."""
 APART = 1e6
-"""Distance of cases of different modules, relative to the ranges of quantities."""
+"""Artificial distance between cases of different modules or guesses, relative to the ranges of quantities."""
 
 
 @dataclass(frozen=True, eq=False)
 class Modules:
-    """The modules by the texts of the arguments that vary, the quantities that vary, and messages for the user.
+    """The modules (`variants`) by the texts of the arguments of problem() that vary, and messages for the user.
 
     `first` is the first module that could be derived; `points` are the points of particles to connect, or None.
     """
@@ -76,10 +76,10 @@ class Modules:
 
 
 def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
-    """Derive all modules of the cases, check names and values, then compile.
+    """Derive all modules of the cases, check names and values, compile, and return the modules.
 
-    A combination that cannot be derived is a variant without a module, unless none can be derived. Raises
-    ArgumentError for unknown names, and for a value that an argument does not take.
+    A combination of arguments that cannot be derived becomes a variant without a module; if all fail, the first error
+    is raised. Raises ArgumentError for unknown names, and for a value that an argument does not take.
     """
     derived: dict[tuple[str, ...], tuple[GeneratedModule, compiler.Build | None]] = {}
     errors: dict[tuple[str, ...], CodegenError] = {}
@@ -111,7 +111,7 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
             derived[key] = module, build
     if not derived:
         raise next(iter(errors.values()))
-    # The points that all cases connect.
+    # All cases must connect the same points.
     points, *others = (points_of(request, module) for module, _ in derived.values())
     for other in others:
         if points is not None and other is not None and not np.array_equal(points.table, other.table):
@@ -131,7 +131,7 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
 
 
 def _combinations(request: Request, cases: Cases) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return the arguments of problem() that vary, and their texts that occur together."""
+    """Return the names of the arguments of problem() that vary, and all combinations of their texts in the cases."""
     names = tuple(name for name in cases.columns if name in request.source.arguments)
     if twice := next((name for name in names if name in request.arguments), None):
         raise ArgumentError(f"{twice} varies and is given by --set", "leave one of them out")
@@ -170,18 +170,18 @@ class Sink(Protocol):
     """A store for the rows of chunks that any worker process can write to."""
 
     def write(self, region: tuple[slice, ...], rows: Rows) -> None:
-        """Write the rows of a chunk."""
+        """Write the rows of the chunk at `region` of the grid of cases."""
 
     def mark(self) -> tuple[int, ...]:
-        """Return an identification of the store; a machine that reads the same one can write to the store."""
+        """Return an identification of the store; a machine with the same identification can write to the store."""
 
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """The data that solves of all chunks need.
+    """The data that the solves of all chunks need.
 
-    `run` is common to all cases. `steps` is the largest number of steps, or None for each module's own. `variants`
-    are the modules by the texts of the arguments of problem() that vary; `module` is a module without a file.
+    `run` are the options of all solves. `steps` is the largest number of steps, or None for each module's own number.
+    `variants` has the modules by the texts of the varied arguments of problem(); `module` is a module without a file.
     """
 
     driver: str
@@ -216,26 +216,26 @@ class Work:
         return Parcel(bare, texts, target(), () if self.sink is None else self.sink.mark())
 
     def returned(self, number: int, done: Done) -> Done:
-        """Write the rows of a worker that cannot write to the sink."""
+        """Write the rows that a worker returned to the sink, if there is one; return the result without these rows."""
         if done.rows is None or self.sink is None:
             return done
         self.sink.write(self.chunks.region(number), done.rows)
         return replace(done, rows=None)
 
     def loaded(self) -> Work:
-        """Load every module in this process."""
+        """Load every module in this process, and return the work."""
         for variant in self.variants.values():
             self._module(variant)
         return self
 
     def lost(self, number: int, reason: str) -> Done:
-        """Return the result of a chunk whose workers were lost."""
+        """Return the result of a chunk whose workers were lost; `reason` becomes the message of its cases."""
         rows = self._empty_rows(math.prod(self.chunks.extent(number)))
         rows["status"][:], rows["message"][:] = LOST, reason
         return self._finished(self.chunks.region(number), rows)
 
     def tried(self, variant: Variant, index: int) -> Attempt:
-        """Solve a case from the problem's own guess without storing the result."""
+        """Return the attempt at a case from the problem's own guess, without storing the result."""
         varied = self._varied(variant)
         assert varied is not None, "a case that is solved has a module"
         if not DRIVERS[self.driver].generated:  # external drivers call other functions of the module
@@ -243,9 +243,9 @@ class Work:
         return solve_case(varied, self._module_values(self.cases.values(np.array([index]))[0]), None)
 
     def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
-        """Solve the cases of a chunk along a path through neighbours, and again next to jumps of the cost.
+        """Solve the cases of a chunk along a path through neighbours, and cases at jumps of the cost again.
 
-        Raises Abandoned as soon as `is_wanted` returns False.
+        The rows are written to the sink, or returned without a sink. Raises Abandoned once `is_wanted` returns False.
         """
         values = rows_of(piece.columns)
         arguments = [own.name for own in self.quantities if own.kind == "argument"]
@@ -267,8 +267,8 @@ class Work:
             return solve_case(module, module_values[index], start)
 
         def attempt_in_rows(index: int, start: Start | None) -> Attempt:
-            # Store the arrays at once: other cases start from the unknowns alone, and thousands of arrays in memory
-            # take longer to allocate than to compute.
+            # Store the arrays at once: other cases start from the unknowns alone, and the allocation of thousands of
+            # arrays takes longer than their computation.
             result = attempt(index, start)
             self._write_arrays(rows, index, self.variants[keys[index]], result)
             return result.without_arrays()
@@ -311,7 +311,7 @@ class Work:
         rows: Rows,
         attempt: Callable[[int, Start], Attempt],
     ) -> list[int]:
-        """Start cases on the worse side of a jump from the better side; return the improved cases."""
+        """Solve the worse case of each jump from the better case; update attempts and rows, return improved cases."""
         outcomes = [own[-1] for own in attempts]
         further = improved(outcomes, neighbours, lambda index, solution: attempt(index, Start(solution)))
         for index, more in further.items():
@@ -345,7 +345,7 @@ class Work:
         return Varied(self._module(variant), self.driver, run, wanted)
 
     def _write_arrays(self, rows: Rows, index: int, variant: Variant, outcome: Attempt) -> None:
-        """Write the arrays and derivatives of a solution into its row."""
+        """Write the arrays and derivatives of a solution into the row `index`."""
         if not outcome.is_solved:
             return
         shapes, outline = variant.shapes, outcome.outline
@@ -363,7 +363,7 @@ class Work:
                     rows[name][index] = np.nan if array is None else self.layout.placed_rates(name, array, shapes)
 
     def _finished(self, region: tuple[slice, ...], rows: Rows) -> Done:
-        """Write the rows to the sink, or return them without one."""
+        """Write the rows to the sink and return their tally; without a sink the rows are returned, too."""
         statuses = rows["status"].tolist()
         messages = dict(zip(reversed(statuses), reversed(rows["message"].tolist())))  # the first of each status
         won, jumps = (int((rows[name] > 0).sum()) if name in rows else 0 for name in JUMPS)
@@ -376,7 +376,7 @@ class Work:
         return Done(tally, None)
 
     def _empty_rows(self, number: int) -> Rows:
-        """Return rows of cases that are not solved."""
+        """Return the rows of a number of cases without results."""
         rows: Rows = {name: np.full((number, *self.layout.shapes[name]), np.nan) for name in self.layout.dims}
         for name, kind in self.layout.numbers.items():
             rows[name] = np.full(number, -1 if kind == "i4" else np.nan, kind)
@@ -388,7 +388,7 @@ class Work:
 
 @dataclass(frozen=True, eq=False)
 class Parcel:
-    """Work without its cases, the texts of its modules by variant, their machine, and the mark of the sink."""
+    """Work without cases for other machines, with module texts, the machine of their origin, and the sink's mark."""
 
     work: Work
     texts: dict[tuple[str, ...], str]
@@ -398,8 +398,8 @@ class Parcel:
     def unpacked(self) -> tuple[Work, tuple[str, ...]]:
         """Return the work, ready to solve on this machine, and notes about the machine.
 
-        Modules are compiled for this machine. A machine that does not see the store gets work without a sink: it sends
-        its rows back.
+        Modules are compiled for this machine. If the machine cannot access the store, the work has no sink, and the
+        rows are returned to the client.
         """
         local, notes, variants = target(), [], dict(self.work.variants)
         machine = f"{platform.node()}-{local.processor}-{local.features}-numba-{local.numba}-python-{local.python}"

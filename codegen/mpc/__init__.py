@@ -1,1 +1,1 @@
-"""Moving horizons: a problem that is solved anew at every sampling time, and the loop with a plant."""
+"""Model predictive control: a problem that is solved again at every sampling time, and the closed loop with a plant."""

@@ -1,8 +1,8 @@
-"""The acceptance of plans within a sampling time, and the time limits of searches.
+"""The choice of the plan that a controller applies, and the time limits of its searches.
 
-A plan is evaluated outside the solver, and the better one of two plans is applied. A search with a deadline asks at
-every iterate if there is time for another iteration and for the evaluation of its result. The expected times are
-learned from measurements, because they depend on the problem and on the load of the machine.
+A plan is evaluated outside the solver, and the better of two plans is applied. With a deadline, an iteration begins
+only if there is time for the iteration and for the evaluation of its result. The expected times are learned from
+measurements, because they depend on the problem and on the load of the machine.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from codegen.runtime.search.point import Point
 from codegen.solving.loading import ControlModule, Grid, Matrix
 
 ALLOWED = 10.0
-"""Largest residual and slope of a solution, relative to the tolerance, as in `control_verdict`."""
+"""Largest residual and gradient of the Lagrangian at a solution, relative to the tolerance, as in `control_verdict`."""
 PART, SHORTEST = 0.5, 1e-9
-"""Part of the remaining time after which a search with a deadline returns; least seconds of an iteration."""
+"""Part of the remaining time after which the compiled search returns its iterate; least seconds of an iteration."""
 
 
 class BestIterate:
-    """The log of a search for a plan: the `best` iterate and the elapsed time.
+    """The log of a search for a plan, which keeps the `best` iterate and ends the search in time.
 
-    It replaces the log of `solve`. `limit` is the number of seconds by `clock` after which no iteration begins. The
-    compiled search then returns after a part of the remaining time, which follows from the time of an iteration, at
-    first `expected` seconds. The best iterate is the cheapest one with a residual up to `feasible`, in the problem's
-    own units. No iteration begins after `most` iterations and restoration steps.
+    The search calls the methods of its log. No iteration begins after `limit` seconds of `clock`, or after `most`
+    iterations and restoration steps. With a limit, each call of the compiled search takes a part of the remaining time;
+    the first iteration is assumed to take `expected` seconds. The best iterate is the cheapest iterate with a residual
+    up to `feasible`, in the problem's own units.
     """
 
     def __init__(
@@ -54,9 +54,9 @@ class BestIterate:
         self.best: Point | None = None
 
     def iterations_per_call(self, done: int, most: int, affordable: int) -> int:
-        """Return the number of iterations after which the compiled search is to return.
+        """Return the number of iterations for the next call of the compiled search, at most `most` and `affordable`.
 
-        With no time or iterations left the search only tests for convergence.
+        `done` iterations are finished. Without time or iterations left the number is 0, for a convergence test alone.
         """
         self._called = now = self._clock()
         self._count_up_to(done)
@@ -69,9 +69,9 @@ class BestIterate:
         return int(count)
 
     def extend(self, search: Search, rows: Matrix) -> None:
-        """Record the iterate at which the compiled search returns; `rows` (k, 6) are the iterates that it logged.
+        """Record the iterate at which the compiled search has returned; `rows` (k, 6) are the logged iterates.
 
-        They include the last one if the search is over.
+        The rows include the last iterate only if the search is over.
         """
         self._returned = self._clock()
         work = search.work
@@ -85,7 +85,7 @@ class BestIterate:
                 self.best = stored(search).point
 
     def add(self, point: Point, _length: float) -> None:
-        """Record an iterate of a linear search, which has no time limit."""
+        """Record an iterate of the search for a linear-quadratic problem, which has no time limit."""
         now = self._clock()
         if self.beginning is None:
             self.beginning = now - self._begin
@@ -97,7 +97,7 @@ class BestIterate:
             self.best = point
 
     def is_late(self) -> bool:
-        """Return True if time or iterations are used up; restorations ask at each step."""
+        """Return True if time or iterations are used up; feasibility restorations call this at each step."""
         self._restorations += self._is_asked_by_restoration and not self.is_exhausted
         self._is_asked_by_restoration = True
         if self.count >= self._most and not self._is_over:
@@ -111,7 +111,7 @@ class BestIterate:
         return False
 
     def _count_up_to(self, done: int) -> int:
-        """Count the iterations of a search that has made `done` of them; return the number of new ones."""
+        """Add the new iterations of a search that has finished `done` iterations; return the number of new ones."""
         new = done - self._before if done >= self._before else done  # a smaller number belongs to a new search
         self._iterations, self._before = self._iterations + new, done
         return new
@@ -122,14 +122,14 @@ class BestIterate:
         return self._iterations + self._restorations
 
     def rest(self, now: float) -> float | None:
-        """Return the seconds of the last iteration and all work after it, or None without an iteration."""
+        """Return the seconds of the last iteration plus the time since, up to `now`, or None without an iteration."""
         return self._iteration + now - self._returned if self._iterations else None
 
 
 def holds(module: ControlModule, grid: Grid, plan: Point, tolerance: float) -> bool:
-    """Return True if residual and slopes are within the tolerance, without scaling.
+    """Return True if residual and gradient of the Lagrangian of a plan are within ALLOWED * tolerance, without scaling.
 
-    The slope of a variable near its bound counts times the distance from the bound, at most one.
+    Derivatives with respect to variables near a bound are multiplied by the distance from the bound, at most one.
     """
     most = ALLOWED * tolerance
     if not plan.residual <= most:  # also for NaN
@@ -146,10 +146,11 @@ def holds(module: ControlModule, grid: Grid, plan: Point, tolerance: float) -> b
 
 
 def better(one: Point, other: Point, feasible: float) -> Point:
-    """Return the better one of two points of a search.
+    """Return the better of two points of a search.
 
-    A plan with a residual up to `feasible` is better than one without. Of two such plans the cheaper one is better, of
-    two others the one with the smaller residual. The first one is returned if they are equal.
+    A point is feasible if its residual is at most `feasible`. A feasible point is better than an infeasible point. Of
+    two feasible points the cheaper one is better, and of two others the one with the smaller residual. If both are
+    equal, `one` is returned.
     """
     violations = max(one.residual, feasible), max(other.residual, feasible)
     if not violations[0] < np.inf or violations[1] < violations[0]:
@@ -158,26 +159,26 @@ def better(one: Point, other: Point, feasible: float) -> Point:
 
 
 MOST = 0.75
-"""Quantile of measured times that an expectation follows; longer times are outliers of a busy machine."""
+"""Quantile of the measured times that is expected; longer times are outliers of a busy machine."""
 MARGIN = 1.05
-"""Factor on the expected time without which no iteration begins."""
+"""Safety factor: an iteration begins only if this multiple of its expected time remains."""
 RATE = 0.02
-"""Step of an expectation for a measurement: a fall is 1 - MOST of the rate, a rise MOST of it."""
+"""Relative change of an expectation by a measurement: it rises by RATE * MOST, or falls by RATE * (1 - MOST)."""
 IN_TURN = 4
-"""Number of successive measurements above the expectation that count once each.
+"""The k-th successive measurement above the expectation counts k - IN_TURN times, at least once.
 
-Every further one counts once more than the one before, because the machine has become slower.
+After many such measurements the machine has become slower, and the expectation must rise fast.
 """
 FORGOTTEN = 0.02
-"""Relative step towards the quickest time after a step without a measurement for lack of time."""
+"""Relative step of an expectation towards the quickest time, after a sampling time that was too short to measure."""
 
 
 class Expectation:
-    """The expected `seconds` of a part of a step, a quantile of recent measurements.
+    """The expected `seconds` of a part of `Controller.step`, a quantile of recent measurements.
 
-    The quantile changes by steps in the logarithm that do not depend on the distance of measurements. So an outlier,
-    such as a process that had to wait, counts like any other measurement. `least` is the quickest time. Source: Robbins
-    and Monro (1951), A stochastic approximation method.
+    Each measurement moves the logarithm of the quantile up or down by a fixed step, whatever its distance. So an
+    outlier, such as a process that had to wait, counts like any other measurement. `least` is the quickest time.
+    Source: Robbins and Monro (1951), A stochastic approximation method.
     """
 
     def __init__(self, measured: Iterable[float]) -> None:
@@ -186,7 +187,7 @@ class Expectation:
         self._above = 0
 
     def learn(self, seconds: float) -> None:
-        """Update the expectation by a measurement."""
+        """Update the expectation by a measured time."""
         self.least = min(self.least, seconds)
         self._above = self._above + 1 if seconds > self.seconds else 0
         rise = MOST * max(1, self._above - IN_TURN)
@@ -195,17 +196,16 @@ class Expectation:
     def forget(self) -> None:
         """Move the expectation towards the quickest time, after a step without time for a measurement.
 
-        Without this there would never be a measurement again. The count of successive slow measurements is kept, so the
-        next one is later each time.
+        Otherwise a too long expectation would prevent all further measurements. The count of successive slow
+        measurements is kept, so that the next attempt is later each time.
         """
         self.seconds += FORGOTTEN * (self.least - self.seconds)
 
 
 class Pace:
-    """The expected times of steps: the `beginning` up to the first iterate, and an iteration with the `rest` of the
-    step.
+    """The expected times of `Controller.step`: the `beginning` up to the first iterate, and the `rest`.
 
-    Both start from `measured` pairs of seconds.
+    The rest is one iteration and all work after the search. `measured` are pairs of first measurements in seconds.
     """
 
     def __init__(self, measured: Iterable[tuple[float, float]]) -> None:
@@ -213,12 +213,12 @@ class Pace:
         self.beginning, self.rest = Expectation(beginnings), Expectation(rests)
 
     def limit(self, seconds: float) -> float:
-        """Return the seconds in which a search may begin iterations, negative if it is not to begin."""
+        """Return the seconds in which a search may begin iterations if `seconds` remain; -inf if it must not begin."""
         limit = seconds - MARGIN * self.rest.seconds
         return limit if limit >= self.beginning.seconds else -math.inf
 
     def learn(self, beginning: float | None, rest: float | None, was_late: bool) -> None:
-        """Update the expectations by a step; `was_late` if a missing part had no time."""
+        """Update both expectations by the times of a step; `was_late` is True if a time is None for lack of time."""
         for expectation, seconds in ((self.beginning, beginning), (self.rest, rest)):
             if seconds is not None:
                 expectation.learn(seconds)

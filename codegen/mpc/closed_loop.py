@@ -1,4 +1,4 @@
-"""The loop of a controller and a plant that differs from its model by disturbances, noise or a delay."""
+"""The closed loop of a controller and a plant, which may differ from the model by disturbances, noise or a delay."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """The result of M sampling times, in the units of the problem and in seconds.
+    """The result of a closed loop over M sampling times, in the units of the problem and in seconds.
 
     Attributes
     ----------
     title : str
         Title of the problem.
     state_names, input_names : tuple of str
-        Names of the columns.
+        Names of the columns of `states` and `inputs`.
     sample, deadline : float
         Sampling time and deadline of the controller in seconds; the deadline may be None.
     message : str
         Reason of an early end, else empty.
     times : array (M + 1,)
-        Times of the states, beginning with the start.
+        Times of the states, beginning with the first state.
     states : array (M + 1, states)
         States of the plant.
     measured : array (M, states)
@@ -44,9 +44,9 @@ class ClosedLoop:
     inputs : array (M, controls)
         Inputs that acted from each sampling time on.
     statuses, iterations, residuals, costs : arrays (M,)
-        Results of the plans, as in Feedback.
+        Results of each `Controller.step`, as in Feedback.
     latencies : array (M,)
-        Seconds from the call to the inputs.
+        Seconds from the call of `Controller.step` to the inputs.
     in_time, fell_back : arrays (M,)
         As in Feedback.
     """
@@ -71,7 +71,7 @@ class ClosedLoop:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of sampling times by status."""
+        """Number of sampling times with each status."""
         return dict(Counter(self.statuses.tolist()))
 
     @property
@@ -80,7 +80,7 @@ class ClosedLoop:
         return int((~self.in_time).sum())
 
     def latency(self, percent: float) -> float:
-        """Return the seconds within which a percentage of the sampling times had their inputs.
+        """Return the latency in seconds that a percentage of the sampling times does not exceed.
 
         Parameters
         ----------
@@ -154,24 +154,24 @@ def close_loop(
     controller : Controller
         The controller.
     plant : path, module or function
-        A problem file, a generated module or its file, whose start has the controller's states and which has a
-        parameter for each input. This is a `Simulate`, or for `dynamics` a `Control` without controls and cost. Or a
-        function (state (states,), inputs (controls,), t, seconds) -> state after these seconds.
+        A problem file, a generated module or its file, with a function `problem()` that returns a `Simulate`, or for
+        `dynamics` a `Control` without controls and cost. Its start has the controller's states, and each input is a
+        parameter. Or a function (state (states,), inputs (controls,), t, seconds) -> state after these seconds.
     samples : int
         Number of sampling times.
     start : array (states,) or dict of str to float, optional
         First state, by default the problem's own.
     arguments : dict, optional
-        Arguments of problem() of a plant that is a problem file.
+        Arguments of problem(), if the plant is a problem file.
     disturbances : dict of str to float or function of time, optional
-        Parameters of the plant that the controller does not know. Known ones are `parameters` of the controller.
+        Parameters of the plant that the controller does not know. Known disturbances are `parameters` of Controller.
     noise : float, array (states,) or dict of str to float
         Standard deviations of normally distributed measurement errors.
     delay : int, optional
-        Sampling times between a measurement and the action of its inputs, by default the controller's delay. A longer
-        one disturbs the loop.
+        Number of sampling times between a measurement and the action of its inputs, by default the controller's delay.
+        A longer delay is a disturbance.
     inputs : array (controls,) or dict of str to float, optional
-        Inputs that act during the first delay, zero by default. A controller with a delay knows them.
+        Inputs that act during the first delay, zero by default. A controller with a delay knows these inputs.
     seed : int
         Seed of the noise.
 

@@ -1,4 +1,4 @@
-"""A controller with a moving horizon, which solves a problem from the measured state at every sampling time.
+"""A model predictive controller, which solves a problem over a moving horizon from each measured state.
 
 Source: Rawlings, Mayne and Diehl (2017), Model Predictive Control, chapter 8; for single Newton steps Diehl, Bock and
 Schloeder (2005), A real-time iteration scheme for nonlinear optimization in optimal feedback control.
@@ -43,30 +43,30 @@ from codegen.solving.results.result import ControlAttempt, Run
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Feedback:
-    """The result of one sampling time.
+    """The result of one sampling time of a controller.
 
     Attributes
     ----------
     t : float
         Time of the measurement in seconds.
     inputs : array (controls,)
-        Inputs in the units of the problem, to be applied from the time t, or later by the delay, until the next inputs.
+        Inputs in the units of the problem, which act from the time t, or t plus the delay, until the next inputs act.
     status : str
         "solved" if all equations hold to the tolerance, evaluated outside the solver. "iteration limit" or "time limit"
-        if iterations or time were used up. "non-finite" also for a measured state with a number that is not finite.
-        Otherwise the kind of failure.
+        if iterations or time were used up. "non-finite" for example if the measured state has a number that is not
+        finite. Otherwise the kind of failure.
     message : str
-        The status in a sentence.
+        A sentence that explains the status.
     cost, residual : float
         Cost of the plan, and max-norm of the residual of its equations.
     iterations : int
         Number of iterations.
     seconds : float
-        Time from the call to the inputs.
+        Time from the call of `step` to the inputs.
     in_time : bool
-        True if the deadline was kept.
+        True if the inputs were ready before the deadline.
     fell_back : bool
-        True if the inputs belong to the start of the search, usually the shifted last plan.
+        True if the inputs are those of the initial guess of the search, usually of the shifted last plan.
     """
 
     t: float
@@ -82,21 +82,21 @@ class Feedback:
 
 
 BEFORE, OF_START, OWN_GUESS = "plan before, shifted", "plan from the problem's own start", "problem's own guess"
-"""Starts of searches, for messages."""
+"""Names of the initial guesses of searches, for messages."""
 UNFINISHED = ("iteration limit", "time limit")
 MOST, MOST_WARM = 3000, 200
-"""Largest number of iterations of a solve; largest number of iterations and restoration steps from a plan.
+"""Largest number of iterations of a first solve; largest number of iterations and restoration steps from a plan.
 
-Most states that a controller can bring back take ten to fifty iterations, rarely 180. Without this limit a hopeless
-state would take thousands: half a second for a cart-pole, whose pole falls in a tenth of that time.
+Most states from which a controller can recover take ten to fifty iterations, rarely 180. Without a limit, a hopeless
+state would take thousands of iterations: half a second for a cart-pole, whose pole falls in a tenth of that time.
 """
 WARM_UPS, NUDGE = 20, 1e-4
-"""Timed solves before the first sampling time, and the relative change of their initial state."""
+"""Number of timed solves before the first sampling time, and the relative change of their initial state."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ahead:
-    """The preparation of a sampling time: run-time values, the shifted plan (n,), and True if it is factored."""
+    """The prepared part of a step: run-time values, the shifted plan (n,), and True if the KKT matrix is factored."""
 
     given: Arguments
     guess: Vector
@@ -104,14 +104,14 @@ class Ahead:
 
 
 class Controller:
-    """Solves a problem at every sampling time, from the measured state, and returns the inputs for the next interval.
+    """A model predictive controller: from each measured state, it solves a problem and returns the next inputs.
 
-    A solve starts from the last plan, shifted by a sampling time, with the measured state. Its first Newton step is the
-    tangential predictor. If a search ends early, the best feasible iterate is applied: the cheapest one with a residual
-    up to the root of the tolerance. Without a feasible iterate the last iterate is applied, or the shifted plan if its
-    residual is smaller. A solve that fails falls back on the shifted plan. Before the first plan a search starts from
-    the problem's guess. With a deadline it starts from the solution for the problem's own start, computed in the
-    constructor.
+    The initial guess of a solve is the last plan, shifted by a sampling time, with the measured state. The first Newton
+    step is then the tangential predictor. If a search ends early, the inputs of the best feasible iterate are applied.
+    This is the cheapest iterate with a residual up to the square root of the tolerance. Without a feasible iterate the
+    last iterate is applied, or the shifted plan if its residual is smaller. If a solve fails, the shifted plan is
+    applied. The first solve starts from the problem's initial guess. With a deadline it starts from the solution for
+    the problem's own initial state, which the constructor computes.
 
     Parameters
     ----------
@@ -121,11 +121,11 @@ class Controller:
         Number of intervals of the horizon.
     horizon : float, optional
         Length of the horizon in seconds, by default the problem's duration. If the duration is a parameter that other
-        formulas use, that parameter determines the horizon.
+        formulas use, set this parameter in `parameters` instead.
     sample : float, optional
-        Sampling time in seconds, by default one interval.
+        Sampling time in seconds, by default the length of one interval.
     arguments, scheme, method
-        Choices of the build, as for `codegen.build`.
+        Options of the build, as for `codegen.build`.
     parameters : dict of str to float or function, optional
         Run-time values by name: numbers, or functions of the time at which a plan starts, for moving references and
         known disturbances. `end.x` is a prescribed value at the end.
@@ -135,20 +135,20 @@ class Controller:
         Number of Newton steps of a solve (real-time iteration). A single step ends at the first bound that it meets, so
         three steps are better with bounds. By default a solve has at most 200 iterations and restoration steps.
     deadline : float, optional
-        Seconds from the call of `step` to the inputs. No iteration begins that would end too late by the times of
-        earlier steps.
+        Largest time in seconds from the call of `step` to the inputs. An iteration begins only if it will end in time,
+        according to the times of earlier steps.
     scaling : {"auto", "none"}
-        "auto" decides once, at the solution for the problem's own start, whether the solver scales variables. With
-        scaling the best feasible iterate is the last one.
+        With "auto" the controller decides once, at the solution for the problem's own initial state, whether the solver
+        scales variables. With scaling the last iterate takes the place of the best feasible iterate.
     delay : int
-        Sampling times between a measurement and the action of its inputs, for example for their computation. The state
-        is predicted by the model over this time under the last `delay` inputs (delay compensation). The plan starts
-        from the predicted state at that time.
+        Number of sampling times between a measurement and the action of its inputs, for example for their computation.
+        The model predicts the state over this time under the last `delay` inputs (delay compensation). The plan starts
+        from the predicted state at the end of this time.
 
     Attributes
     ----------
     states, inputs : tuple of str
-        Names in the order of arrays.
+        Names of measured states and of inputs, in the order of arrays.
     last : Feedback or None
         Result of the last step; earlier results are not stored.
 
@@ -164,7 +164,7 @@ class Controller:
 
     Notes
     -----
-    A controller may be called from any thread; calls take turns.
+    A controller may be called from any thread; a call waits until the call before has ended.
     """
 
     def __init__(
@@ -222,7 +222,7 @@ class Controller:
     _clock = staticmethod(perf_counter)
 
     def step(self, state: object, t: float = 0.0, parameters: Mapping[str, float] | None = None) -> Vector:
-        """Return the inputs to apply from the time t on, for a measured state.
+        """Return the inputs for a measured state at the time t.
 
         A numerical failure raises no exception: the shifted plan gives the inputs, and `last.status` has the
         failure. The same holds for a measured state with a number that is not finite; its status is "non-finite".
@@ -232,10 +232,10 @@ class Controller:
         state : array (states,) or dict of str to float
             The measured state in the units of the problem.
         t : float
-            Time of the measurement in seconds. With a delay the inputs act later by the delay, and every sampling time
-            needs its step.
+            Time of the measurement in seconds. The inputs act from this time on, or later by the delay. With a delay,
+            `step` must be called at every sampling time.
         parameters : dict of str to float, optional
-            Run-time values that replace values of the controller in this step.
+            Run-time values that replace the `parameters` of the controller in this step.
 
         Returns
         -------
@@ -302,12 +302,12 @@ class Controller:
         return last.inputs.copy()
 
     def prepare(self, t: float, parameters: Mapping[str, float] | None = None) -> None:
-        """Do the part of the step at the time t that needs no measurement, while the inputs before it act.
+        """Compute, before the time t, the part of the step at time t that needs no measurement.
 
         This is the preparation phase of a real-time iteration: the shifted plan, run-time values, the grid, and the
-        factorisation for the first Newton step. That step then has the matrix of the predicted state and the residuals
-        of the measured state. A step at another time or with other `parameters` ignores the preparation; so does the
-        first step.
+        factorisation for the first Newton step. The Newton step then uses the KKT matrix at the predicted state and the
+        residuals at the measured state. The first step, and a step at another time or with other `parameters`, ignore
+        the preparation.
 
         Parameters
         ----------
@@ -344,17 +344,17 @@ class Controller:
         return self._interface.start_of(self._grids.separate(self._values.given(0.0)))
 
     def reset(self, inputs: object = None) -> None:
-        """Drop the plan, for a next state that does not follow from the last one.
+        """Delete the plan, before a measured state that does not follow from the last state.
 
         Parameters
         ----------
         inputs : array (controls,) or dict of str to float, optional
-            With a delay, the inputs that act before the first ones of the controller, zero by default.
+            With a delay, the inputs that act before the first inputs of the controller, zero by default.
 
         Raises
         ------
         ArgumentError
-            For inputs without a delay.
+            If `inputs` are given to a controller without a delay.
         NumericsError
             For unusable inputs.
         """
@@ -399,9 +399,9 @@ class Controller:
         self, grid: Grid, guess: Vector, what: str, log: BestIterate, most: int | None,
         failure: tuple[str, str] | None = None,
     ) -> tuple[Point, bool, str, str, int]:  # fmt: skip
-        """Return (plan to apply, True for the guess, status, message, iterations) of a search from a guess.
+        """Search for a plan from a guess; return (plan to apply, True if it is the guess, status, message, iterations).
 
-        The plan is evaluated outside the solver. With a `failure` (status, message) the search is omitted.
+        `what` names the guess. The plan is evaluated outside the solver. With a `failure` the search is omitted.
         """
         status, message, iterations = "time limit", "time limit: there was no time for an iteration", 0
         point: Point | None = None
@@ -417,7 +417,7 @@ class Controller:
             best, tolerance = evaluate(grid, point.unknowns), self.options.tolerance
             if holds(self.module, grid, best, tolerance):
                 return best, False, status, message, iterations
-            # The convergence test that all drivers share takes account of scaling factors, rounding and large
+            # The convergence test for results of all drivers allows for scaling factors, rounding errors and large
             # multipliers. It takes ten times as long as `holds`.
             run = Run(self.steps, guess=guess, scaling=self._scaling)
             claim = ControlAttempt("solved", "", iterations, best.unknowns, tolerance)
@@ -437,17 +437,17 @@ class Controller:
         return best, iterate is None, status, message, iterations
 
     def _pinned(self, grid: Grid, unknowns: Vector) -> Vector:
-        """Set the measured state in a plan."""
+        """Set the prescribed values, such as the measured state, in a plan (n,), and return the plan."""
         self.module.problem.pin_values(grid, unknowns, self.module.views(grid, unknowns)[0])
         return unknowns
 
     def _solve(
         self, grid: Grid, guess: Vector, is_warm: bool, log: BestIterate, most: int | None
     ) -> tuple[str, str, Point, int]:
-        """Return (status, message, point, iterations) of a search, without the results of the module's `solve`.
+        """Return (status, message, point, iterations) of a search, without the checks of the module's `solve`.
 
-        Without scaling and ranges of tables the bare search suffices. It also accepts a measured state beyond a bound,
-        which `solve` would refuse: bounds hold from the first node that the inputs can influence.
+        Without scaling and tables the search is called directly. The search also accepts a measured state beyond a
+        bound, which `solve` would refuse: bounds hold from the first node that the inputs can influence.
         """
         options = self.options.tolerance, MOST if most is None else most, is_warm
         if not self._is_plain:
@@ -468,7 +468,7 @@ class Controller:
         return status, describe(grid, guess, point, status)[1], point, iterations
 
     def _warm_up(self, grid: Grid) -> Pace:
-        """Solve the problem for its own start: this compiles, decides on scaling, and times the parts of a step."""
+        """Solve the problem for its own initial state: compile it, decide on scaling, and time the parts of a step."""
         module, given = self.module, self._values.given(0.0)
         if self._delay is not None:
             self._delay.state_after(self._interface.start_of(grid), 0.0, None)

@@ -2,10 +2,11 @@
 
 The grids of successive sampling times share bounds and the storage of the solver.
 
-A plan is shifted in time to start the next solve. A shift by a whole number of intervals moves values to earlier nodes
-and intervals. Other shifts interpolate linearly between nodes and take means of constant controls. Beyond the end nodes
-follow the straight line of the last interval, and controls stay constant. Source: Diehl, Bock and Schloeder (2005), A
-real-time iteration scheme for nonlinear optimization in optimal feedback control, SIAM J. Control Optim. 43.
+A plan (the unknowns of a solve) is shifted in time as the initial guess of the next solve. A shift by a whole number of
+intervals moves values to earlier nodes and intervals. Other shifts interpolate linearly between nodes, and between the
+controls of successive intervals. Beyond the end the nodes follow the straight line of the last interval, and controls
+stay constant. Source: Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear optimization in
+optimal feedback control, SIAM J. Control Optim. 43.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from codegen.solving.request import SCALINGS, Request, as_number, parameter_argu
 from codegen.solving.results.result import component_names
 
 WHOLE = 1e-9
-"""Tolerance, in intervals, of a sampling time that is a whole number of intervals."""
+"""Largest difference, in intervals, of a sampling time from a whole number of intervals, up to which it is rounded."""
 
 Arguments: TypeAlias = dict[str, Any]
 """Arguments of the functions of a generated module, by name."""
@@ -44,7 +45,7 @@ class Interface:
     """The names of the values of a module: states at the start, inputs (controls), and parameters.
 
     `keys` maps parameters to arguments of the module's functions, whose names differ for reserved words of Python.
-    `ends` are prescribed values at the end, named `end.x`.
+    `ends` names the states with prescribed values at the end; the run-time value of a state x is named `end.x`.
     """
 
     states: tuple[str, ...]
@@ -53,14 +54,14 @@ class Interface:
     ends: tuple[str, ...]
 
     def set_value(self, given: Arguments, name: str, value: float) -> None:
-        """Set a run-time value among the arguments of the module's functions."""
+        """Set a run-time value in `given`, the keyword arguments of the module's functions."""
         if name in self.keys:
             given[self.keys[name]] = value
         else:
             given.setdefault("end", {})[name.removeprefix("end.")] = value
 
     def require_known(self, names: Iterable[str], what: str) -> None:
-        """Raise ArgumentError, with close names, for unknown run-time values."""
+        """Raise ArgumentError, with a similar name, for names that are no run-time values."""
         known = (*self.keys, *(f"end.{name}" for name in self.ends))
         for name in names:
             if name not in known:
@@ -70,18 +71,18 @@ class Interface:
 
     @property
     def start(self) -> slice:
-        """The slice of the values at the start in the parameters of a grid."""
+        """The slice of the states at the start within the parameters of a grid."""
         return slice(len(self.keys), len(self.keys) + len(self.states))
 
     def start_of(self, grid: Grid) -> Vector:
-        """Return the values (states,) at the start of a grid."""
+        """Return the states (states,) at the start of a grid."""
         return np.array(grid.parameters[0, self.start])
 
 
 def vector(values: object, names: tuple[str, ...], what: str, is_finite: bool = True) -> Vector:
-    """Return numbers in the order of names, from an array or a mapping; raises NumericsError for other values.
+    """Return numbers (names,) in the order of `names`, from an array or a mapping.
 
-    With `is_finite` a number that is not finite is refused, too.
+    Raises NumericsError for other values, and with `is_finite` also for numbers that are not finite.
     """
     remedy = f"give {', '.join(names)}, in this order or by name"
     if isinstance(values, Mapping):
@@ -102,7 +103,7 @@ def vector(values: object, names: tuple[str, ...], what: str, is_finite: bool = 
 
 
 def number(value: object, what: str) -> float:
-    """Return a finite number; raises NumericsError for other values."""
+    """Return `value` as a finite number; raises NumericsError, with a message about `what`, for other values."""
     result = as_number(value)
     if not math.isfinite(result):
         raise NumericsError(clause(f"{what} is {value!r}"), "give a finite number")
@@ -110,14 +111,14 @@ def number(value: object, what: str) -> float:
 
 
 def require_count(name: str, value: object, least: int) -> None:
-    """Raise NumericsError for a value that is no whole number from `least` on."""
+    """Raise NumericsError if the value of the option `name` is no whole number, or is smaller than `least`."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
         remedy = "a positive integer" if least else "a whole number that is not negative"
         raise NumericsError(f"{name} is {value!r}", f"give {remedy}")
 
 
 def interface_of(module: Any) -> Interface:
-    """Return the interface of a module for an optimisation over a fixed horizon; raises ArgumentError for others."""
+    """Return the interface of a module; raises ArgumentError unless it is an optimisation over a fixed horizon."""
     metadata: Any = getattr(module, "metadata", None)
     problem = metadata.problem if metadata else "it"
     if metadata is None or metadata.task != Task.CONTROL:
@@ -146,7 +147,7 @@ def interface_of(module: Any) -> Interface:
 
 
 def module_of(problem: Any, arguments: Mapping[str, object], scheme: str | None, method: str | None) -> ControlModule:
-    """Return a loaded module with machine code, from a problem, the file of a module, or a module.
+    """Return a loaded and compiled module, from a problem, the file of a module, or a module.
 
     Raises the errors of `codegen.solve` for a problem that cannot be read, derived or stored.
     """
@@ -167,7 +168,7 @@ def module_of(problem: Any, arguments: Mapping[str, object], scheme: str | None,
 
 @dataclass(frozen=True)
 class Options:
-    """The options of a controller; see Controller, whose default replaces None. Times are in seconds."""
+    """The options of a controller, with times in seconds; for None the default in `Controller` applies."""
 
     steps: int | None
     horizon: float | None
@@ -179,7 +180,7 @@ class Options:
     delay: int
 
     def __post_init__(self) -> None:
-        """Raise an error for options that no problem can use."""
+        """Raise an error for invalid options."""
         for name in ("steps", "newton_steps"):
             if getattr(self, name) is not None:
                 require_count(name, getattr(self, name), 1)
@@ -195,14 +196,14 @@ class Options:
 
 
 Moving: TypeAlias = float | Callable[[float], float]
-"""A run-time value: a number, or a function of the present time."""
+"""A run-time value: a number, or a function of time."""
 
 
 class Values:
-    """The run-time values of a controller or plant, which `what` names: parameters and prescribed ends, as `end.x`.
+    """The run-time values of a controller or plant: parameters, and prescribed values at the end, named `end.x`.
 
-    Raises ArgumentError for an unknown name and for a value that is neither number nor function, NumericsError for a
-    number that is not finite.
+    `of_solves` are further arguments of all solves; `what` names the owner of the values in messages. Raises
+    ArgumentError for an unknown name, and NumericsError for a value that is no function and no finite number.
     """
 
     def __init__(
@@ -217,7 +218,7 @@ class Values:
         self._moving = {n: v for n, v in values.items() if callable(v)}
 
     def given(self, t: float, own: Mapping[str, float] | None = None) -> Arguments:
-        """Return the arguments of the module's functions at a time; the values of `own` hold at this time alone."""
+        """Return the keyword arguments of the module's functions at time t; values in `own` replace the stored ones."""
         arguments = dict(self._of_solves)
         for name, value in self._constants.items():
             self._interface.set_value(arguments, name, value)
@@ -231,9 +232,9 @@ class Values:
 
 
 class Grids:
-    """Makes grids of a module with some number of steps and reuses the last one if only the state changes.
+    """The grids of a module with a number of steps; the last grid is used again if only the state changes.
 
-    `search` is the storage of a search on the last grid, or None. Grids without a search have no bounds.
+    `search` is the storage of the solver for the last grid. If `is_searched` is False, there are no storage and bounds.
     """
 
     def __init__(self, module: ControlModule, interface: Interface, steps: int, is_searched: bool = True) -> None:
@@ -244,7 +245,7 @@ class Grids:
         self.search: Search | None = None
 
     def at(self, given: Arguments, start: Vector | None = None) -> Grid:
-        """Return the grid with run-time values and bounds; the next call may change it.
+        """Return the grid with the run-time values `given` and with bounds; the next call may change the same grid.
 
         The state is `start` (states,), by default the problem's own. Raises NumericsError for unusable values.
         """
@@ -258,7 +259,7 @@ class Grids:
                 same = same and all(one.tobytes() == other.tobytes() for one, other in pairs)
                 grid = grid._replace(bounds=self._last.bounds if same else bounds)
             self._last = grid
-            if self._is_searched and same:  # with unchanged bounds the storage of the last search is used again
+            if self._is_searched and same:  # with unchanged bounds the storage of the last grid is used again
                 self.search = on_grid(self.search, grid)
             elif self._is_searched:
                 is_contradictory = self._is_bounded and contradictory_bounds(grid) >= 0
@@ -269,7 +270,7 @@ class Grids:
         return self._last  # type: ignore[no-any-return]
 
     def separate(self, given: Arguments) -> Grid:
-        """Return a new grid with run-time values, which may include the state."""
+        """Return a new grid with the run-time values `given`, which may include the state."""
         try:
             return self._module.make_grid(self._steps, **given)
         except ValueError as error:  # generated modules raise built-in exceptions
@@ -277,11 +278,11 @@ class Grids:
 
 
 def shift_by(module: ControlModule, grid: Grid, intervals: float) -> Callable[[Vector], Vector]:
-    """Return the map from the unknowns (n,) of a plan to the unknowns shifted by a number of intervals.
+    """Return a function that shifts the unknowns (n,) of a plan by a number of intervals to an earlier time.
 
-    The number need not be whole; intervals have equal length. Each unknown becomes a weighted sum of two unknowns.
-    Unknowns that only the ends have, such as their velocities, do not move, because they are zero at inner nodes.
-    Global unknowns do not move either.
+    The number may be fractional; intervals have equal length. Each unknown becomes a weighted sum of two unknowns.
+    Unknowns of the first and last node alone, such as velocities there, are not shifted, because they are zero at inner
+    nodes. Linking variables are not shifted either.
     """
     numbers = np.arange(grid.is_multiplier.size, dtype=float)
     of_nodes, of_intervals = module.views(grid, numbers)
@@ -290,13 +291,13 @@ def shift_by(module: ControlModule, grid: Grid, intervals: float) -> Callable[[V
     (node_first, interval_first), (node_second, interval_second) = (
         module.views(grid, weights) for weights in (first, second)
     )
-    # Interpolate nodes linearly; the line of the last interval continues beyond the end.
+    # Interpolate between nodes linearly; beyond the end, continue the line of the last interval.
     positions, last = np.arange(grid.steps + 1) + intervals, grid.steps - 1
     floor = np.minimum(positions.astype(int), last)
     one_node[:], two_node[:] = of_nodes[:, floor], of_nodes[:, floor + 1]
     node_second[:] = (positions - floor)[:, None]
     node_first[:] = 1.0 - node_second
-    # Take the mean of two intervals.
+    # Take the weighted mean of two intervals.
     positions = positions[:-1]
     floor = positions.astype(int)
     one_interval[:], two_interval[:] = (of_intervals[:, np.minimum(index, last)] for index in (floor, floor + 1))

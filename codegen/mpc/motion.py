@@ -1,7 +1,7 @@
-"""Predictions of a controller that compensates a delay, and the plant that a controller acts on.
+"""The prediction of the state by a controller that compensates a delay, and the plant on which a controller acts.
 
-A prediction follows the discrete equations of the module itself under given inputs. So without disturbances the
-predicted state equals the state of a plan with the same inputs. With a delay the plan starts at the predicted state.
+A prediction solves the discrete equations of the controller's module for prescribed inputs. So without disturbances the
+predicted state equals the state in a plan with the same inputs. With a delay the plan starts at the predicted state.
 Source: Findeisen and Allgoewer (2004), Computational delay in nonlinear model predictive control, IFAC Proceedings
 Volumes 37(1).
 
@@ -28,13 +28,14 @@ from codegen.solving.loading import ControlModule, Indices, Vector, is_control, 
 from codegen.solving.request import parameter_arguments
 
 VELOCITY_NEWTON_STEPS, VELOCITY_CLOSE = 20, 1e-12
-"""One step suffices for kinetic energies that are quadratic in velocities."""
+"""Largest number of Newton steps for velocities, and relative tolerance of the momenta."""
 
 
 def velocities_of(momenta: Callable[[Vector], Vector], wanted: Vector, guess: Vector) -> Vector:
-    """Return the velocities (coordinates,) with the momenta `wanted`, by Newton's method from a guess.
+    """Return the velocities (coordinates,) with the momenta `wanted`, by Newton's method from an initial guess.
 
-    The matrix has difference quotients with step one, which are exact for quadratic kinetic energies.
+    `momenta` maps velocities to momenta; its Jacobian has difference quotients with step one. For kinetic energies that
+    are quadratic in velocities they are exact, and one Newton step suffices.
     """
     v = guess
     for _ in range(VELOCITY_NEWTON_STEPS):
@@ -47,14 +48,14 @@ def velocities_of(momenta: Callable[[Vector], Vector], wanted: Vector, guess: Ve
 
 
 NEWTON_STEPS, CLOSE = 20, 1e-10
-"""Newton steps on one interval, and the relative size of the last one."""
+"""Largest number of Newton steps on an interval, and the relative size of the last step."""
 
 
 class Motion:
-    """The motion of a state over `seconds`, which are a number of `intervals` of a plan.
+    """The motion of the controller's model over `seconds`, under constant inputs.
 
-    The time is divided into intervals no longer than the intervals of the plan. Raises ArgumentError for a module whose
-    motion does not follow from its start and its inputs.
+    The seconds are a number of `intervals` of a plan, not necessarily whole. The motion is solved on intervals that are
+    not longer. Raises ArgumentError for a module whose motion does not follow from its start and its inputs.
     """
 
     def __init__(self, module: ControlModule, interface: Interface, seconds: float, intervals: float) -> None:
@@ -78,7 +79,7 @@ class Motion:
         if self._equations.size != self._unknowns.size or module.metadata.free_parameters:
             finding = f"the state of {module.metadata.problem} does not follow from its start and inputs alone"
             raise ArgumentError(finding, "leave delay out, and give step the state that inputs on their way lead to")
-        # The entries of an interval's Hessian that belong to its motion, and their rows and columns.
+        # Find the entries of an interval's Hessian that belong to its equations of motion, with rows and columns.
         structure = module.problem.structure
         row, column = ({int(j): i for i, j in enumerate(kind)} for kind in (self._equations, self._unknowns))
         pairs = list(enumerate(zip(structure.rows, structure.columns, strict=True)))
@@ -88,9 +89,9 @@ class Motion:
         self._system = allocate_system(module.make_grid(steps))
 
     def __call__(self, state: Vector, inputs: Vector, given: Arguments, later: Arguments) -> Vector | None:
-        """Return the state (states,) after a state under inputs (controls,), or None if the solve fails.
+        """Return the state (states,) at the end of the motion from `state` under `inputs`, or None if the solve fails.
 
-        The run-time values `given` hold during the motion, `later` at its end.
+        The run-time values `given` hold during the motion, and `later` for the velocities at its end.
         """
         grid = self._grids.at(given | self._seconds, state)
         unknowns = self._module.initial_guess(grid)
@@ -125,7 +126,7 @@ class Motion:
         return after if np.isfinite(after).all() else None
 
     def _velocities(self, state: Vector, wanted: Vector, later: Arguments) -> Vector:
-        """Return the rates of a state with the momenta (coordinates,) at the end of the motion."""
+        """Return the velocities with the momenta `wanted` (coordinates,) at the end of the motion."""
         module, start = self._module, state.copy()
         of_node = self._equations[self._equations < self._node.size]
         grid = self._starts.at(later | self._seconds, start)
@@ -136,7 +137,7 @@ class Motion:
             grid = self._starts.at(later | self._seconds, start)
             module.problem.pin_values(grid, unknowns, module.views(grid, unknowns)[0])
             p: Vector = module.unpack(grid, unknowns)[2][0]
-            # The discrete equation at the start is the prescribed momentum less the momentum of the first interval.
+            # The residual at the first node is the prescribed momentum minus the momentum of the first interval.
             if of_node.size:
                 p = p + evaluate(grid, unknowns).gradient[of_node]
             return p
@@ -145,7 +146,7 @@ class Motion:
 
 
 class Delay:
-    """The inputs of the last `samples` sampling times of `seconds`, and the prediction of the state at their end."""
+    """The inputs of the last `samples` sampling times, each `seconds` long, and the prediction of the later state."""
 
     def __init__(self, interface: Interface, values: Values, motion: Motion, samples: int, seconds: float) -> None:
         self._interface, self._values, self._motion = interface, values, motion
@@ -153,19 +154,19 @@ class Delay:
         self.reset()
 
     def reset(self, inputs: object = None) -> None:
-        """Set the inputs (controls,) that act before the inputs of the controller, zero by default."""
+        """Set all stored inputs to `inputs` (controls,), zero by default, which act before the controller's inputs."""
         names = self._interface.inputs
         before = np.zeros(len(names)) if inputs is None else vector(inputs, names, "the array of inputs")
         self._waiting = deque([before] * self._samples, self._samples)
 
     def append(self, inputs: Vector) -> None:
-        """Append inputs (controls,); the oldest ones have acted by then."""
+        """Append new inputs (controls,), and drop the oldest inputs."""
         self._waiting.append(inputs.copy())
 
     def state_after(self, state: Vector, t: float, own: Mapping[str, float] | None) -> Vector | None:
         """Return the state (states,) at the end of the delay that starts at time t, or None if the prediction fails.
 
-        Run-time values are evaluated at the times in between; the values of `own` hold at all these times.
+        Run-time values are evaluated at each sampling time of the delay, but the values in `own` are constant.
         """
         given = self._values.given(t, own)
         for k, inputs in enumerate(self._waiting, 1):
@@ -178,11 +179,11 @@ class Delay:
 
 
 Plant: TypeAlias = Callable[[Vector, Vector, float, float], Vector]
-"""(state (states,), inputs (controls,), time, seconds) -> the state after these seconds."""
+"""A function (state (states,), inputs (controls,), time, seconds) -> state (states,) after these seconds."""
 
 
 class PlantFailed(Exception):
-    """The solve of the plant failed, for example for a diverging motion."""
+    """The exception of a plant whose solve failed, for example for a diverging motion."""
 
 
 def plant_of(
@@ -191,10 +192,10 @@ def plant_of(
     names: tuple[tuple[str, ...], tuple[str, ...]],
     disturbances: Mapping[str, Moving],
 ) -> Plant:
-    """Return a plant from a function, a problem, a module or its file, for a controller's states and inputs (`names`).
+    """Return a plant from a function, a problem, a module or its file.
 
-    Raises ArgumentError if the start of the plant has other names than the states, or if the plant lacks parameters
-    with the names of the inputs or disturbances.
+    `names` are the names of the controller's states and inputs. Raises ArgumentError if the start of the plant has
+    other names than the states, or if the plant lacks parameters with the names of the inputs or disturbances.
     """
     if callable(plant):
         if disturbances:
@@ -222,7 +223,7 @@ def plant_of(
     has_velocities = bool(rate_names) and metadata.form == Form.LAGRANGIAN
 
     def after(state: Vector, inputs_now: Vector, t: float, seconds: float) -> Vector:
-        """Return the next state; the own time of the module restarts at every sampling time."""
+        """Return the next state; the time in the module restarts from zero at every sampling time."""
         given = values.given(t, dict(zip(inputs, inputs_now.tolist(), strict=True)))
         start = dict(zip(states, state.tolist(), strict=True))
         given |= {"start": start, "duration": seconds}
@@ -234,7 +235,7 @@ def plant_of(
             raise PlantFailed(result.message)
         q, rates = result.q[-1], result.p[-1]
         found = dict(zip(metadata.coordinates, q.tolist(), strict=True))
-        if has_velocities:  # the velocities with the momenta at the end
+        if has_velocities:  # find the velocities from the momenta at the end
 
             def momenta(v: Vector) -> Vector:
                 moved = found | dict(zip(rate_names, v.tolist(), strict=True))
@@ -249,7 +250,7 @@ def plant_of(
 
 
 def _of_function(function: Callable[[Vector, Vector, float, float], object], states: tuple[str, ...]) -> Plant:
-    """Return a plant that checks the results of a function of the state, the inputs, the time and the duration."""
+    """Return a plant that calls a function of state, inputs, time and seconds, and checks the returned state."""
 
     def after(state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
         returned = function(state.copy(), inputs.copy(), t, seconds)

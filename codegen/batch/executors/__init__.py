@@ -1,4 +1,4 @@
-"""The registry of executors, and the call that lets an executor do chunks of work.
+"""The registry of executors, which solve the chunks of a sweep in parallel, and the call of an executor.
 
 An executor is one file in this folder and one row of EXECUTORS.
 """
@@ -19,24 +19,24 @@ from codegen.batch.executors.chunks import Done, Tally, Work
 from codegen.errors import ArgumentError, ExtraError, NumericsError, clause
 
 Solved: TypeAlias = "Iterator[tuple[int, Done]]"
-"""Results of chunks by their numbers, in any order."""
+"""An iterator over (number of a chunk, result of the chunk), in any order."""
 Executor: TypeAlias = "Callable[[Work, int], AbstractContextManager[Callable[[Sequence[int]], Solved]]]"
-"""(work, workers) -> a context with workers; in the context a function solves chunks by their numbers.
+"""A function (work, number of workers) -> context manager of a function (numbers of chunks) -> results.
 
-Each chunk is returned exactly once. A chunk whose workers were lost several times is returned by `work.lost`.
+Each chunk has exactly one result. If the workers of a chunk were lost several times, its result is `work.lost(...)`.
 """
 
 
 @dataclass(frozen=True)
 class Row:
-    """Name and summary of an executor; its file defines a function `running` of type Executor."""
+    """The name and summary of an executor, whose file defines a function `running` of type Executor."""
 
     name: str
     summary: str
 
     @property
     def running(self) -> Executor:
-        """The executor, imported on demand."""
+        """The executor; its file is imported on demand."""
         return getattr(import_module(f"codegen.batch.executors.{self.name}"), "running")  # type: ignore[no-any-return]  # noqa: B009
 
 
@@ -50,11 +50,11 @@ EXECUTORS = {
         Row("dask", "workers of a cluster of dask, on any machines"),
     )
 }
-"""All executors by name; tests run over this table."""
+"""All executors by name; tests cover each of them."""
 
 
 def executor_for(workers: int, cluster: object = None) -> Executor:
-    """Return the executor for a cluster, or for this number of workers on this machine."""
+    """Return the dask executor if a cluster is given, else the executor for this number of workers."""
     if cluster is not None:
         running: Any = EXECUTORS["dask"].running
         return partial(running, cluster=cluster)
@@ -62,10 +62,10 @@ def executor_for(workers: int, cluster: object = None) -> Executor:
 
 
 def connected(cluster: object) -> AbstractContextManager[object]:
-    """Return a context with the client of a cluster, or with None.
+    """Return a context manager with the dask client of a cluster, or with None if `cluster` is None.
 
-    Raises ExtraError without dask, ClusterError when no scheduler answers or it has no workers, and ArgumentError for
-    an invalid value of `cluster`.
+    Raises ExtraError if dask is not installed, ClusterError if no scheduler answers or the cluster has no workers, and
+    ArgumentError for an invalid value of `cluster`.
     """
     if cluster is None:
         return nullcontext()
@@ -76,20 +76,20 @@ def connected(cluster: object) -> AbstractContextManager[object]:
 
 
 Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]
-"""(name, count) -> a context with a function of (parts done, text) that shows progress."""
+"""A function (action, number of parts) -> context manager of a function (finished parts, text) that shows progress."""
 Working: TypeAlias = Callable[[str], AbstractContextManager[object]]
-"""(name) -> a context that shows activity during a long step."""
+"""A function (action) -> context manager, which shows activity during a long step."""
 
 
 @contextmanager
 def silent(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
-    """Show no progress."""
+    """Show no progress; a function of type Progress."""
     yield lambda done, text: None
 
 
 @dataclass(frozen=True)
 class Team:
-    """The number of processes or the client of a cluster, the display of progress, and the notes of workers."""
+    """The workers of a sweep (a number of processes, or a cluster), the display of progress, and notes of workers."""
 
     workers: int
     cluster: object = None
@@ -101,9 +101,9 @@ class Team:
         self, work: Work, numbers: Sequence[int], total: int, before: Tally, keep: Callable[[int, Done], None],
         what: tuple[str, str] = ("Solving", "cases"),
     ) -> Tally:  # fmt: skip
-        """Solve chunks, pass each result to `keep`, and return the tally of these and earlier ones.
+        """Solve the chunks `numbers`, pass each result to `keep`, and return `before` plus the tally of the results.
 
-        `total` is the number of all cases; `what` names the action and the unit of progress.
+        `total` is the number of all cases; `what` is the action and the unit of the progress display.
         """
         if not numbers:
             return before
@@ -122,7 +122,7 @@ class Team:
 def team_size(workers: object, cluster: object) -> int:
     """Return the number of worker processes, by default the number of available processors.
 
-    Raises NumericsError for an invalid number, ArgumentError for a number with a cluster of other workers.
+    Raises NumericsError for an invalid number, ArgumentError for a number with a cluster that has its own workers.
     """
     if workers is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,10 +1,10 @@
-"""Work that executors share out in chunks, the tally of its results, locks and journals.
+"""The interface of work that executors divide into chunks, the tally of its results, locks and journals.
 
-Work is pickled once for each worker and is small. Chunks are numbered from zero; a worker receives a number, or a piece
-with the data of the chunk.
+Work is small and is pickled once for each worker. Chunks are numbered from zero; a worker receives the number of a
+chunk, or a piece with its data.
 
-A journal lists the finished chunks of some work. It has lines of JSON: a header with the digest of the work, then one
-line for each chunk. The line is written after the results of the chunk. So an interrupt loses only chunks in progress.
+A journal file lists the finished chunks of some work as lines of JSON: a header with the digest of the work, then one
+line for each chunk. A line is written after the results of its chunk, so an interrupt loses only chunks in progress.
 An incomplete last line is ignored.
 """
 
@@ -35,10 +35,10 @@ LOST = "worker lost"
 
 @dataclass(frozen=True)
 class Tally:
-    """Number of cases by status, the first message of each status, and the seconds of all solves.
+    """The number of cases by status, the first message of each status, and the seconds of all solves.
 
-    `improved` counts cases with a lower cost after a start from beyond a jump of the cost. `jumps` counts cases that
-    still lie next to a jump.
+    `improved` counts cases whose cost fell by a new solve from the better side of a jump of the cost. `jumps` counts
+    cases on the worse side of a remaining jump.
     """
 
     counts: Mapping[str, int] = field(default_factory=dict)
@@ -48,7 +48,7 @@ class Tally:
     jumps: int = 0
 
     def __add__(self, other: Tally) -> Tally:
-        """Return the sum of both tallies; messages of the first one take precedence."""
+        """Return the sum of both tallies; messages of `self` take precedence."""
         counts = {key: self.counts.get(key, 0) + other.counts.get(key, 0) for key in {**self.counts, **other.counts}}
         sums = (self.seconds + other.seconds, self.improved + other.improved, self.jumps + other.jumps)
         return Tally(counts, {**other.messages, **self.messages}, *sums)
@@ -65,7 +65,7 @@ class Tally:
 
     @property
     def failed(self) -> dict[str, int]:
-        """Number of cases by status, without solved ones, the most frequent status first."""
+        """The number of unsolved cases by status, the most frequent status first."""
         rest = ((status, count) for status, count in self.counts.items() if status != SOLVED)
         return dict(sorted(rest, key=lambda pair: (-pair[1], pair[0])))
 
@@ -75,7 +75,7 @@ class Tally:
 
     @property
     def won(self) -> dict[str, int]:
-        """Return the entries about jumps of the cost that are not zero."""
+        """The numbers `improved` and `jumps`, each only if it is not zero."""
         named = {"improved": self.improved, "jumps": self.jumps}
         return {name: number for name, number in named.items() if number}
 
@@ -89,12 +89,12 @@ class Tally:
 
 
 def counted(number: int, what: str) -> str:
-    """Return a number with its noun in the singular or the plural."""
+    """Return a text with a number and its noun `what`, in the singular or the plural."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def table_of(tally: Tally) -> Table:
-    """Return a table with a row for each status and one of its messages."""
+    """Return a table for the terminal, with a row for each status and an example of its messages."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -111,7 +111,7 @@ def table_of(tally: Tally) -> Table:
 
 
 class Abandoned(Exception):
-    """The task was cancelled."""
+    """The exception of a worker whose result is no longer wanted."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Work(Protocol):
     """The interface of work that executors can do."""
 
     def loaded(self) -> Work:
-        """Return the work after the slow preparation of this process, such as loading machine code."""
+        """Prepare this process for solves, for example load machine code, and return the work."""
 
     def piece(self, number: int) -> object:
         """Return the data of a chunk that a worker needs in addition to the work."""
@@ -135,7 +135,7 @@ class Work(Protocol):
     def solve(self, piece: Any, is_wanted: Callable[[], bool] = ...) -> Done:
         """Solve a chunk and store its results; raises Abandoned as soon as `is_wanted` returns False.
 
-        A failed case is part of the result. An error that ends all of the work is raised.
+        A failed case is part of the result. An error that ends the whole work is raised.
         """
 
     def lost(self, number: int, reason: str) -> Done:
@@ -149,15 +149,15 @@ class Work(Protocol):
 
 
 class Parcel(Protocol):
-    """Work in transit to another machine. It carries no machine code, which depends on the processor."""
+    """Work on its way to another machine, without machine code, which depends on the processor."""
 
     def unpacked(self) -> tuple[Work, tuple[str, ...]]:
-        """Return the work, ready for this machine, and notes about the machine; raises CodegenError if this fails."""
+        """Return the work, ready to solve on this machine, and notes about the machine; raises CodegenError."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """The target of machine code: processor, a digest of its features, and versions."""
+    """The target of machine code: the processor, a digest of its features, and the versions of numba and Python."""
 
     processor: str
     features: str
@@ -169,7 +169,7 @@ class Target:
 
 
 def target() -> Target:
-    """Return the target of this machine."""
+    """Return the target of machine code for this machine."""
     import numba
     from llvmlite import binding
 
@@ -183,19 +183,19 @@ def target() -> Target:
 
 
 def compiled_note(module: str, local: Target, origin: Target, work: str) -> str:
-    """Return the note of a worker that compiled a module; `work` names the work that began on another machine."""
+    """Return a note that a worker compiled a module; `work` names the task that began on the machine `origin`."""
     reason = "" if local == origin else f"; {work} was begun on {origin}"
     return f"{platform.node()}: compiled {module} for {local}{reason}"
 
 
 def workers_folder() -> Path:
-    """Return the folder that the workers of this machine share."""
+    """Return the cache folder that all worker processes of this machine share."""
     return cache_folder() / "workers"
 
 
 @contextmanager
 def alone(name: str) -> Iterator[None]:
-    """Let one process of this machine run the block at a time, if the system has file locks."""
+    """Run a block when no other process of this machine has the lock `name`, if the system has file locks."""
     folder = workers_folder()
     try:
         with _lock_file(folder, name) as file:
@@ -211,7 +211,7 @@ def alone(name: str) -> Iterator[None]:
 
 @contextmanager
 def only_one(name: str, taken: CodegenError) -> Iterator[None]:
-    """Let one process of this machine run the block and raise `taken` in others; the lock ends with the process."""
+    """Run a block with the lock `name`; raise `taken` if another process has the lock, which ends with its process."""
     try:
         file = _lock_file(workers_folder(), name)
     except OSError:  # without a cache folder there is no lock
@@ -241,14 +241,14 @@ def journal_of(path: Path) -> Path:
 
 @dataclass(frozen=True)
 class Journal:
-    """A journal file, its header, and the records at the time of opening."""
+    """A journal file, its header, and the records that the file had when it was opened."""
 
     path: Path
     header: Mapping[str, Any]
     records: tuple[dict[str, Any], ...] = ()
 
     def add(self, records: Iterable[Mapping[str, object]]) -> None:
-        """Append records of finished parts; raises FileError when the file system refuses."""
+        """Append records to the file; raises FileError when the file system refuses."""
         try:
             with self.path.open("a", encoding="utf-8", newline="\n") as file:
                 file.write("".join(json.dumps(record) + "\n" for record in records))
@@ -257,15 +257,15 @@ class Journal:
 
 
 def new_journal(path: Path, header: Mapping[str, object]) -> Journal:
-    """Write a journal without records."""
+    """Write and return a journal without records."""
     write_text(path, json.dumps(header) + "\n")
     return Journal(path, header)
 
 
 def read_journal(path: Path, kind: str, digest: str, another: str) -> Journal:
-    """Return the journal of earlier work of a kind and digest, and truncate an incomplete last line.
+    """Return the journal in a file whose header maps `kind` to `digest`, and truncate an incomplete last line.
 
-    Raises ArgumentError for a journal of other work and for a damaged one. `another` is the remedy in the message.
+    Raises ArgumentError for a damaged journal, and with the remedy `another` for the journal of other work.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines(keepends=True)

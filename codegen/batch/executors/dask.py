@@ -1,8 +1,8 @@
-"""The executor for a cluster of dask; its workers compile modules and store the results of their chunks.
+"""The executor for a cluster of dask, whose workers compile modules and store the results of their chunks.
 
-The client keeps a bounded number of chunks in flight. So the memory of client and scheduler does not grow with the
-number of cases. The scheduler repeats chunks of lost workers. After the loss of the scheduler the work can be resumed
-from its journal: a chunk that is written twice has the same numbers.
+The client bounds the number of chunks in flight, which are sent to workers and not yet returned. So the memory of
+client and scheduler does not grow with the number of cases. The scheduler repeats chunks of lost workers. After the
+loss of the scheduler the work can be resumed from its journal: a chunk that is written twice has the same numbers.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PATIENCE = 8.0
 DESERTED = 120.0
 """Seconds to wait for a new worker when all are lost."""
 AHEAD = 2
-"""Chunks in flight for each thread of a worker: one in progress and one in its queue."""
+"""Number of chunks in flight for each thread of a worker: one in progress and one in its queue."""
 _POLL = 2.0
 _CLIENT: Any = Client  # dask has few types
 _CLUSTER: Any = LocalCluster
@@ -43,9 +43,9 @@ _RESUME = "what is written stays; begin the cluster again, and give --resume"
 
 @contextmanager
 def connected(cluster: object) -> Iterator[Any]:
-    """Yield a client of the scheduler at an address; a client and LOCAL are returned as they are.
+    """Yield a client of the scheduler at an address, or `cluster` itself if it is a client or LOCAL.
 
-    Raises ClusterError when no scheduler answers or it has no workers, ArgumentError for other values.
+    Raises ClusterError if no scheduler answers or there are no workers, and ArgumentError for other values.
     """
     if isinstance(cluster, Client):
         if cluster.asynchronous:
@@ -71,13 +71,13 @@ def connected(cluster: object) -> Iterator[Any]:
             _require_workers(client)
             yield client
         finally:
-            with suppress(Exception):  # the client is not used any more, in whatever state it is
+            with suppress(Exception):  # the client is not used any more: its errors do not matter
                 client.close(timeout=1.0)
 
 
 @contextmanager
 def running(work: Work, workers: int, cluster: object = LOCAL) -> Iterator[Callable[[Sequence[int]], Solved]]:
-    """Prepare the workers of a cluster, or start a local one; see `codegen.batch.executors.Executor`."""
+    """Prepare the workers of a cluster, or start a local cluster, and yield the function that solves chunks."""
     parcel = work.parcel()
     with ExitStack() as stack:
         is_local = cluster == LOCAL
@@ -105,7 +105,7 @@ def _local(workers: int) -> Iterator[Any]:
             threads_per_worker=1,
             processes=True,
             dashboard_address=None,
-            scheduler_kwargs={"dashboard_address": ":0"},  # any port: another cluster may have the usual one
+            scheduler_kwargs={"dashboard_address": ":0"},  # any port: another cluster may use the default port
             memory_limit=0,
             silence_logs=logging.CRITICAL,
         )
@@ -116,7 +116,7 @@ def _local(workers: int) -> Iterator[Any]:
             with suppress(Exception):  # a worker that is still starting cannot be closed: distributed raises an error
                 client.wait_for_workers(workers, timeout=PATIENCE)
             for connection in (client, cluster):
-                with suppress(Exception):  # all chunks are back, or an error is on its way
+                with suppress(Exception):  # all results have arrived, or another error is being raised
                     connection.close()
 
 
@@ -135,7 +135,7 @@ def _quiet() -> Iterator[None]:
 
 
 class _Crew:
-    """The workers of a cluster in their role for one piece of work."""
+    """The workers of a cluster that solve the chunks of one work, and the chunks in flight."""
 
     def __init__(self, client: Any, work: Work, solver: Solver) -> None:
         self._client, self._work, self._name = client, work, f"codegen-{uuid.uuid4().hex}"
@@ -152,10 +152,10 @@ class _Crew:
             raise ClusterError(clause(f"workers of the cluster cannot be made ready ({reason})"), remedy) from None
 
     def solve(self, numbers: Sequence[int]) -> Solved:
-        """Keep the queues of workers filled and yield each chunk when it is finished.
+        """Keep the queues of the workers filled, and yield the result of each chunk when it is finished.
 
-        A chunk with lost workers may have waited with the chunk that ended them. It is repeated alone after all
-        others.
+        A chunk can be lost because of another chunk that ended its worker. So lost chunks are repeated one at a time
+        after all others.
         """
         waiting, suspects = iter(numbers), list[int]()
         while True:
@@ -185,9 +185,9 @@ class _Crew:
         future.add_done_callback(lambda finished: self._arrived.put(finished.key))
 
     def _received(self) -> tuple[int, Done | None]:
-        """Return the next finished chunk, with None if its workers were lost; raises the error of a worker.
+        """Return number and result of the next finished chunk, with None as result if its workers were lost.
 
-        Raises ClusterError when the cluster has had no workers for too long.
+        Raises the error of a worker, and ClusterError if the cluster has had no workers for DESERTED seconds.
         """
         key = None
         while key is None:
@@ -215,7 +215,7 @@ class _Crew:
         return ClusterError(clause(f"the scheduler of the cluster was lost ({reason})"), _RESUME)
 
     def _capacity(self) -> int:
-        """Return the number of chunks that may be in flight with the present workers, at least one."""
+        """Return the number of chunks, at least one, that may be in flight with the present workers."""
         now = time.monotonic()
         if now > self._asked + _POLL:
             try:
@@ -235,13 +235,13 @@ class _Crew:
 
 
 class Solver(WorkerPlugin):
-    """A plugin of a worker: the parcel until the first chunk, then the unpacked work; one thread solves."""
+    """The plugin by which a dask worker solves chunks, one at a time; the first chunk unpacks the parcel."""
 
     def __init__(self, parcel: Parcel, is_local: bool) -> None:
         self._parcel, self._is_local = parcel, is_local
 
     def setup(self, worker: object) -> None:
-        """Prepare without compilation, which would keep the worker from answering."""
+        """Prepare the worker, without compilation: during compilation the worker would not answer the scheduler."""
         self._lock = threading.Lock()
         self._libraries = ThreadpoolController()
         self._work: Work | None = None
@@ -250,7 +250,7 @@ class Solver(WorkerPlugin):
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def __call__(self, piece: object) -> Done:
-        """Solve a chunk; notes about this machine come with the first one."""
+        """Solve a chunk; the first result has the notes about this machine."""
         with self._lock, self._libraries.limit(limits=1):
             notes: tuple[str, ...] = ()
             if self._work is None:
@@ -260,7 +260,7 @@ class Solver(WorkerPlugin):
 
 
 def _solve(name: str, piece: object) -> Done | Exception:
-    """Solve a chunk on a worker; errors are returned as values, because dask treats exceptions as its own failures."""
+    """Solve a chunk on a worker and return the result or the error: dask treats exceptions as its own failures."""
     try:
         solver: Any = get_worker().plugins[name]
         return solver(piece)  # type: ignore[no-any-return]

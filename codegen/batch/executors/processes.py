@@ -1,7 +1,7 @@
-"""The executor with worker processes on this machine; it replaces lost workers.
+"""The executor with worker processes on this machine, which replaces lost workers.
 
-On Linux workers are forks with the machine code of this process. On other systems workers load it from the disk. A
-worker ends by itself when its parent process has ended.
+On Linux, workers are forks of this process and have its machine code. On other systems workers load the machine code
+from the disk. A worker ends by itself when its parent process has ended.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 from codegen.batch.executors import Solved
 from codegen.batch.executors.chunks import Abandoned, Done, Work
 
-START = "fork" if sys.platform == "linux" else "spawn"  # elsewhere libraries do not survive a fork
+START = "fork" if sys.platform == "linux" else "spawn"  # on other systems libraries do not survive a fork
 TRIES = 3
 """Number of lost workers after which the cases of a chunk count as lost."""
 _SECONDS = 5.0
@@ -39,7 +39,7 @@ class _Worker:
     chunk: int | None = None
 
     def order(self, waiting: list[int]) -> None:
-        """Send the next chunk, if one is waiting."""
+        """Send the last number in `waiting` to the worker, and remove the number from the list."""
         if waiting:
             self.chunk = waiting.pop()
             with suppress(OSError):  # `solve` detects a lost worker
@@ -48,7 +48,7 @@ class _Worker:
 
 @contextmanager
 def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solved]]:
-    """Start the processes, and kill them with the end of the block; see `codegen.batch.executors.Executor`."""
+    """Start processes, yield the function that solves chunks, and kill the processes at the end; see `Executor`."""
     context: Any = multiprocessing.get_context(START)
     if START == "fork":
         work = work.loaded()
@@ -64,7 +64,7 @@ def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solv
         return crew[-1]
 
     def solve(numbers: Sequence[int]) -> Solved:
-        """Send each worker a chunk, and the next one when it has returned a result."""
+        """Yield the result of each chunk; a worker receives its next chunk when it has returned a result."""
         waiting, losses = list(reversed(numbers)), dict.fromkeys(numbers, 0)
         for worker in crew:
             worker.order(waiting)
@@ -108,8 +108,8 @@ def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solv
 
 
 def _serve(work: Work, orders: Connection[Any, Any], inherited: Sequence[Connection[Any, Any]]) -> None:
-    """Solve chunks in a worker process until the connection closes or the parent process has ended."""
-    for connection in inherited:  # an open copy would hide the end of the process at the other side
+    """Solve the chunks that `orders` receives, in a worker process, until `orders` closes or the parent has ended."""
+    for connection in inherited:  # an open copy of a connection would hide the end of the process on the other side
         connection.close()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt ends the parent, which ends its workers
     if not sys.warnoptions:

@@ -13,7 +13,7 @@ from codegen.batch.executors.chunks import Work
 
 @contextmanager
 def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solved]]:
-    """Solve in this process, with one thread of linear algebra; see `codegen.batch.executors.Executor`."""
+    """Yield a function that solves chunks in this process, with one thread for linear algebra; see `Executor`."""
     assert workers == 1, "the serial executor has one process"
     with threadpool_limits(1):
         yield lambda numbers: ((number, work.solve(work.piece(number))) for number in numbers)
