@@ -1,4 +1,4 @@
-"""Checks of numbers at the default parameters: values must be finite, durations positive, bounds in order."""
+"""Checks of numbers at the default parameters: values must be finite, in order, and consistent with each other."""
 
 from __future__ import annotations
 
