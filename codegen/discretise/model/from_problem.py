@@ -236,7 +236,7 @@ def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
 
 
 def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, sympy.Expr]) -> None:
-    """Raise BoundaryError if the bounds of both phases exclude a continuous quantity, or fix a free one, at a switch."""
+    """Raise BoundaryError if the bounds of two phases exclude a continuous quantity, or fix a free one, at a switch."""
     defaults, where = values.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
     fixed = prescribed(before, "end")
 

@@ -44,7 +44,7 @@ def entry_of(role: str, what: str, value: Expression, key: Quantity | None = Non
 
 
 def checked_mapping(what: str, mapping: object, entry: str) -> Mapping[Quantity, Expression]:
-    """Return a mapping with declared keys; raise SymbolError, or ExpressionError with the notation `entry` of an item."""
+    """Return a mapping with declared keys; raise SymbolError, or ExpressionError with the notation of an `entry`."""
     if not isinstance(mapping, Mapping):
         relations = f", and relations as {what}_conditions=[...]" if what in ("start", "end") else ""
         raise ExpressionError(f"{what} is a {type(mapping).__name__}", f"write {what} as {{{entry}, ...}}{relations}")
