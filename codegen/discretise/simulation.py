@@ -163,8 +163,8 @@ class _System:
         for is_foreign, _, position, index in sorted(ranked):
             i, y = order[position], self.unknowns[index]
             solution = self._solution(i, y)
-            # The pivot must not vanish where the system is regular. Constants in equation i do not, as pivots of unknown
-            # i. In other equations a parameter, such as a friction, may be zero, but no number or power of h.
+            # The pivot must not vanish where the system is regular. In equation i, constants are safe pivots of unknown
+            # i. In other equations a parameter, such as a friction, may be zero; numbers and powers of h are safe.
             trusted = {STEP} if is_foreign else self.constants | {STEP}
             if solution is None or not solution[0].free_symbols <= trusted:
                 self.rejected.add((i, y))
