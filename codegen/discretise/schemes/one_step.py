@@ -14,10 +14,7 @@ _ZERO, _HALF, _ONE = Rational(0), Rational(1, 2), Rational(1)
 
 @dataclass(frozen=True)
 class Substep:
-    """A fraction of the step, with the vector field at q = (1-a) q0 + a q1, p = (1-b) p0 + b p1 for its ends 0 and 1.
-
-    `position` is a, and `momentum` is b.
-    """
+    """A fraction of the step, with the field at q = (1-a) q0 + a q1, p = (1-b) p0 + b p1, a and b in [0, 1]."""
 
     fraction: Expr
     position: Rational
