@@ -277,7 +277,7 @@ class _Candidate:
 
 
 def _candidates(program: ControlProgram) -> Iterator[_Candidate]:
-    """Yield candidates at the end, then at the start: velocities, path equalities, other prescribed values."""
+    """Yield the candidates at the end, then at the start, in the order: velocities, path equalities, other values."""
     model = program.model
     equalities = nodal_conditions(model, equality=True)
     nodal = {unknown.meaning.of: unknown.name for unknown in program.node if unknown.kind is Kind.NODAL}
@@ -344,13 +344,13 @@ def _agrees(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram, 
 
 
 class ChainJacobian:
-    """All equations of one body on `steps` intervals, and their Jacobian (all unknowns), at a random point.
+    """All equations of one body on `steps` intervals, and their Jacobian with respect to all unknowns.
 
     The order of unknowns is node 0, interval 0, node 1, ..., the last node, then the linking variables.
     """
 
     def __init__(self, program: ControlProgram, steps: int, generator: np.random.Generator) -> None:
-        """Evaluate equations and Jacobian near straight lines between the prescribed values at both ends."""
+        """Evaluate both at a random point near straight lines between the prescribed values at the ends."""
         self.steps, self.node = steps, len(program.node)
         inside = (*program.interval, *program.controls, *program.slacks)
         self.stride = self.node + len(inside)

@@ -72,8 +72,8 @@ def chained(model: Model, transcribed: Callable[[Model], ControlProgram]) -> Con
         )
         for index, phase in enumerate(model.phases)
     ]
-    # Path conditions of different phases have multipliers and slacks of the same names. Unknowns of the end alone have
-    # other names than unknowns of the start alone.
+    # Multipliers and slacks of path conditions get the same names in all phases. Unknowns of the end alone get other
+    # names than unknowns of the start alone.
     initial, final = programs[0], programs[-1]
     from_start, from_end = _of_end(initial, initial.start), _of_end(final, final.end)
     names = Names(initial.model)

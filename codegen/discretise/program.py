@@ -143,8 +143,8 @@ class InnerTimes:
     unknowns that are not present vanish. `multipliers` are triples: name of a condition, index of its time, index of
     its multiplier in a node. `guess` has for an unknown of nodes its index, pairs (index of a time, value), and two
     flags that are True if start and end have a value as well. Quantities that the equations at a time determine have no
-    bounds there: `determined` are triples (index of the time, name of an unknown of the node or of a slack, number of
-    intervals between the slack and the node).
+    bounds there: `determined` are triples (index of the time, name of an unknown of the node or of a slack, 1 for a
+    slack of the interval before the node, else 0).
 
     Where times are free, `times` are fractions of the whole motion, `clock` is the index in a node of its time, and
     `windows` are triples (index of a time, earliest and latest time). `scales` replace length and time in the

@@ -420,7 +420,7 @@ def _variational_step(
     velocities = at_nodes(model.rates, "_k")
     points = range(1, len(interval.inner) // dimension + 1)
     velocities += tuple(v for i in points for v in at_nodes(model.rates, f"_stage{i}"))
-    # Right nodes and inner points, the left node, and the time between them.
+    # Triples: a position at the right node or an inner point, the position at the left node, the time between them.
     differences = [(q1, q, STEP) for q1, q in zip(interval.q.right, interval.q.left, strict=True)]
     for i, (q, c) in enumerate(zip(interval.inner, interval.inner_abscissae, strict=True)):
         differences.append((q, interval.q.left[i % dimension], c * STEP))

@@ -142,7 +142,7 @@ class Constraints:
         )
 
     def tangency(self, boundary: Boundary, matched: set[int], values: Mapping[Symbol, Expr]) -> tuple[Condition, ...]:
-        """Return the conditions dc/dt = 0 at an end, for constraints with a matched velocity that is not prescribed.
+        """Return dc/dt = 0 at an end for constraints with matched velocities, unless prescribed values imply it.
 
         `values` maps the symbols of boundary values to the values. A prescribed velocity of zero is tangential if time
         does not occur. Other prescribed velocities need no condition if the coordinates of the constraint are known:

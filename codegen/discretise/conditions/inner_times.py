@@ -532,5 +532,5 @@ def _sum(expression: Expr, moving: AbstractSet[Symbol], values: list[Expr]) -> E
 
 
 def _sorted(parts: Sequence[Expr], moving: AbstractSet[Symbol]) -> list[Expr]:
-    """Sort parts in an order that does not depend on the numbers in them."""
+    """Return the parts in an order that does not depend on their numbers."""
     return sorted(parts, key=lambda part: (str(_pattern(part, moving, [])), str(part)))

@@ -112,7 +112,7 @@ def end_share(equations: Sequence[IntegralEquation]) -> End:
 
 
 def with_distinct_integral_names(programs: Sequence[ControlProgram], names: Names) -> list[ControlProgram]:
-    """Rename the unknowns of conditions on integrals, so that no two phases use one name."""
+    """Return the programs of phases with new names for unknowns of integral constraints, different in each phase."""
     renamed = []
     for program in programs:
         old = [own.symbol for own in own_unknowns(program.integrals)]

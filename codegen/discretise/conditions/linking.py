@@ -102,7 +102,7 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
     independent = independent_couplings(model)
     couplings = tuple(model.couplings[i] for i in independent.kept)
     if not independent.consistent:
-        # Couplings that follow from contradicting ones need not hold with them.
+        # If couplings contradict each other, keep all: dependent couplings need not hold.
         couplings = model.couplings
     for dropped, sources in independent.dropped if independent.consistent else ():
         if not sources:
@@ -218,7 +218,7 @@ def independent_couplings(model: Model) -> IndependentCouplings:
     for distance in (0.0, 1e-3, 1e-1, 1.0, 1.0, 1.0):
         start = guess + distance * size * generator.uniform(-1.0, 1.0, guess.size) if distance else guess
         projections.append(_projected(system, start))
-        # The guess may be special, such as bodies in one line, and so may the configuration that is found from it.
+        # The guess may be special, such as bodies in one line, and so may the configuration near the guess.
         if distance and any(violation <= _HOLDS for _, violation in projections):
             break
     nearest, least = min(projections, key=lambda projection: projection[1])

@@ -289,10 +289,10 @@ def _common_parts(model: Model) -> tuple[int, tuple[int, ...]]:
 
 
 def _ratio(model: Model, delay: Delay) -> Rational:
-    """Return a delay as a fraction of the duration."""
+    """Return a delay as a fraction of the duration; raise ExpressionError if it is not rational and positive."""
     ratio = sympy.simplify(delay.lag / model.duration)
     if not ratio.is_Rational:
-        # An example: the duration as a multiple of the delay, if the default parameters make it one.
+        # An example for the message: the duration as a multiple of the delay, if the default values agree.
         values = model.default_values
         lengths = [sympy.nsimplify(each.xreplace(values), rational=True) for each in (model.duration, delay.lag)]
         times = lengths[0] / lengths[1] if all(length.is_positive for length in lengths) else S.Zero

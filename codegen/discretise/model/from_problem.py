@@ -52,7 +52,7 @@ def load_problem(problem: Source | Path | str, arguments: Mapping[str, str] = {}
 def normalise(
     problem: Problem | Phases, declared: Sequence[Quantity] = (), name: str = "problem", title: str = ""
 ) -> Model:
-    """Check an author's problem, of one phase or several, and bring it into canonical form.
+    """Return the checked canonical form of an author's problem, of one phase or several.
 
     `declared` are all quantities that the author declared. Raises a kind of CodegenError that names the symbol or
     expression and the remedy.

@@ -30,7 +30,7 @@ from codegen.symbolic.terms import value_counts
 
 
 def normalise(problem: Problem, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
-    """Check an author's problem and bring it into canonical form.
+    """Return the checked canonical form of an author's problem of one phase.
 
     `declared` are all quantities that the author declared; the model lists the unused quantities. Raises a kind of
     CodegenError that names the symbol or expression and the remedy.
@@ -83,7 +83,7 @@ def checked_model(
     title: str = "",
     elsewhere: Mapping[sympy.Symbol, float] | None = None,
 ) -> Model:
-    """Check one problem and build its model; `values.require_agreement` checks boundary values later.
+    """Return the checked model of one problem; `values.require_agreement` checks boundary values later.
 
     `elsewhere` has values, from earlier phases, of states that the problem does not prescribe.
     """

@@ -93,7 +93,7 @@ def is_pairwise(problem: object) -> bool:
 
 
 def normalise_pairwise(problem: Problem, declared: Sequence[Quantity], name: str, title: str) -> PairwiseModel:
-    """Check an author's problem about particles and bring it into canonical form.
+    """Return the checked canonical form of an author's problem about particles.
 
     Raises a kind of CodegenError that names the symbol or expression and the remedy.
     """

@@ -153,7 +153,7 @@ def relation(value: Expression, what: str) -> tuple[str, sympy.Expr, bool]:
     left, right = (expressions.checked(side, what) for side in (left, right))
     name = f"{text(left)} {sign} {text(right)}"
     difference = right - left if sign == ">=" else left - right
-    # Cancellation shows a relation between numbers; the expression itself stays as its author wrote it.
+    # Expansion detects a relation between numbers; the returned expression remains as its author wrote it.
     remainder = _expanded_to_number(expressions.tidied(difference))
     if remainder is not None:
         raise _decided(f"{what}, {name},", bool(remainder == 0 or (sign != "=" and remainder.is_negative)))
@@ -165,7 +165,7 @@ def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:
     terms = sympy.Add.make_args(expression)
     counts = Counter(symbol for term in terms for symbol in term.free_symbols)
     for term in terms:
-        # A symbol of one term alone cannot cancel with other terms; it is faster to expand this term than all.
+        # A symbol in one term alone cannot cancel with other terms; to expand this term alone is faster.
         alone = {symbol for symbol in term.free_symbols if counts[symbol] == 1}
         if alone:
             if sympy.expand(term).free_symbols & alone:

@@ -137,7 +137,7 @@ def require_scope(entries: Sequence[Entry], kinds: Kinds, form: str, is_control:
         for symbol in sorted(entry.expression.free_symbols, key=str):
             if not isinstance(symbol, _ALLOWED[entry.role]):
                 raise _out_of_scope(symbol, entry, form)
-        # A body's number in an expression that is common to all bodies.
+        # Expressions that are common to all bodies must not depend on the number of the body.
         if any(isinstance(symbol, BodyNumber) for symbol in entry.expression.free_symbols):
             if isinstance(entry.key, (Velocity, FreeParameter)) and entry.role.endswith("bound"):
                 kind = "velocity" if isinstance(entry.key, Velocity) else "free parameter"

@@ -197,7 +197,7 @@ def kinks(expression: Expr, unknowns: Iterable[Symbol]) -> tuple[str, ...]:
         slope = expression.xreplace({bend: value}).diff(value)
         numbers = [argument for argument in bend.args if argument.is_number] or [sympy.S.Zero]
         arguments = [argument for argument in bend.args if not argument.is_number]
-        # At the kink the argument of Abs is zero, and the argument of Max or Min equals the number next to it.
+        # At the kink the argument of Abs is zero, and the argument of Max or Min equals the other, numeric argument.
         if len(arguments) > 1 or slope.subs({value: numbers[0]}).subs(arguments[0], numbers[0]) != 0:
             terms[str(bend)] = None
     return tuple(terms)

@@ -2,9 +2,9 @@
 
 Where every quantity of an expression has a unit, pint gives the unit of the expression. Terms must agree in dimension
 and in size: metres and kilometres in one sum are an error like metres and seconds. The arguments of functions such as
-sin are pure numbers. An angle is a pure number in radians; degrees differ by a factor. An expression with a quantity
-without a unit has no unit and is accepted. Numbers in dynamics, forces and costs are pure numbers. Values, bounds and
-sides of relations may be plain numbers: they have the unit of the quantity with which they are compared.
+sin are pure numbers. An angle is a pure number in radians, with which degrees do not agree. An expression with a
+quantity without a unit has no unit and is accepted. Numbers in dynamics, forces and costs are pure numbers. Values,
+bounds and sides of relations may be plain numbers: they have the unit of the quantity with which they are compared.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ class _Units:
             _require_same(whole, self.terminal, "the integral of the cost", "the terminal cost")
 
     def _of(self, expression: sympy.Expr, where: str, is_strict: bool) -> Unit | None:
-        """Return the unit of an expression, None if a part has no unit; if `is_strict`, numbers are pure numbers."""
+        """Return the unit of an expression, None if a part has no unit; `is_strict` counts the numbers in a sum."""
         if isinstance(expression, sympy.Symbol):
             return self.unit(expression)
         if expression.is_number:
@@ -178,7 +178,7 @@ class _Units:
         return None  # tables and values of bodies have no units
 
     def _sum(self, terms: Sequence[sympy.Expr], where: str, is_strict: bool) -> Unit | None:
-        """Return the common unit of all terms, None if a term has no unit; numbers count only if `is_strict`."""
+        """Return the common unit of all terms, None if a term has no unit; `is_strict` counts numbers as terms."""
         counted = terms if is_strict else [term for term in terms if not term.is_number]
         units = [self._of(term, where, True) for term in counted]
         present = [(term, unit) for term, unit in zip(counted, units, strict=True) if unit is not None]
@@ -210,7 +210,7 @@ def _text(unit: Unit | None) -> str:
     if unit is None:
         return ""
     registry = _registry()
-    # A rate of an angle keeps its radian, a moment of inertia loses it.
+    # The rate of an angle keeps the radian in its unit, a moment of inertia does not.
     powers = dict(registry.Quantity(1.0, unit).unit_items())
     if powers.get("radian", 0) and not all(registry.Unit(name).dimensionality in _TIME_AND_ANGLE for name in powers):
         unit = unit / registry.Unit("radian") ** powers["radian"]
