@@ -6,8 +6,8 @@ wrong. Therefore such a condition, or such a bound, is left out at that end. The
 inequalities at an inner time.
 
 Values at the ends may also follow from path equalities and from other values. Two coordinates that are equal at every
-node have equal velocities: where both velocities are prescribed at both ends, one value follows from the others, and
-the equations of motion with all conditions are dependent. This depends on the scheme: an explicit step leaves a value
+node have equal velocities. If both velocities are prescribed at both ends, one value follows from the others, and the
+equations of motion with all conditions are dependent. This depends on the scheme: an explicit step leaves a value
 at the start undetermined, but none at the end. Therefore the rank of the Jacobian of all equations on a few intervals
 decides. A value that always depends on the others is left out, and a contradiction is an error.
 """

@@ -1,7 +1,7 @@
 """The program of a problem about particles, from a pairwise model, a scheme and a method.
 
-The interval's residual is the residual of a one-step method, r = z_k1 - z_k - h F, with the derivatives of H at each
-point where the field F = (H_p, -H_q) is evaluated. Methods of the task connect:
+The residual of an interval is the residual of a one-step method, r = z_k1 - z_k - h F. The program has the derivatives
+of H at each point where the field F = (H_p, -H_q) is evaluated. Methods of the task connect:
 
 - stepping: shooting; unknowns are the initial momenta, equations require the targets as final positions.
 - full: unknowns are all inner positions and all momenta, equations are all steps.

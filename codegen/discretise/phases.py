@@ -8,8 +8,8 @@ term x^2/2 makes x vanish. Unknowns with numbered names have different meanings 
 A switch between two phases belongs to the interval after the switch, the first interval of the later phase. The node at
 a switch has the values before the jump. This interval replaces them by the values after the jump. It also contains the
 end conditions and the terminal cost of the earlier phase. The multipliers and slacks of these conditions are linking
-variables and no unknowns of nodes: often the length of the phase satisfies a condition, and the chain of intervals is
-determined without them.
+variables, not unknowns of nodes. Often the length of the phase satisfies a condition: then the chain of intervals alone
+is determined without these unknowns.
 
 The variational method has no velocities or momenta at nodes. The equation of motion at a node says that the momentum of
 the interval before equals the momentum of the interval after, which is correct where momenta are continuous. Elsewhere

@@ -146,7 +146,7 @@ class InnerTimes:
     bounds there: `determined` are triples (index of the time, name of an unknown of the node or of a slack, 1 for a
     slack of the interval before the node, else 0).
 
-    Where times are free, `times` are fractions of the whole motion, `clock` is the index in a node of its time, and
+    Where times are free, `times` are fractions of the whole motion. `clock` is the index in a node of its time, and
     `windows` are triples (index of a time, earliest and latest time). `scales` replace length and time in the
     expressions of an interval. `lacking` are the indices of unknowns that an interval after an inner time lacks.
     """
@@ -258,7 +258,7 @@ class ControlProgram:
     the end, values of periodic motions), then variables of the whole problem (static parameters). `shared_symbols` has
     the variables of a body once for all bodies. All `bodies` have the same elements. `body` is the symbol of the number
     of a body, which may occur in boundary values, bounds and guesses only. `couplings` are written in the symbols of
-    `coupling_symbols` (symbol, body, index among `own`) and in variables of the whole problem; redundant couplings
+    `coupling_symbols` (symbol, body, index among `own`) and in variables of the whole problem. Redundant couplings
     (number from 1, name) follow from them and are left out. `integrals` are the integral constraints of each body, with
     quadratures last in `equations`; with several phases they belong to the phases. `inner` are the conditions at inner
     times.
@@ -367,12 +367,12 @@ class StepProgram:
 
     `equations` are the scheme's equations in textbook form, expressions that must vanish, in the symbols of the left
     node, inner stages and the right node. `summary` has the formulas behind them. The solution has three parts:
-    `before` are explicit assignments in order, `unknowns` with `residual` remain for Newton's method (none for an
-    explicit scheme; `linear` if one linear solve suffices), and `after` are the final explicit assignments. For a large
-    mass matrix, `guess` and `energy` may contain symbols of `state_assignments`, which depend on the left node alone.
-    `velocities` replace positions as unknowns: each has the two positions of its divided difference and the time
-    between them. `guess` is the initial guess of Newton's method. `energy` is the Hamiltonian at the left node. `start`
-    is the initial (q, p) in terms of the parameters and the symbols of `start_values`.
+    explicit assignments `before`, `unknowns` with a `residual` for Newton's method, and explicit assignments `after`.
+    An explicit scheme leaves no unknowns; `linear` is True if one linear solve suffices. For a large mass matrix,
+    `guess` and `energy` may contain symbols of `state_assignments`, which depend on the left node alone. `velocities`
+    replace positions as unknowns: each has the two positions of its divided difference and the time between them.
+    `guess` is the initial guess of Newton's method. `energy` is the Hamiltonian at the left node. `start` is the
+    initial (q, p) in terms of the parameters and the symbols of `start_values`.
 
     For a composition this is one step of its base scheme with the `lengths` as symbols. `fractions` has a row for each
     step of the base: its lengths as fractions of the whole step. Otherwise the only length is h, without fractions.

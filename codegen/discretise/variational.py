@@ -1,9 +1,9 @@
 """Transcription of a control problem by the variational method.
 
-The contribution of an interval to the Lagrangian of the optimisation problem is, with the discrete cost Cd,
-l = Cd + lambda_k . (D1 Ld + f-) + lambda_k1 . (D2 Ld + f+), and lambda_i . (D_i Ld + f_i) for each inner point of a
-Galerkin variational integrator (Ober-Bloebaum and Saake 2015). Summed over intervals, the multipliers of a node
-multiply both halves of its forced discrete Euler-Lagrange equation.
+With the discrete cost Cd, the contribution of an interval to the Lagrangian of the optimisation problem is
+l = Cd + lambda_k . (D1 Ld + f-) + lambda_k1 . (D2 Ld + f+). Each inner point of a Galerkin variational integrator adds
+lambda_i . (D_i Ld + f_i) (Ober-Bloebaum and Saake 2015). Summed over intervals, the multipliers of a node multiply both
+halves of its forced discrete Euler-Lagrange equation.
 
 At the end nodes the discrete momenta match the momenta of the velocities, by +lambda_0 . D2 L(q(0), v(0)) at the start
 and -lambda_N . D2 L(q(T), v(T)) at the end. A free velocity is an unknown of its end if a matched momentum, a condition

@@ -165,8 +165,8 @@ def conditioned_end(
 
     `substitution` replaces coordinates and rates by symbols or values at this end; `unknowns` are the free symbols. An
     inequality that limits a single unknown in `own` (symbols and unknowns of the node) by `constants` becomes a bound,
-    which needs no further unknowns of all nodes, unless an equation determines the unknown. Raises BoundaryError for a
-    condition on prescribed values.
+    unless an equation determines the unknown. A bound needs no further unknowns of all nodes. Raises BoundaryError for
+    a condition on prescribed values.
     """
     values = [condition.expression.subs(substitution, simultaneous=True) for condition in conditions]
     equations = [value for condition, value in zip(conditions, values, strict=True) if condition.equality]

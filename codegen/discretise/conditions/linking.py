@@ -4,11 +4,11 @@ Linking variables are static parameters of the problem, coupled coordinates of e
 segments of one motion meet.
 
 The value w where two segments meet is a linking variable. The quantity at the start of the later segment equals w. For
-the quantity x at the end of the earlier segment, the contribution of the end to the Lagrangian gains zeta (x - w), with
-a linking variable zeta as multiplier. Each segment is then an initial value problem with a solution, also without
-controls. A velocity is no unknown of a node: since all segments have the same Lagrangian, equal velocities mean equal
-momenta. The discrete momenta of both segments match a linking variable pi; the equation of the earlier segment has a
-linking variable as multiplier.
+the quantity x at the end of the earlier segment, the Lagrangian gains zeta (x - w) at the end. The multiplier zeta is
+also a linking variable. Each segment is then an initial value problem with a solution, also without controls. A
+velocity is no unknown of a node: since all segments have the same Lagrangian, equal velocities mean equal momenta. The
+discrete momenta of both segments match a linking variable pi. In the equation of the earlier segment the multiplier is
+a linking variable.
 
 Couplings between bodies may be redundant although no two couplings are alike. Of the 2 H + 3 equations for sides,
 centre, height and interior angles of a regular polygon with H corners, only 2 H are independent. A solver needs

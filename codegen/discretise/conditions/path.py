@@ -236,8 +236,8 @@ def nodal_equalities(
 ) -> NodalTerms:
     """Return the terms that impose equalities on coordinates at every node, with multipliers `<stem>_<number>`.
 
-    A multiplier is zero at an end where every coordinate of its condition is fixed. It is also zero where the
-    condition repeats another condition: at the end of a motion that is periodic in all of its coordinates, and at the
+    A multiplier is zero at an end where every coordinate of its condition is fixed. A multiplier is also zero where the
+    condition repeats another condition. This is the end of a motion that is periodic in all of the coordinates, and the
     start of a segment that follows another segment.
     """
     unknowns, start_pins, end_pins, element = list[Unknown](), list[str](), list[str](), S.Zero

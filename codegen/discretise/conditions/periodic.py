@@ -3,9 +3,9 @@
 The condition is x(T) = x(0) + shift for coordinates, velocities, momenta and states.
 
 An unknown of the node equals one linking variable at both ends, up to the shift. A velocity is no unknown of a node. If
-equal velocities mean equal momenta, the discrete momenta of both ends match a linking variable pi: the contributions of
-the ends to the Lagrangian gain +lambda_0 pi and -lambda_N pi. Every other quantity has a condition at each end with a
-linking variable w: x - w = 0 at the start, and x - w - shift = 0 at the end.
+equal velocities mean equal momenta, the discrete momenta of both ends match a linking variable pi. The contributions of
+the ends to the Lagrangian gain +lambda_0 pi and -lambda_N pi. Every other quantity has a linking variable w, with the
+condition x - w = 0 at the start, and x - w - shift = 0 at the end.
 """
 
 from __future__ import annotations

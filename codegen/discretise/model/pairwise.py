@@ -49,7 +49,7 @@ class PairwiseModel:
     coordinates of `first`, are positive. `limit` is the limit of the pair term for coinciding particles, or None.
     `smooth` is True if the gradient of the pair term tends to the gradient of the limit.
 
-    A connect problem has `points`, the default file, and `path`, the guessed position after a FRACTION of the way, in
+    A connect problem has `points`, the default file. Its `path` is the guessed position after a FRACTION of the way, in
     coordinates of `first` for the start and of `second` for the target. It is `passive` if it carries points without
     momenta, and `parallel` if several threads compute its gradient. A simulation of n particles in d dimensions with k
     own parameters has the arrays `start` of shape (2, n, d) and `own_values` of shape (n, k).

@@ -225,8 +225,8 @@ def require_keys(entries: Sequence[Entry], kinds: Kinds) -> None:
 def checked_drawing(problem: Problem) -> tuple[Item, ...]:
     """Return the items of the author's drawing with every expression converted to sympy.
 
-    Raises ExpressionError for other objects, for points without two coordinates, and for rates and end values, which a
-    solution does not contain at every time; SymbolError for symbols that were never declared.
+    Raises ExpressionError for other objects, for points without two coordinates, and for rates and end values: a
+    solution does not contain these at every time. Raises SymbolError for symbols that were never declared.
     """
     if not isinstance(problem.drawing, (list, tuple)):
         raise ExpressionError(

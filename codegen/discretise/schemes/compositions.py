@@ -188,7 +188,7 @@ _EXPLICIT, _MIDPOINT = (
 def _partitioned(name: str, order: int, source: str, drifts: tuple[Expr, ...], kicks: tuple[Expr, ...]) -> Composition:
     """Return the composition with the sequence drift, kick, drift, ... of the given fractions of h.
 
-    It consists of steps of position-verlet with unequal halves: the first half of a step (symplectic-euler-adjoint)
+    It consists of steps of position-verlet with unequal halves. The first half of a step (symplectic-euler-adjoint)
     ends with one part of a kick, and the second half (symplectic-euler) begins with the other part.
     """
     rows, carried = list[tuple[Expr, ...]](), S.Zero
