@@ -324,7 +324,7 @@ class ControlProgram:
 
     @property
     def holonomic_multipliers(self) -> tuple[Unknown, ...]:
-        """The unknowns kappa of a node, multipliers of holonomic constraints; they follow coordinates and lambda."""
+        """The unknowns kappa of holonomic constraints: the unknowns of a node that follow coordinates and lambda."""
         first = 2 * len(self.model.coordinates)
         return self.node[first : first + len(self.model.holonomic)]
 
