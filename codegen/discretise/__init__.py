@@ -1,1 +1,1 @@
-"""From a problem to a program: the canonical model, a scheme, and the function of one interval."""
+"""From a problem to a program: the canonical model, the schemes, and the expressions of one interval."""

@@ -1,4 +1,4 @@
-"""Equations of motion with all conditions and costs -> ControlProgram."""
+"""Assembly of a control program from the equations of motion, all conditions and the cost."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from codegen.runtime.record import Kind, Meaning
 
 @dataclass(frozen=True)
 class Motion:
-    """The discrete equations of motion: unknowns of nodes and intervals, their share of l, expressions of the scheme.
+    """The discrete equations of motion: unknowns of nodes and intervals, and expressions of the scheme.
 
-    The symbols of a node's unknowns in `element` are their names with suffix `_k` and `_k1`. `left_rates` returns the
-    rates at the left node of an interval.
+    `element` is the contribution of an interval to the Lagrangian of the optimisation problem. In it, the unknowns of
+    nodes have the suffixes `_k` and `_k1`. `left_rates` returns the rates at the left node of an interval.
     """
 
     method: str
@@ -62,7 +62,7 @@ def assemble(
     shared: Shared,
     names: Names,
 ) -> ControlProgram:
-    """Lay out all unknowns, and add up the shares of the interval and of both ends."""
+    """Return the program: the layout of all unknowns, and the sums of all terms of the interval and of both ends."""
     clock = clock_of(model, names)
     if clock is not None:
         start, end = start + clock.start, end + clock.end
@@ -76,7 +76,7 @@ def assemble(
         )
 
     def at_left_node(expression: Expr) -> Expr:
-        """Write an expression in coordinates and rates in the symbols of the left node of an interval."""
+        """Return an expression in coordinates and rates in the symbols of the left node of an interval."""
         left: dict[Symbol, Expr] = dict(zip(model.coordinates, at_nodes(model.coordinates, "_k"), strict=True))
         if expression.has(*model.rates):
             left |= dict(zip(model.rates, motion.left_rates(), strict=True))
@@ -93,14 +93,14 @@ def assemble(
     path = interval_terms(model, on_interval, len(stages), names)
     before = with_bounds((*motion.node, *nodal.unknowns), model)
     controls = _controls(model, len(sites.stage_controls))
-    # The own unknowns of both ends become unknowns of every node, with value zero wherever they have no meaning.
+    # Unknowns of one end become unknowns of every node, with the value zero at all other nodes.
     of_ends = tuple({unknown.name: unknown for unknown in (*start.extra, *end.extra)}.values())
     node = (*before, *of_ends, *(controls if sites.nodal else ()))
     left_symbols, right_symbols = (symbols([unknown.name for unknown in node], end) for end in ("_k", "_k1"))
     element = motion.element + path.element
     element += Add(*(e.multiplier * value for e, value in zip(integrals, discrete.integrals, strict=True)))
     element += nodal.element + _filling(unknown.name for unknown in of_ends)
-    # A one-sided scheme reads the nodal controls of the left node alone, so that the last node has idle ones.
+    # A one-sided scheme depends on the controls of the left node alone. Then the controls of the last node are zero.
     nodal_controls = zip(controls, right_symbols[len(node) - len(controls) :], strict=True) if sites.nodal else ()
     idle = [u.name for u, symbol in nodal_controls if symbol not in element.free_symbols]
     linking = (*shared.own, *own_unknowns(integrals), *shared.common)
@@ -174,7 +174,7 @@ def assemble(
 
 
 def _filling(names: Iterable[str]) -> Expr:
-    """Return a share that makes unknowns of the left node vanish."""
+    """Return the sum of x^2/2 over the named unknowns x of the left node, which makes them vanish."""
     return sum((x**2 / 2 for x in symbols(names, "_k")), S.Zero)
 
 
@@ -192,9 +192,9 @@ def _controls(model: Model, stages: int) -> tuple[Unknown, ...]:
 
 
 def in_scaled_time(program: ControlProgram) -> ControlProgram:
-    """Measure t and h in fractions of a duration that is an unknown: h -> D h and t -> D t everywhere.
+    """Return a program in which t and h are fractions of a free duration D: D h replaces h, and D t replaces t.
 
-    Where nodes have unknown times, these determine t and h of an interval.
+    Where nodes have unknown times, these times determine t and h of an interval.
     """
     model, clock = program.model, dict(program.inner.scales)
     if not clock and not model.duration.free_symbols & {parameter.symbol for parameter in model.free_parameters}:
@@ -222,7 +222,7 @@ def in_scaled_time(program: ControlProgram) -> ControlProgram:
 
 
 def scaled_in_time(model: Model, expression: Expr) -> Expr:
-    """Write an expression in fractions t and h of the duration."""
+    """Return an expression with t and h as fractions of the duration."""
     return expression.xreplace(_scales(model))
 
 

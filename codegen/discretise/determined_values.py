@@ -1,15 +1,15 @@
 """Values that the equations at an end of the time interval, or at an inner time, determine.
 
-An inequality whose left side is fixed at an end, or is determined by the equations of that end, has no unknown left.
-Its slack has one value, which may be zero. An interior-point method cannot keep such a slack positive, and a count of
-equations fails. Therefore such a condition, or such a bound, is left out at that end. The same holds for bounds and
-path inequalities at an inner time.
+The left side of an inequality may be fixed at an end, or be determined by the equations at that end. Then its slack has
+one value, which may be zero: an interior-point method cannot keep the slack positive, and the number of equations is
+wrong. Therefore such a condition, or such a bound, is left out at that end. The same holds for bounds and path
+inequalities at an inner time.
 
 Values at the ends may also follow from path equalities and from other values. Two coordinates that are equal at every
-node have equal velocities: where both velocities are prescribed at both ends, one value follows from the others, and
-the equations of motion with all conditions are dependent. This depends on the scheme (an explicit step leaves a value
-at the start undetermined, but none at the end). Therefore the rank of the Jacobian of all equations on a few intervals
-decides. A value that depends on the others everywhere is left out, and a contradiction is refused.
+node have equal velocities. If both velocities are prescribed at both ends, one value follows from the others, and the
+equations of motion with all conditions are dependent. This depends on the scheme: an explicit step leaves a value
+at the start undetermined, but none at the end. Therefore the rank of the Jacobian of all equations on a few intervals
+decides. A value that always depends on the others is left out, and a contradiction is an error.
 """
 
 from __future__ import annotations
@@ -38,9 +38,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class EndEquations:
-    """The equations between the unknowns of an end: solved ones as substitutions, and others that vanish.
+    """The equations between the unknowns of an end: `solved` for some unknowns, and `others`, which vanish.
 
-    `numbers` are the default values of parameters and boundary values, `fixed` the unknowns with a prescribed value.
+    `where` is the name of the end in messages, `numbers` are the default values of parameters and boundary values, and
+    `fixed` maps unknowns to prescribed values.
     """
 
     where: str
@@ -58,7 +59,7 @@ class EndEquations:
         numbers: Mapping[Symbol, float],
         fixed: Mapping[Symbol, Expr],
     ) -> EndEquations:
-        """Solve those equations that are linear in the unknowns; all are expressions that vanish."""
+        """Return the equations (expressions that vanish), solved where they are linear in the unknowns."""
 
         def is_linear(equation: Expr) -> bool:
             present = sorted(equation.free_symbols & unknowns, key=str)
@@ -74,12 +75,12 @@ class EndEquations:
         return EndEquations(where, unknowns, solved, others, numbers, fixed)
 
     def value(self, expression: Expr) -> Expr | None:
-        """Return the value of an expression at this end in prescribed quantities alone; None where it may vary."""
+        """Return the value of an expression in prescribed quantities alone, None if the equations leave it free."""
         value = expression.xreplace(dict(self.fixed)).subs(self.solved, simultaneous=True)
         if not value.free_symbols & self.unknowns:
             return value
         for equation in self.others:
-            # Subtract a multiple of the equation, which vanishes, such that no unknown is left.
+            # Subtract a multiple of the equation, which vanishes, to eliminate the unknowns.
             symbol = min(value.free_symbols & self.unknowns, key=str)
             slope = sympy.diff(equation, symbol)
             if slope == 0:
@@ -93,9 +94,9 @@ class EndEquations:
         return None
 
     def touched(self, condition: str, expression: Expr) -> str | None:
-        """Return None if expression <= 0 is not determined here, else the condition if it is active, or "" if not.
+        """Return None if the equations leave expression <= 0 free; else `condition` if it is active, or "" if not.
 
-        Raises BoundaryError where the determined value violates the condition.
+        Raises BoundaryError if the determined value violates the condition.
         """
         value = self.value(expression)
         if value is None:
@@ -103,7 +104,7 @@ class EndEquations:
         excess = expressions.rounded_at(value, self.numbers)
         if excess is None:
             return ""
-        # The terms of the expression may be larger than the terms of its value, where numbers are combined.
+        # Rounding errors scale with the terms of the expression, which may be larger than the terms of its value.
         known = {**self.fixed, **self.solved}
         numbers = {s: expressions.rounded_at(known[s], self.numbers) for s in expression.free_symbols & set(known)}
         at = {**self.numbers, **{symbol: number for symbol, number in numbers.items() if number is not None}}
@@ -116,7 +117,7 @@ class EndEquations:
 
 
 def with_determined_values(program: ControlProgram, inequalities: Sequence[PathValue]) -> ControlProgram:
-    """List the values that are determined at the ends and at inner times.
+    """Return the program with `determined` values at the ends and at inner times, which need no bounds.
 
     `inequalities` belong to the slacks of an interval. Raises BoundaryError where equations violate a bound, or
     determine an inequality at the same inner time.
@@ -137,16 +138,16 @@ def with_determined_values(program: ControlProgram, inequalities: Sequence[PathV
 
 
 Candidate = tuple[str, str, Expr]
-"""The name of an unknown or slack, its condition, and the expression that is not positive."""
+"""The name of an unknown or slack, its condition in words, and the expression that must not be positive."""
 
 
 def _on_interval(program: ControlProgram, inequalities: Sequence[PathValue]) -> list[Candidate]:
-    """Return the slacks of an interval."""
+    """Return the candidates for the slacks of an interval."""
     return [(s.name, s.meaning.subject, v.value) for s, v in zip(program.slacks, inequalities, strict=True)]
 
 
 def _bounded(program: ControlProgram, node: Sequence[Symbol], without: Collection[int]) -> list[Candidate]:
-    """Return the bounded unknowns of a node."""
+    """Return the candidates for the bounds of a node, except for unknowns with indices in `without`."""
     candidates = list[Candidate]()
     for index, (unknown, symbol) in enumerate(zip(program.node, node, strict=True)):
         if unknown.lower is not None and index not in without:
@@ -199,7 +200,7 @@ def _with_determined_values(program: ControlProgram, where: str, inequalities: S
 def _determined_at_inner_time(
     program: ControlProgram, number: int, inequalities: Sequence[PathValue]
 ) -> list[tuple[str, int]]:
-    """Return names of unknowns of the node, and with 1 and 0 of slacks of the intervals before and after it."""
+    """Return pairs (name of a determined unknown or slack, 1 for a slack of the interval before the node, else 0)."""
     model, names = program.model, list[tuple[str, int]]()
     conditions = [c for c in model.inner_conditions if c.number == number]
     quantities, time = (*model.coordinates, *model.rates), model.inner_times[number].time
@@ -225,18 +226,18 @@ def _determined_at_inner_time(
 
 
 _SINGULAR = 1e-10
-"""Singular values of the scaled Jacobian below it, relative to the largest, count as rounding."""
+"""Tolerance below which singular values of the scaled Jacobian, relative to the largest, count as zero."""
 _AGREES = 1e-8
 _STEPS = (4, 5)
-"""Numbers of intervals: alternating modes of a periodic motion exist for even ones only."""
+"""Numbers of intervals to test: alternating modes of a periodic motion exist for even numbers only."""
 _POINTS = 3
-"""Random points, of which the one with the highest rank counts."""
+"""Number of random points; the highest rank counts."""
 
 
 def without_dependent_values(program: ControlProgram) -> ControlProgram:
-    """Leave out values at the ends that follow from path equalities on coordinates and from the other values.
+    """Return the program without end values that follow from path equalities on coordinates and other values.
 
-    Raises BoundaryError where such a value contradicts the others at the default parameters.
+    Raises BoundaryError if such a value contradicts the others at the default parameters.
     """
     if program.phases or not nodal_conditions(program.model, equality=True):
         return program
@@ -255,9 +256,9 @@ def without_dependent_values(program: ControlProgram) -> ControlProgram:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A value or equation that could be left out at an end: its unknown of the node, and its name for the author.
+    """A value or equation that could be left out at an end: `index` of its unknown in the node, `name` in messages.
 
-    Without a prescribed value the unknown is free. Without an equation its multiplier vanishes.
+    Without its prescribed value an unknown is free. Without its equation a multiplier is zero.
     """
 
     where: str
@@ -276,7 +277,7 @@ class _Candidate:
 
 
 def _candidates(program: ControlProgram) -> Iterator[_Candidate]:
-    """Yield candidates at the end, then at the start: velocities, path equalities, other prescribed values."""
+    """Yield the candidates at the end, then at the start, in the order: velocities, path equalities, other values."""
     model = program.model
     equalities = nodal_conditions(model, equality=True)
     nodal = {unknown.meaning.of: unknown.name for unknown in program.node if unknown.kind is Kind.NODAL}
@@ -304,26 +305,26 @@ def _candidates(program: ControlProgram) -> Iterator[_Candidate]:
 
 
 def _rank_deficiency(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram) -> list[int]:
-    """Return the rank deficiency for each number of intervals."""
+    """Return the smallest rank deficiency over the random points, for each number of intervals."""
     return [min(_nulls(chain.reduced(program)[0]).shape[1] for chain in points) for points in chains]
 
 
 def _nulls(matrix: Array) -> Array:
-    """Return the left null vectors, as columns, of a matrix whose rows have similar sizes."""
+    """Return the left null vectors, as columns, of a matrix whose rows are scaled to similar sizes."""
     left, singular, _ = np.linalg.svd(matrix, full_matrices=True)
     return left[:, int(np.sum(singular > _SINGULAR * singular.max(initial=1e-300))) :]
 
 
 def _agrees(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram, candidate: _Candidate) -> bool:
-    """Return True if a value follows from the other equations at all points; False where this is uncertain.
+    """Return True if the value of a candidate follows from the other equations at all points; False if uncertain.
 
-    A combination of equations that does not change with the unknowns must vanish, or BoundaryError is raised. Where the
+    A combination of equations that does not depend on the unknowns must vanish, or BoundaryError is raised. Where the
     combination depends on the point, the equations may still have a common solution.
     """
     for points in chains:
         combined = []
         for chain in points:
-            # The component of the residuals in the space of combinations that do not change to first order.
+            # The component of the residuals in the space of combinations that are constant to first order.
             matrix, residuals, scale = chain.reduced(program)
             basis = np.linalg.qr(_nulls(matrix) / scale[:, None])[0]
             combined.append(basis @ (basis.T @ residuals))
@@ -343,13 +344,13 @@ def _agrees(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram, 
 
 
 class ChainJacobian:
-    """All equations of one body on `steps` intervals, and their derivatives by all unknowns, at a random point.
+    """All equations of one body on `steps` intervals, and their Jacobian with respect to all unknowns.
 
-    The order of unknowns is node 0, interval 0, node 1, ..., the last node, then the shared ones.
+    The order of unknowns is node 0, interval 0, node 1, ..., the last node, then the linking variables.
     """
 
     def __init__(self, program: ControlProgram, steps: int, generator: np.random.Generator) -> None:
-        """Evaluate at a point near straight lines between the values that are prescribed at the ends."""
+        """Evaluate both at a random point near straight lines between the prescribed values at the ends."""
         self.steps, self.node = steps, len(program.node)
         inside = (*program.interval, *program.controls, *program.slacks)
         self.stride = self.node + len(inside)
@@ -389,10 +390,10 @@ class ChainJacobian:
                 np.add.at(self.matrix, (indices[rows], indices[columns]), np.array(entries, dtype=float))
 
     def reduced(self, program: ControlProgram) -> tuple[Array, Array, Array]:
-        """Return Jacobian, residuals and row scales of the equations, in the free unknowns of a program.
+        """Return Jacobian (m, n), residuals (m,) and row scales (m,) of the equations in the free unknowns.
 
-        The program has the same elements as the chain. Rows and columns of the Jacobian are scaled to the same size;
-        residuals are not.
+        The program must have the same elements as the chain. Rows and columns of the Jacobian are scaled to the same
+        size; residuals are not scaled.
         """
         free, matrix = np.ones(self.size, bool), self.matrix.copy()
         for end, k in ((program.start, 0), (program.end, self.steps)):
@@ -415,7 +416,7 @@ class ChainJacobian:
         return matrix / width, residuals, scale
 
     def _point(self, program: ControlProgram, values: dict[Symbol, float], generator: np.random.Generator) -> Array:
-        """Return random values near straight lines; multipliers are zero, because all equations are linear in them."""
+        """Return random values of all unknowns near straight lines; multipliers, in which all is linear, are zero."""
         point = np.zeros(self.size)
         ends = [{i: expressions.rounded_at(v, values) for i, v in end.pins} for end in (program.start, program.end)]
         for k in range(self.steps + 1):

@@ -1,8 +1,8 @@
 """A model in the quantities in which it is transcribed: velocities, momenta or states, with symbolic boundary values.
 
 The Legendre transforms rewrite dynamics, force, cost and boundary values. The functions of this module rewrite path
-conditions, end conditions and terminal cost. Bounds and values that are no numbers for one unknown in the other form
-become conditions.
+conditions, end conditions and terminal cost. A bound or prescribed value becomes a condition if in the other form its
+quantity is no unknown, or its value is no number.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from codegen.problem.symbols import Velocity
 
 
 def in_velocities(model: Model) -> Model:
-    """Return the model and its conditions in Lagrangian form; raises the errors of the Legendre transform.
+    """Return the model and its conditions in Lagrangian form; raise the errors of the Legendre transform.
 
     Bounds on momenta, which are no unknowns of that form, become path conditions.
     """
@@ -41,7 +41,7 @@ def in_velocities(model: Model) -> Model:
     if conditions:
         model = replace(model, bounds=tuple(kept), path=(*model.path, *conditions))
     model = rewritten(model, legendre.lagrangian_form(model))
-    # Velocities at the ends that depend on free parameters, as p/m does, become end conditions.
+    # Velocities at the ends that depend on free parameters, such as p/m, become end conditions.
     free = {parameter.symbol for parameter in model.free_parameters}
     if not free or model.end is None:
         return model
@@ -63,12 +63,12 @@ def in_velocities(model: Model) -> Model:
 
 
 def in_momenta(model: Model) -> Model:
-    """Return the model and its conditions in Hamiltonian form, with free ends: boundary values may be velocities."""
+    """Return the model in Hamiltonian form, without boundary values, because these may be velocities."""
     return rewritten(model, legendre.hamiltonian_form(model.with_free_ends))
 
 
 def rewritten(original: Model, transformed: Model) -> Model:
-    """Write path, end conditions and terminal cost of the original in the rates of the transformed model."""
+    """Return the transformed model with the original's conditions and terminal cost, in the new rates."""
     if original.form == transformed.form:
         return transformed
     kinds = [kind for kind in CONDITIONS if Velocity in kind.scope[kind.argument]]
@@ -85,9 +85,9 @@ def rewritten(original: Model, transformed: Model) -> Model:
 
 
 def with_symbolic_boundaries(model: Model) -> tuple[Model, tuple[BoundaryValue, ...]]:
-    """Replace each boundary value by a symbol (`start_r`, `end_dphi`, ...), an argument of the generated module.
+    """Return a model with a symbol (`start_r`, `end_dphi`, ...) for each boundary value, and the symbols with values.
 
-    Return the model, and the symbols with their values.
+    The symbols are arguments of the generated module. Raises SymbolError if the author uses such a name.
     """
     values: list[BoundaryValue] = []
     declared = (*model.coordinates, *model.rates, *model.controls, *model.parameters)

@@ -1,16 +1,16 @@
-"""Problem x scheme -> the expressions of one time interval.
+"""The expressions of one time interval for a model and a scheme.
 
 On the Lagrangian side these are the discrete Lagrangian, the discrete forces and the discrete cost. On the Hamiltonian
 side, and for first-order systems, they are the equations of one step and the discrete cost. On both sides path
 conditions hold at the points where the scheme evaluates the dynamics. Values at the left and right node have the
 suffixes `_k` and `_k1`; h is the length of the interval and t the time at its left end.
 
-Measurements need the motion at any fraction of an interval. For a scheme in states this is the polynomial with the
-values, and as many derivatives as the scheme declares, at both nodes. Without derivatives it is a straight line, of
-order two, the collocation polynomial of the midpoint rule. With first derivatives it is a cubic, of order four, as in
-Hermite-Simpson and, where it is a parabola, of the trapezoidal rule. With second derivatives it has order six. A
-discrete Lagrangian has its own polynomial (`PolynomialMotion`). Source: Hairer, Norsett and Wanner (1993), Solving
-ordinary differential equations I, II.6.
+Measurements need the motion at any fraction of an interval. For a scheme in states the motion is the polynomial through
+the values at both nodes, with the number of derivatives there that the scheme declares. Without derivatives it is a
+straight line of order two, the collocation polynomial of the midpoint rule. With first derivatives it is a cubic of
+order four, as in Hermite-Simpson; for the trapezoidal rule the cubic is a parabola. With second derivatives the order
+is six. A discrete Lagrangian has its own polynomial (`PolynomialMotion`). Source: Hairer, Norsett and Wanner (1993),
+Solving ordinary differential equations I, II.6.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ from codegen.discretise.schemes.base import Scheme
 from codegen.symbolic.derivatives import gradient, variation
 
 _ABSCISSA = Symbol("abscissa", real=True)
-"""The fraction of a step, in basis polynomials."""
+"""The variable of basis polynomials: the fraction of a step."""
 
 
 @dataclass(frozen=True)
 class PolynomialMotion:
-    """The polynomial in time, in Lagrange's form, through `values` of the coordinates at the `nodes`."""
+    """The Lagrange polynomial in time through the `values` of the coordinates at the fractions `nodes` of a step."""
 
     step: Symbol
     nodes: tuple[Expr, ...]
     values: tuple[tuple[Symbol, ...], ...]
 
     def shares(self, c: Expr) -> list[Expr]:
-        """Return the basis polynomials at c, the coefficients of the values in the position."""
+        """Return the basis polynomials at the fraction c, which are the weights of the values in the position."""
         if len(self.nodes) == 2:
             return [1 - c, c]
         return [sympy.expand(basis.subs(_ABSCISSA, c)) for basis in self._basis()]
 
     def rates(self, c: Expr) -> list[Expr]:
-        """Return the derivatives of the basis polynomials at c."""
+        """Return the derivatives of the basis polynomials at the fraction c."""
         return [sympy.expand(sympy.diff(basis, _ABSCISSA).subs(_ABSCISSA, c)) for basis in self._basis()]
 
     def position(self, c: Expr) -> list[Expr]:
-        """Return the coordinates at c; except on a straight line, in differences from the first value."""
+        """Return the coordinates at the fraction c; polynomials of degree 2 or more use differences of values."""
         if len(self.nodes) == 2:
             return [between(left, right, c) for left, right in zip(*self.values, strict=True)]
         positions = []
@@ -58,7 +58,7 @@ class PolynomialMotion:
         return positions
 
     def velocity(self, c: Expr) -> list[Expr]:
-        """Return the derivative by time at c, in differences from the first value, so that no digits cancel."""
+        """Return the velocities at the fraction c, in differences of values, so that no digits cancel."""
         if len(self.nodes) == 2:
             return [(right - left) / self.step for left, right in zip(*self.values, strict=True)]
         velocities = []
@@ -86,15 +86,15 @@ def between(left: Expr, right: Expr, c: Expr) -> Expr:
 STEP = Symbol("h", positive=True)
 """The length h of an interval."""
 LENGTHS = tuple(Symbol(f"h_{i}", positive=True) for i in (1, 2))
-"""The lengths of the two substeps of a composition's base, where they differ."""
+"""The lengths of the two substeps in the base scheme of a composition, if they differ."""
 
 
 @dataclass(frozen=True)
 class Sites:
-    """Symbols for the values of quantities at the two ends of an interval, and of controls on it.
+    """Symbols for the values of quantities at the two ends of an interval, and for the controls on the interval.
 
-    With nodal controls `left_controls` and `right_controls` differ, else both are the interval's own. Controls at
-    stages have values of their own at each of the scheme's points, in order, and the interval has no others.
+    With nodal controls `left_controls` and `right_controls` differ, else both are the controls of the interval.
+    `stage_controls` are the controls at each point of the scheme, if controls belong to stages.
     """
 
     left: tuple[Symbol, ...]
@@ -105,13 +105,13 @@ class Sites:
 
     @property
     def of_interval(self) -> tuple[Symbol, ...]:
-        """Return the controls of an interval, stage by stage."""
+        """The controls of an interval, stage by stage."""
         return tuple(u for stage in self.stage_controls or (self.left_controls,) for u in stage)
 
     def controls_at(self, point: int, c: Expr) -> list[Expr]:
-        """Return the controls at a point of the scheme, whose abscissa in the step is c.
+        """Return the controls at the point of the scheme with the index `point` and the abscissa c.
 
-        They are the point's own, or the interval's, or on the line between the controls of both nodes.
+        These are the controls of the stage or interval, or lie on the line between the controls of both nodes.
         """
         if self.stage_controls:
             return list(self.stage_controls[point])
@@ -119,13 +119,13 @@ class Sites:
 
     @property
     def nodal(self) -> bool:
-        """Return True if controls belong to nodes."""
+        """True if controls belong to nodes."""
         return self.left_controls != self.right_controls
 
 
 @dataclass(frozen=True)
 class PathValue:
-    """A path condition, or the bound of a state, at one point of an interval, whose abscissa `c` lies in [0, 1]."""
+    """The value of a path condition, or of the bound of a state, at an abscissa in [0, 1] of an interval."""
 
     condition: Condition
     abscissa: Expr
@@ -135,9 +135,9 @@ class PathValue:
 
 @dataclass(frozen=True)
 class StateValue:
-    """The value of a coordinate or rate inside an interval: an unknown of the interval, or where a field is evaluated.
+    """The value of a coordinate or rate inside an interval: a stage, or a point where the scheme evaluates the field.
 
-    The abscissa lies strictly between 0 and 1. At the ends of an interval the nodes have the values.
+    The abscissa lies strictly between 0 and 1, because nodes have the values at the ends of an interval.
     """
 
     quantity: Symbol
@@ -146,7 +146,7 @@ class StateValue:
 
 
 def repeated(scheme: Scheme) -> tuple[tuple[Symbol, ...], Scheme]:
-    """Return the symbols of lengths in a step, and its scheme: the base of a composition, or the scheme itself."""
+    """Return the symbols of the lengths in a step, and the scheme of the step: for a composition, of its base."""
     count = len(scheme.parts[0]) if scheme.parts else 1
     lengths = (STEP,) if count == 1 else LENGTHS[:count]
     return lengths, scheme.part(lengths, STEP)
@@ -158,7 +158,7 @@ def at_nodes(symbols: Iterable[Symbol], suffix: str) -> tuple[Symbol, ...]:
 
 
 def sites(model: Model, quantities: Sequence[Symbol], controls: str, points: int) -> Sites:
-    """Return symbols for quantities at both nodes and for the controls of an interval with some points of a scheme."""
+    """Return symbols for quantities at both nodes, and for controls; `points` is the number of points of the scheme."""
     left_u = at_nodes(model.controls, "_k")
     right_u = at_nodes(model.controls, "_k1") if controls == "nodal" else left_u
     numbers = range(1, points + 1) if controls == "stages" else ()
@@ -167,7 +167,7 @@ def sites(model: Model, quantities: Sequence[Symbol], controls: str, points: int
 
 
 def distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
-    """Return each condition once, where it has the same value at several points, as a bound on a control has."""
+    """Return each condition once if it has the same value at several points, like a bound on a control."""
     first: dict[tuple[str, Expr], PathValue] = {}
     for value in values:
         first.setdefault((value.condition.name, value.value), value)
@@ -175,7 +175,7 @@ def distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
 
 
 def strictly_inside(values: Iterable[StateValue]) -> tuple[StateValue, ...]:
-    """Return each value once, without those at the ends of an interval or outside it, as in some compositions."""
+    """Return each value inside an interval once; some compositions have values outside."""
     return tuple(dict.fromkeys(v for v in values if v.abscissa.is_positive and (1 - v.abscissa).is_positive))
 
 
@@ -215,9 +215,9 @@ The first one multiplies the change of the value, the others the derivatives at 
 def continued(
     model: Model, derivatives: int, q: Sites, p: Sites, field: Sequence[Expr], abscissae: Sequence[Expr]
 ) -> list[Expr]:
-    """Return the states at FRACTION, from time derivatives at both nodes, the first of which is the `field`.
+    """Return the states at FRACTION, by interpolation with time derivatives of order 1 to `derivatives` at both nodes.
 
-    Without `derivatives`, controls have no effect. `abscissae` belong to controls at stages.
+    The first derivative is the `field`; `abscissae` belong to controls at stages.
     """
     control_rates = [Dummy(f"rate of {u}", real=True) for u in model.controls]
     functions = [tuple(field)][:derivatives]
@@ -240,9 +240,9 @@ def continued(
 
 
 def _controls(sites: Sites, abscissae: Sequence[Expr], c: Expr) -> tuple[list[Expr], list[Expr]]:
-    """Return the controls at the fraction c of an interval, and their derivatives by it.
+    """Return the controls at the fraction c of an interval, and their derivatives with respect to c.
 
-    Controls at stages are on the polynomial through them; of two stages at one time the first one counts.
+    The polynomial through the controls at stages gives their values; of two stages at one time the first one counts.
     """
     if not sites.stage_controls:
         slopes = [b - a for a, b in zip(sites.left_controls, sites.right_controls, strict=True)]
@@ -257,26 +257,26 @@ def _controls(sites: Sites, abscissae: Sequence[Expr], c: Expr) -> tuple[list[Ex
 
 
 def observed_at(model: Model, position: Sequence[Expr], rate: Sequence[Expr]) -> tuple[Expr, ...]:
-    """Return the observed expressions, where coordinates and rates at FRACTION have these values."""
+    """Return the observed expressions at FRACTION, where coordinates and rates have the values position and rate."""
     return tuple(substitute(model, o.expression, position, rate, model.controls, FRACTION) for o in model.observed)
 
 
 _LONG = 80
-"""Least number of operations of a discrete Lagrangian whose variation is taken as a whole."""
+"""Least number of operations of a discrete Lagrangian that is differentiated in the direction of displacements."""
 
 
 @dataclass(frozen=True)
 class VariationalInterval:
     """Discrete Lagrangian Ld(q_k, q_k1), discrete forces f-, f+ and discrete cost Cd on one interval.
 
-    `integrals` are the integrands of the model's conditions on integrals, integrated by the same rule as the cost.
-    `observed` are the quantities of the model's measurements, at FRACTION of the interval. Where the motion of an
-    interval is no straight line, Ld depends also on the coordinates at `inner` points, one point after the other, at
-    the fractions `inner_abscissae` of the step, and is stationary there up to `force_inner`. Then `slopes` holds the
-    derivatives of Ld by the coordinates at the left node, at inner points and at the right node, made from the
-    derivatives of L: the differentiation of Ld itself would take long. `impulse` is the gain of momentum on an
-    interval, sum_i w_i h (L_q + f): the sum of all balances, in which velocities and their coefficients cancel.
-    `inside` are the values of coordinates at inner points, and at quadrature points inside the interval.
+    `integrals` are the integral constraints' integrands, integrated by the same rule as the cost. `observed` are the
+    quantities of the measurements at FRACTION of the interval. Where the motion of an interval is no straight line, Ld
+    also depends on the coordinates at `inner` points, point after point, at the fractions `inner_abscissae` of the
+    step. There Ld is stationary up to `force_inner`. Then `slopes` are the derivatives of Ld with respect to the
+    coordinates at the left node, at inner points and at the right node. They are made from the derivatives of L,
+    because the differentiation of Ld is slow. `impulse` is the gain of momentum on an interval, sum_i w_i h (L_q + f):
+    the sum of all balances, in which velocities and their coefficients cancel. `inside` are the values of coordinates
+    at inner points, and at quadrature points inside the interval.
     """
 
     q: Sites
@@ -296,16 +296,16 @@ class VariationalInterval:
 
     @property
     def left_momentum(self) -> tuple[Expr, ...]:
-        """Return the forced discrete Legendre transform p_k = -D1 Ld - f-."""
+        """The forced discrete Legendre transform p_k = -D1 Ld - f-."""
         return tuple(-d - f for d, f in zip(self._derivatives(self.q.left), self.force_minus, strict=True))
 
     @property
     def right_momentum(self) -> tuple[Expr, ...]:
-        """Return the forced discrete Legendre transform p_k1 = D2 Ld + f+."""
+        """The forced discrete Legendre transform p_k1 = D2 Ld + f+."""
         return tuple(d + f for d, f in zip(self._derivatives(self.q.right), self.force_plus, strict=True))
 
     def _derivatives(self, coordinates: Sequence[Symbol]) -> list[Expr]:
-        """Return the derivatives of Ld by coordinates at nodes or inner points."""
+        """Return the derivatives of Ld with respect to coordinates at nodes or inner points."""
         if not self.slopes:
             return list(gradient(self.lagrangian, coordinates))
         known = dict(zip((*self.q.left, *self.inner, *self.q.right), self.slopes, strict=True))
@@ -313,14 +313,14 @@ class VariationalInterval:
 
     @property
     def inner_balance(self) -> tuple[Expr, ...]:
-        """Return the forced discrete Euler-Lagrange equations D_i Ld + f_i at the inner points."""
+        """The forced discrete Euler-Lagrange equations D_i Ld + f_i at the inner points."""
         return tuple(d + f for d, f in zip(self._derivatives(self.inner), self.force_inner, strict=True))
 
     def virtual_work(self, displacements: Sequence[Symbol], impulses: Sequence[Expr]) -> Expr:
-        """Return the work of -p_k, p_k1, inner balances and impulses along left, right and inner displacements.
+        """Return the work of -p_k, p_k1, inner balances and `impulses` along left, right and inner displacements.
 
-        A long Ld is differentiated in the direction of the displacements instead of by each coordinate. This keeps
-        its structure, such as the speed of a body that many coordinates move.
+        A long Ld is differentiated in the direction of the displacements, not with respect to each coordinate. This
+        keeps common terms, such as the speed of a body that depends on many coordinates.
         """
         if self.inner or self.lagrangian.count_ops() < _LONG:
             halves = (*(-p for p in self.left_momentum), *self.right_momentum, *self.inner_balance)
@@ -332,11 +332,11 @@ class VariationalInterval:
 
 
 def variational_interval(model: Model, scheme: Scheme, controls: str = "interval") -> VariationalInterval:
-    """Integrate L, the work of the forces and the cost over one interval by the scheme's quadrature rule.
+    """Return L, the work of the forces and the cost, integrated over one interval by the scheme's quadrature rule.
 
     The virtual work of the forces, h sum_i w_i f(q_i, v_i, u) . dq_i with the variations dq_i of the quadrature points,
-    is shared out between the ends and the inner points. With controls on nodes averages are taken: of the controls in
-    the cost, and along straight lines of the forces of both nodes.
+    is divided between the ends and the inner points. Controls at nodes are interpolated linearly in the cost. On a
+    straight line, not the controls but the forces of both nodes are interpolated.
     """
     rule = scheme.discrete_lagrangian()
     q_sites = sites(model, model.coordinates, controls, len(rule.points))
@@ -375,7 +375,7 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
                 node[i] += weight * share * force_at(f, number, c)
         if not inner:
             continue
-        # Derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v), and the impulse.
+        # Derivatives of Ld with respect to value j, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v), and the impulse.
         by_position = [at(slope, c, here) for slope in gradient(model.function, model.coordinates)]
         by_velocity = [at(slope, c, here) for slope in gradient(model.function, model.rates)]
         for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
@@ -407,10 +407,10 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
 class OneStepInterval:
     """Equations of one step in (q_k, p_k), inner stages and (q_k1, p_k1), each an expression that must vanish.
 
-    The equations for the stages come first, then the coordinates, then the momenta. A first-order
-    system has no momenta. `integrals` are the integrands of the model's conditions on integrals, integrated like the
-    cost. `observed` are the quantities of the model's measurements, at FRACTION of the interval. `inside` are the
-    values of states where an implicit scheme evaluates the dynamics inside the interval, and of the inner stages.
+    The equations for the stages come first, then those for coordinates and momenta. A first-order system has no
+    momenta. `integrals` are the integral constraints' integrands, integrated like the cost. `observed` are the
+    quantities of the measurements at FRACTION of the interval. `inside` are the values of states at inner stages, and
+    where an implicit scheme evaluates the dynamics inside the interval.
     """
 
     q: Sites
@@ -425,7 +425,7 @@ class OneStepInterval:
 
 
 def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") -> OneStepInterval:
-    """Write the equations of a scheme's `Step`, those that lead to inner states first.
+    """Return the equations of a scheme's `Step`; equations for inner states come first.
 
     The model is of Hamiltonian form, with forced Hamilton's equations, or of first-order form x' = f(x, u, t). The cost
     is integrated like a further state, so that it has the scheme's order.
@@ -487,10 +487,10 @@ def _sum(terms: Iterable[tuple[Expr, Expr]]) -> Expr:
 def _without_idle_stages(
     stages: Sequence[tuple[Symbol, ...]], equations: Sequence[Expr], read: Collection[Symbol]
 ) -> tuple[list[Symbol], list[Expr]]:
-    """Drop each stage at which no field is evaluated, as in the trapezoidal rule, by adding the adjacent steps.
+    """Return stages and equations without stages at which no field is evaluated, as in the trapezoidal rule.
 
-    The sum is free of such a stage because one step ends where the next begins. Stages in cost, integrals or path
-    conditions (`read`) stay.
+    The sum of the adjacent steps does not contain such a stage, because one step ends where the next begins. Stages
+    with symbols in `read` (cost, integrals and path conditions) remain.
     """
     size = len(stages[0]) if stages else len(equations)
     kept, steps = list[Symbol](), [list(equations[i : i + size]) for i in range(0, len(equations), size)]

@@ -1,7 +1,7 @@
-"""Control task by a one-step method -> ControlProgram: Hamilton's equations, or a first-order system x' = f(x, u, t).
+"""Transcription of a control problem by a one-step method, for Hamilton's equations or systems x' = f(x, u, t).
 
-l = Cd + mu_k . r_k with the equations r_k of one step, whose unknowns are the states at both nodes, inner stages and
-the controls.
+The contribution of an interval to the Lagrangian of the optimisation problem is l = Cd + mu_k . r_k, with the discrete
+cost Cd. The equations r_k of one step depend on the states at both nodes, inner stages and the controls.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from codegen.runtime.record import Kind, Meaning
 
 
 def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> ControlProgram:
-    """Transcribe with unknowns (q, p), or x, on nodes, stages, mu and u on intervals (or u on nodes).
+    """Return the program with unknowns (q, p), or x, at nodes, and stages, mu and u on intervals (or u at nodes).
 
     Raises the errors of the Legendre transform, BoundaryError for conditions that do not fit together, and
     ArgumentError for holonomic constraints.
@@ -101,7 +101,7 @@ def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> Contro
 
 
 def _prescribed_values(model: Model, phase: Model, boundary: Boundary, suffix: str, constants: set[Symbol]) -> End:
-    """Fix positions and momenta; velocities that do not determine a momentum by `constants` become equations."""
+    """Return an end that fixes positions and momenta; velocities without a momentum in `constants` are equations."""
     fixed = {q: v for q, v in zip(model.coordinates, boundary.positions, strict=True) if v is not None}
     pins = [(q.name, v) for q, v in fixed.items()]
     fixed |= {v: x for v, x in zip(model.rates, boundary.rates, strict=True) if x is not None}

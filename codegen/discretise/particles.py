@@ -1,14 +1,14 @@
-"""Pairwise model x scheme x method -> the program of a module about particles.
+"""The program of a problem about particles, from a pairwise model, a scheme and a method.
 
-The interval's residual is the residual of a one-step method, r = z_k1 - z_k - h F, with the derivatives of H at each
-point where the field F = (H_p, -H_q) is evaluated. Methods of the task connect:
+The residual of an interval is the residual of a one-step method, r = z_k1 - z_k - h F. The program has the derivatives
+of H at each point where the field F = (H_p, -H_q) is evaluated. Methods of the task connect:
 
-- stepping: shoot; unknowns are the initial momenta, equations say where the last step arrives.
+- stepping: shooting; unknowns are the initial momenta, equations require the targets as final positions.
 - full: unknowns are all inner positions and all momenta, equations are all steps.
 - action: minimise the discrete cost 2 h sum H over positions and one momentum on each interval, such that every
   interval covers its distance, (q_k1 - q_k)/h = H_p. The momenta multiply these equations, so that the optimality
-  conditions are Hamilton's discrete equations of a symplectic scheme; for the explicit Euler method's cost and
-  equations this is the symplectic Euler method (Marsden and West 2001, section 2.6).
+  conditions are Hamilton's discrete equations for a symplectic scheme. With the cost and equations of the explicit
+  Euler method this is the symplectic Euler method (Marsden and West 2001, section 2.6).
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from codegen.errors import ArgumentError, SchemeError
 CONNECT_METHODS = ("stepping", "full", "action")
 DEFAULT_SCHEME = "midpoint"
 PARTICLE_SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in schemes.of_method(PARTICLES)}
-"""Schemes for pairwise systems by name; `particle_scheme` also finds the compositions of higher order."""
+"""Schemes for pairwise systems by name; `particle_scheme` also finds compositions of higher order."""
 
 
 @dataclass(frozen=True)
 class PairwiseProgram:
     """A pairwise model with the tables of its scheme.
 
-    `substeps` are (fraction, position, momentum) of a composition. Otherwise `rows` and `weights` are the table of an
-    explicit Runge-Kutta method, which serves for the derivatives alone where a scheme is adaptive. `adaptive` is the
-    name of an adaptive scheme in scipy. `abscissa` is the point of an interval at which the method action takes H.
+    `substeps` are the triples (g, a, b) of a chain, see `Step.substeps`. Otherwise `rows` and `weights` are the table
+    of an explicit Runge-Kutta method; with an adaptive scheme it serves for derivatives alone. `adaptive` is the name
+    of an adaptive scheme in scipy. `abscissa` is the point of an interval at which the method action evaluates H.
     """
 
     model: PairwiseModel
@@ -50,7 +50,7 @@ class PairwiseProgram:
 
 
 def pairwise(model: PairwiseModel, scheme: str | None = None, method: str | None = None) -> PairwiseProgram:
-    """Choose the tables of a scheme and a method.
+    """Return the program of a pairwise model for the named scheme and method; None means the default.
 
     Raises ArgumentError for a method that the task does not have, SchemeError for a scheme that the method cannot use.
     """
@@ -80,7 +80,7 @@ def pairwise(model: PairwiseModel, scheme: str | None = None, method: str | None
 
 
 def particle_scheme(name: str, task: str) -> Scheme:
-    """Return the scheme of that name; SchemeError lists the schemes for the task."""
+    """Return the named scheme for particles; raise SchemeError, with the schemes for the task, for other names."""
     offered = [n for n, s in PARTICLE_SCHEMES.items() if task == "connect" or not s.adaptive]
     if name in offered:
         return PARTICLE_SCHEMES[name]

@@ -1,19 +1,19 @@
-"""Control task of several phases -> ControlProgram: the phases' intervals in one chain.
+"""Transcription of a control problem of several phases: the intervals of all phases in one chain.
 
-Every phase is transcribed by itself. With P of them the chain's time runs from 0 to P, so that the time of an interval
-gives its phase. In the share of phase i, which begins at t_i and lasts D_i, h -> D_i h and t -> t_i + D_i (t - i). All
-intervals have the same unknowns, those that any phase has; x^2/2 makes the others vanish. Unknowns with numbered names
-have different meanings in different phases.
+Every phase is transcribed by itself. The time of the chain runs from 0 to the number of phases, so that the time of an
+interval gives its phase. In the expressions of phase i, which begins at t_i and lasts D_i, h is replaced by D_i h, and
+t by t_i + D_i (t - i). All intervals have the unknowns of all phases. Where an interval does not need an unknown x, the
+term x^2/2 makes x vanish. Unknowns with numbered names have different meanings in different phases.
 
-A switch from one phase to the next belongs to the share of the interval that follows it. The node at a switch holds the
-values before it. In the first interval of the later phase they are replaced by the values after the jump. The share of
-that interval also imposes the end conditions of the earlier phase, and has its terminal cost. The multipliers and
-slacks of these conditions are shared unknowns, which no node has: a chain of intervals may be determined without them,
-since often the length of the phase satisfies a condition.
+A switch between two phases belongs to the interval after the switch, the first interval of the later phase. The node at
+a switch has the values before the jump. This interval replaces them by the values after the jump. It also contains the
+end conditions and the terminal cost of the earlier phase. The multipliers and slacks of these conditions are linking
+variables, not unknowns of nodes. Often the length of the phase satisfies a condition: then the chain of intervals alone
+is determined without these unknowns.
 
-The variational method has no velocities or momenta at nodes. The equation of motion there says that the momentum of the
-interval before equals the momentum of the interval after, which is correct where momenta do not change. Where they
-change, the velocity (of a Hamiltonian: the momentum) w before the switch is an unknown, and both sides match it,
+The variational method has no velocities or momenta at nodes. The equation of motion at a node says that the momentum of
+the interval before equals the momentum of the interval after, which is correct where momenta are continuous. Elsewhere
+the velocity (of a Hamiltonian: the momentum) w before the switch is an unknown that both sides match,
 
     D2 Ld(q_{k-1}, q_k) + f+_{k-1} = P(q_k, w),    -D1 Ld(q_k+, q_{k+1}) - f-_k = P+(q_k+, w+),
 
@@ -54,7 +54,7 @@ from codegen.symbolic.zeros import identically_zero
 
 
 def chained(model: Model, transcribed: Callable[[Model], ControlProgram]) -> ControlProgram:
-    """Transcribe every phase by `transcribed`, whose errors are raised, and join the programs in one chain."""
+    """Return the program of a problem of several phases; `transcribed` returns the program of one phase."""
     model = with_guesses(model)
     last = len(model.phases) - 1
     free = Boundary((None,) * len(model.coordinates), (None,) * len(model.rates))
@@ -72,8 +72,8 @@ def chained(model: Model, transcribed: Callable[[Model], ControlProgram]) -> Con
         )
         for index, phase in enumerate(model.phases)
     ]
-    # Path conditions of different phases have multipliers and slacks of the same names. Unknowns of the end alone have
-    # other names than unknowns of the start alone.
+    # Multipliers and slacks of path conditions get the same names in all phases. Unknowns of the end alone get other
+    # names than unknowns of the start alone.
     initial, final = programs[0], programs[-1]
     from_start, from_end = _of_end(initial, initial.start), _of_end(final, final.end)
     names = Names(initial.model)
@@ -97,22 +97,22 @@ def chained(model: Model, transcribed: Callable[[Model], ControlProgram]) -> Con
 
 
 class Slots:
-    """Names of unknowns with different meanings in different intervals: `y_1` is the first multiplier of each."""
+    """Names of unknowns that have different meanings in different phases: `y_1` is the first multiplier in each."""
 
     def __init__(self, names: Names) -> None:
-        """Take names from those that are free."""
+        """Take new names from `names`."""
         self.names = names
         self._numbered, self._named = dict[tuple[str, bool], list[str]](), dict[tuple[str, Symbol], str]()
 
     def numbered(self, stem: str, equality: bool, index: int) -> str:
-        """Return the name for equality, or inequality, number `index` of an interval."""
+        """Return the name `<stem>_<number>` for the equality, or inequality, with an index in an interval."""
         slots = self._numbered.setdefault((stem, equality), [])
         while len(slots) <= index:
             slots.append(self.names.numbered(stem))
         return slots[index]
 
     def named(self, stem: str, quantity: Symbol) -> str:
-        """Return the name of an interval's unknown that belongs to a quantity."""
+        """Return the name `<stem>_<quantity>` for an unknown of intervals."""
         if (stem, quantity) not in self._named:
             self._named[stem, quantity] = self.names.named(stem, quantity)
         return self._named[stem, quantity]
@@ -124,18 +124,18 @@ def _path_multipliers(program: ControlProgram) -> tuple[Unknown, ...]:
 
 
 def _of_end(program: ControlProgram, end: EndElement) -> list[Unknown]:
-    """Return the unknowns that only the node of one end has."""
+    """Return the unknowns that only the node at this end has."""
     pinned = {index for index, _ in end.pins}
     return [program.node[i] for i in program.only_at_ends if i not in pinned]
 
 
 def _slack_pairs(program: ControlProgram) -> list[tuple[Unknown, int]]:
-    """Return slacks of intervals with the indices of their multipliers."""
+    """Return pairs (slack of an interval, index of its multiplier in the interval)."""
     return list(zip(program.slacks, program.slack_multipliers, strict=True))
 
 
 def _renamed(program: ControlProgram, new: Mapping[str, str]) -> ControlProgram:
-    """Rename some unknowns of a program."""
+    """Return a program with new names of unknowns; `new` maps old names to new names."""
     pairs = [zip(symbols(new, end), symbols(new.values(), end), strict=True) for end in ("_k", "_k1")]
     substitution = {s: t for pair in pairs for s, t in pair}
 
@@ -174,9 +174,9 @@ class Switch:
     """The difference between the first interval of a phase and the intervals that follow it.
 
     `values` replace symbols of its left node; `element` and `cost` are added. `unknowns` are further unknowns of the
-    interval (primal ones first), and `shared` unknowns that no node has. `jumping` lists quantities of the node that
-    change, `given` quantities with a prescribed value there, and `broken` coordinates and momenta that change or may
-    do so. `guess` gives values to unknowns by name.
+    interval (primal unknowns first), and `shared` are linking variables. `jumping` names quantities of the node that
+    change, `given` quantities with a prescribed value at the switch, and `broken` coordinates and momenta that may
+    change. `guess` pairs names of unknowns with their initial guesses.
     """
 
     values: Mapping[Symbol, Expr]
@@ -192,10 +192,10 @@ class Switch:
 
 
 class Transition:
-    """Two consecutive models, as their author wrote them, with the program of each."""
+    """Two consecutive phases: their models before transcription, their programs, and the jump between them."""
 
     def __init__(self, chain: Model, number: int, programs: Sequence[ControlProgram], slots: Slots) -> None:
-        """The switch before phase `number`, with the programs of all phases by themselves."""
+        """Collect the conditions at the switch before phase `number`; `programs` are the programs of all phases."""
         self.before, self.after = chain.phases[number - 1], chain.phases[number]
         self.programs = programs[number - 1], programs[number]
         self.jump = dict(chain.jumps[number - 1])
@@ -229,7 +229,7 @@ class Transition:
         self.substitution = substitution
 
     def _matched(self) -> set[int]:
-        """Return indices of the momenta that differ before and after, or on which a term at the switch depends."""
+        """Return indices of momenta that change at the switch, or on whose velocity a term at the switch depends."""
         before = _momenta(self.before)
         after = [p.subs(self.jump, simultaneous=True) for p in _momenta(self.after)]
         rates = self.before.rates
@@ -244,28 +244,28 @@ class Transition:
             matched |= further
 
     def at(self, expression: Expr) -> Expr:
-        """Write an expression in coordinates and rates before the jump in symbols of the interval."""
+        """Return an expression in coordinates and rates before the jump in symbols of the interval."""
         return expression.subs(self.substitution, simultaneous=True)
 
     def jumped(self, symbol: Symbol) -> Expr:
-        """Return a coordinate or rate after the jump."""
+        """Return the value of a coordinate or rate after the jump."""
         return self.at(self.jump.get(symbol, symbol))
 
     def after_jump(self, expression: Expr) -> Expr:
-        """Write an expression in coordinates and rates after the jump in symbols of the interval."""
+        """Return an expression in coordinates and rates after the jump in symbols of the interval."""
         after = {s: self.jumped(s) for s in self.quantities if s in self.substitution}
         return expression.subs(after, simultaneous=True)
 
 
 def _momenta(model: Model) -> list[Expr]:
-    """Return the momenta of velocities, or the momenta of a Hamiltonian; a first-order system has none."""
+    """Return the momenta dL/dv of a Lagrangian, or the symbols p of a Hamiltonian; [] for a first-order system."""
     if model.form == "lagrangian":
         return list(gradient(model.function, model.rates))
     return list(model.rates)
 
 
 def _switch(chain: Model, number: int, programs: Sequence[ControlProgram], slots: Slots) -> Switch:
-    """Return the switch before phase `number` of a chain, whose phases all have guesses."""
+    """Return the switch before phase `number` of a chain."""
     transition = Transition(chain, number, programs, slots)
     motion = _matched_momenta(transition) if transition.variational else _replaced_states(transition)
     # Conditions and terminal cost of the phase before.
@@ -288,7 +288,7 @@ def _switch(chain: Model, number: int, programs: Sequence[ControlProgram], slots
 
 
 def _replaced_states(transition: Transition) -> Switch:
-    """One-step methods: replace the states at the left node by the states after the jump."""
+    """Return the switch for one-step methods: the states after the jump replace the states at the left node."""
     changed = {q.name: transition.jumped(q) for q in transition.before.coordinates if q in transition.jump}
     before = [transition.at(p) for p in _momenta(transition.before)]
     after = [transition.after_jump(p) for p in _momenta(transition.after)]
@@ -304,7 +304,7 @@ def _replaced_states(transition: Transition) -> Switch:
 
 
 def _matched_momenta(transition: Transition) -> Switch:
-    """The variational method: replace coordinates, and match momenta to the velocity before and after the jump."""
+    """Return the switch for the variational method: replaced coordinates, and momenta that match the velocity."""
     model = transition.before
     jumping = [q for q in model.coordinates if q in transition.jump]
     values = {transition.left[q.name]: transition.jumped(q) for q in jumping}
@@ -341,10 +341,10 @@ def _matched_momenta(transition: Transition) -> Switch:
 
 
 class _Chain:
-    """Phases that were transcribed by themselves, and the switch before each but the first.
+    """The programs of single phases, and the switch before each phase except the first.
 
-    An interval has the unknowns of any phase and of any switch, each name once, and so has a node. Unknowns of the
-    start and of the end alone, `from_start` and `from_end`, come last in a node.
+    Every interval and every node has the unknowns of all phases and switches, each name once. Unknowns of the start and
+    of the end alone, `from_start` and `from_end`, come last in a node.
     """
 
     def __init__(self, model: Model, programs: Sequence[ControlProgram], switches: Sequence[Switch | None]) -> None:
@@ -357,7 +357,7 @@ class _Chain:
         self.interval = _union([u for p in programs for u in p.interval] + of_switches)
         self.slacks = _union([u for p in programs for u in p.slacks])
         self.inside = (*self.interval, *first.controls, *self.slacks)
-        # The symbols of stages are their names; the symbols of other unknowns have a suffix.
+        # The symbol of a stage is its name; the symbols of other unknowns have a suffix.
         usual = zip(self.inside, symbols([unknown.name for unknown in self.inside], "_k"), strict=True)
         pairs = [pair for p in programs for pair in zip(p.interval, p.interval_symbols, strict=True)]
         stages = {u.name: symbol for u, symbol in pairs if u.name == symbol.name}
@@ -368,7 +368,7 @@ class _Chain:
         first, last = self.programs[0], self.programs[-1]
         phases = tuple(self._phase(i) for i in range(len(self.programs)))
         multipliers = {slack.name: p.interval[i].name for p in self.programs for slack, i in _slack_pairs(p)}
-        # Shared unknowns of integrals and of switches come first, then free parameters.
+        # Linking variables of integrals and of switches come first, then free parameters.
         integrals = [own for program in self.programs for own in own_unknowns(program.integrals)]
         of_switches = [unknown for switch in self.switches if switch for unknown in switch.shared]
         shared = [
@@ -414,7 +414,7 @@ class _Chain:
         )
 
     def _scales(self, index: int) -> dict[Symbol, Expr]:
-        """Return the replacements of the chain's step and time by those of a phase."""
+        """Return the step and the time of a phase as functions of the step and the time of the chain."""
         durations = [phase.duration for phase in self.model.phases]
         begin, time = Add(*durations[:index]), self.model.time
         return {STEP: durations[index] * STEP, time: begin + durations[index] * (time - index)}
@@ -460,9 +460,9 @@ class _Chain:
         )
 
     def _end(self, index: int, end: EndElement, added: Expr, foreign: Sequence[Unknown]) -> EndElement:
-        """Write an end in the layout of the chain; unknowns of the other end alone are pinned."""
+        """Return an end in the layout of the chain; unknowns of the other end alone (`foreign`) are zero."""
         names, scales = [u.name for u in self.node], self._scales(index)
-        # An inequality on coordinates gives a phase unknowns at a start or end that it does not have in the chain.
+        # Inequalities on coordinates add unknowns to the start or end of a single phase, which the chain lacks.
         moved = {i: names.index(u.name) for i, u in enumerate(self.programs[index].node) if u.name in names}
         pins = {moved[i]: value for i, value in end.pins if i in moved}
         pins |= {names.index(unknown.name): S.Zero for unknown in foreign}
@@ -479,7 +479,7 @@ class _Chain:
 
 
 def _union(unknowns: Sequence[Unknown]) -> tuple[Unknown, ...]:
-    """Return every name once, primal unknowns before multipliers; numbered names have several meanings."""
+    """Return an unknown for every name, with all meanings of the name; primal unknowns come before multipliers."""
     meanings: dict[str, dict[Meaning, None]] = {}
     for unknown in unknowns:
         meanings.setdefault(unknown.name, {})[unknown.meaning] = None
@@ -495,5 +495,5 @@ def _index(unknowns: Sequence[Unknown], name: str) -> int:
 
 
 def _filling(unknowns: Sequence[Unknown], suffix: str) -> Expr:
-    """Return a share that makes unknowns vanish."""
+    """Return the sum of x^2/2 over the unknowns x of a node, which makes them vanish."""
     return Add(*(symbol**2 / 2 for symbol in symbols([u.name for u in unknowns], suffix)))

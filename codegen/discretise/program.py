@@ -20,7 +20,7 @@ from codegen.symbolic.zeros import identically_zero
 
 @dataclass(frozen=True)
 class Unknown:
-    """One unknown: its name, its meaning, and its bounds (of parameters)."""
+    """An unknown: its name, its meaning, and its bounds, which are expressions in parameters."""
 
     name: str
     meaning: Meaning
@@ -40,7 +40,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class BoundaryValue:
-    """A number that a boundary condition prescribes: the end, the quantity, its symbol and its value."""
+    """A prescribed value at an end: "start" or "end", the name of the quantity, its symbol and its value."""
 
     where: str
     quantity: str
@@ -50,10 +50,10 @@ class BoundaryValue:
 
 @dataclass(frozen=True)
 class Equation:
-    """An equation or inequality to read: `left` = `value`, or 0 >= `value` with a `slack` for the difference.
+    """An equation or inequality for display: `left` = `value`, or 0 >= `value` with a `slack` for the difference.
 
-    An imposed condition has the author's words in `condition`. Some conditions hold `at_nodes`, not on intervals. The
-    value may be a `momentum`.
+    `condition` is the author's name of an imposed condition. The flags say that a condition holds `at_nodes`, not on
+    intervals, and that the value is a `momentum`.
     """
 
     value: Expr
@@ -69,13 +69,13 @@ class Equation:
 
 
 def in_scales(equations: Iterable[Equation], scales: Mapping[Symbol, Expr]) -> tuple[Equation, ...]:
-    """Replace the symbols of lengths and times in equations."""
+    """Return equations in which the `scales` replace the symbols of lengths and times."""
     return tuple(replace(equation, value=equation.value.xreplace(scales)) for equation in equations)
 
 
 @dataclass(frozen=True)
 class EndBound:
-    """The bounds of an unknown at one end alone, of parameters, and the condition that implies them."""
+    """The bounds of an unknown at one end alone, in parameters, and the name of the condition that implies them."""
 
     lower: Expr | None
     upper: Expr | None
@@ -86,15 +86,15 @@ class EndBound:
 class EndElement:
     """The terms of one end of the time interval.
 
-    `pins` fix unknowns of the end node (local index, value); a multiplier whose equation is absent is pinned to zero.
-    `element` is the end's own share of the Lagrangian of the optimisation problem, in the symbols of the node (suffix
-    `_k` at the start, `_k1` at the end) and of the shared unknowns. `cost` is its share of the discrete cost.
-    `shared` fixes unknowns of the end node to shared ones (local index, index of the shared unknown, offset).
-    `slacks` are pairs (local index of a slack, of its multiplier); such a slack is not negative. `bounds` hold at this
-    end alone (local index, bound). Quantities that are fixed or determined at this end have no bounds there:
-    `determined` pairs the name of an unknown of the node, or of a slack of the adjacent interval, with the active
-    condition, or "" where no limit is active. `dependent` names values and equations that follow from path equalities
-    and other values, and were left out.
+    `pins` fix unknowns of the end node (index in the node, value); a multiplier without equation is fixed to zero.
+    `element` is the contribution of the end to the Lagrangian of the optimisation problem, in the linking variables and
+    the symbols of the node (suffix `_k` at the start, `_k1` at the end). `cost` is its contribution to the discrete
+    cost. `shared` equates unknowns of the end node to linking variables (index in the node, index among the linking
+    variables, offset). `slacks` are pairs (index of a slack, index of its multiplier); such a slack is not negative.
+    `bounds` hold at this end alone (index in the node, bound). Quantities that are fixed or determined at this end have
+    no bounds there: `determined` pairs the name of an unknown of the node, or of a slack of the adjacent interval, with
+    the active condition, or with "" if none is active. `dependent` names values and equations that follow from path
+    equalities and other values, and were left out.
     """
 
     pins: tuple[tuple[int, Expr], ...]
@@ -110,7 +110,7 @@ class EndElement:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A condition between shared unknowns: expression = 0, multiplied by the unknown `multiplier`."""
+    """An equation `expression` = 0 between linking variables, with its multiplier."""
 
     multiplier: Unknown
     expression: Expr
@@ -118,9 +118,9 @@ class Coupling:
 
 @dataclass(frozen=True)
 class IntegralEquation:
-    """A condition on an integral: the sum of its quadratures over all intervals plus `excess` vanishes.
+    """An integral constraint: the sum of the quadratures over all intervals plus `excess` vanishes.
 
-    `multiplier` and, of an inequality, `slack` are shared unknowns.
+    `multiplier` and, for an inequality, `slack` are linking variables.
     """
 
     condition: Integral
@@ -129,7 +129,7 @@ class IntegralEquation:
 
     @property
     def excess(self) -> Expr:
-        """Return the constant of the equation: minus the value, plus the slack of an inequality."""
+        """The term of the equation without quadrature: minus the value, plus the slack of an inequality."""
         return -self.condition.value if self.slack is None else self.slack - self.condition.value
 
 
@@ -137,19 +137,18 @@ class IntegralEquation:
 class InnerTimes:
     """Conditions at inner times, which are nodes: their unknowns, and the numbers that distinguish the nodes.
 
-    `times` are in order. A symbol of `symbols` stands, in an interval's share, for a number of the interval's left
-    node. The number is zero except at inner times, where `numbers` has a row for each symbol with a value for each
-    time. `unknowns` are indices in a node of multipliers and slacks, and `present` tells for each time which of them
-    exist; the others vanish. `multipliers` has every condition's name, the index of its time, and the index of its
-    multiplier in a node. `guess` has for unknowns of nodes, by index, pairs of a time's number and the value there, and
-    two flags that are True if start and end have a value as well. Quantities that the equations at a time determine
-    have no bounds there: `determined` has the number of the time, the name of an unknown of the node or of a slack, and
-    the number of intervals between the slack and the node.
+    `times` are in order. In the expressions of an interval, each of the `symbols` is a number of the left node. The
+    number is zero except at inner times: `numbers` has a row for each symbol with a value for each time. `unknowns` are
+    the indices in a node of multipliers and slacks. For each time, `present` has a flag for each of these unknowns;
+    unknowns that are not present vanish. `multipliers` are triples: name of a condition, index of its time, index of
+    its multiplier in a node. `guess` has for an unknown of nodes its index, pairs (index of a time, value), and two
+    flags that are True if start and end have a value as well. Quantities that the equations at a time determine have no
+    bounds there: `determined` are triples (index of the time, name of an unknown of the node or of a slack, 1 for a
+    slack of the interval before the node, else 0).
 
-    Where times are free, `times` are fractions of the chain, `clock` is the index in a node of its time, and `windows`
-    has the numbers of times with their least and greatest values. `scales` replace length and time in an interval's
-    share. `lacking` are indices, among the unknowns of an interval, of those that an interval after an inner time does
-    not have.
+    Where times are free, `times` are fractions of the whole motion. `clock` is the index in a node of its time, and
+    `windows` are triples (index of a time, earliest and latest time). `scales` replace length and time in the
+    expressions of an interval. `lacking` are the indices of unknowns that an interval after an inner time lacks.
     """
 
     times: tuple[Expr, ...] = ()
@@ -167,22 +166,22 @@ class InnerTimes:
 
     @property
     def values(self) -> tuple[Expr, ...]:
-        """Return the times, then all numbers of each symbol, in their order among the parameters."""
+        """The times, then all numbers of each symbol, in their order among the parameters."""
         return (*self.times, *(value for row in self.numbers for value in row))
 
     @property
     def parameters(self) -> tuple[Symbol, ...]:
-        """Return the symbols of these values."""
+        """The symbols of the `values`."""
         names = ["time", *(symbol.name for symbol in self.symbols)]
         return tuple(Symbol(f"{name}[{i}]", real=True) for name in names for i in range(len(self.times)))
 
 
 @dataclass(frozen=True)
 class IntervalElement:
-    """The share of an interval in the Lagrangian of the optimisation problem, and its discrete cost.
+    """The contribution of an interval to the Lagrangian of the optimisation problem, and its discrete cost.
 
-    `lacking` are the indices, among the unknowns of an interval (without its nodes), of unknowns that this interval
-    does not have: x^2/2 in `element` makes them vanish.
+    `lacking` are indices of unknowns, counted in the interval without its nodes, that this interval does not need:
+    x^2/2 in `element` makes them vanish.
     """
 
     element: Expr
@@ -192,11 +191,11 @@ class IntervalElement:
 
 @dataclass(frozen=True)
 class SampleElement:
-    """The share of one sample in the share of its interval: the losses of all its values.
+    """The contribution of one sample of measurements to its interval: the losses of all values of the sample.
 
-    `observed` are the values by the motion, `fraction` is the place of the sample in the interval, and `values` are the
-    measured values. `weights` are the inverses of their standard deviations, zero for missing values. `guess` pairs
-    unknowns of nodes, by index, with the index of the value that measures them.
+    `observed` are the values of the motion at the `fraction` of the interval, and `values` are the measured values.
+    `weights` are the inverses of their standard deviations, zero for missing values. `guess` are pairs (index of an
+    unknown of a node, index of the value that measures it).
     """
 
     element: Expr
@@ -208,21 +207,21 @@ class SampleElement:
 
     @property
     def symbols(self) -> tuple[Symbol, ...]:
-        """Return the symbols of a sample, in their order in a module."""
+        """The symbols of a sample, in their order in a generated module."""
         return (self.fraction, *self.values, *self.weights)
 
 
 @dataclass(frozen=True)
 class Phase:
-    """One phase of several: the shares of its intervals, bounds, guesses, equations to read.
+    """One phase of several: the contributions of its intervals, its bounds, guesses, and equations for display.
 
-    `switch` is the share of the first interval where it differs from the others, because the phase follows another.
-    The symbols t and h run from the phase's number to the next; `duration` is already inside. `node` and `inside`
-    (interval, controls, slacks) are the program's unknowns with the bounds of this phase. At the switch before the
-    phase, `jumping` are indices in a node of quantities that change, so that bounds of this phase do not hold before.
-    `given` are indices of quantities with a prescribed value, which need no bounds, and `broken` names quantities with
-    another value after the switch. Guesses are expressions of the time of the whole problem: of a node's primal
-    unknowns in their order, and of unknowns of an interval, or of the first one, as pairs (index, value).
+    `switch` is the contribution of the first interval if it differs from `regular`, because of a switch before it. The
+    time t runs from the number of the phase to the next number; all expressions already contain the `duration`. `node`
+    and `inside` (interval, controls, slacks) are the unknowns of the program with the bounds of this phase. At the
+    switch before the phase, `jumping` are indices in a node of quantities that change: bounds of this phase do not hold
+    before. `given` are indices of quantities with a prescribed value, which need no bounds, and `broken` names
+    quantities with another value after the switch. Guesses are expressions in the time of the whole problem:
+    `node_guess` for the primal unknowns of a node, the others as pairs (index in `inside`, value).
     """
 
     duration: Expr
@@ -242,36 +241,34 @@ class Phase:
 
     @property
     def elements(self) -> tuple[IntervalElement, ...]:
-        """Return the share of the first interval, where it is special, then that of the others."""
+        """The contribution of the first interval, if it is special, then of the others."""
         return (self.regular,) if self.switch is None else (self.switch, self.regular)
 
 
 @dataclass(frozen=True)
 class ControlProgram:
-    """An optimal-control problem as sum over intervals of one scalar `element`, plus one scalar at each end.
+    """An optimal-control problem: its Lagrangian is the sum of `element` over all intervals, plus one term at each end.
 
-    Unknowns are ordered node_k, interval_k, control_k, slack_k, node_k1; `controls` and `slacks` live on intervals.
-    `controlled` is the place of controls: the interval, its stages (all of the first, then of the next), or the nodes
-    (nodal).
-    The last `path_multipliers` of `interval` belong to path conditions. A slack belongs to the unknown of
-    `interval` at the same index of `slack_multipliers`, and is not negative.
+    Unknowns are ordered node_k, interval_k, control_k, slack_k, node_k1; `controls` and `slacks` belong to intervals.
+    `controlled` says what controls belong to: "interval", its "stages" (all controls of the first stage, then of the
+    next), or nodes ("nodal"). The last `path_multipliers` unknowns of `interval` belong to path conditions. Slack i is
+    not negative, and its multiplier is the unknown of `interval` with the index `slack_multipliers[i]`.
 
-    `shared` unknowns belong to no node: first the `own` ones of each body (its coordinates at the end where bodies are
-    coupled, or at both ends of a periodic motion), then the unknowns of the whole problem (static parameters).
-    `shared_symbols` has the own ones once for all bodies. All `bodies` have the same elements; `body` is the symbol of
-    a body's number, and it may occur in boundary values, bounds and guesses only. `couplings` are written in the
-    symbols of `coupling_symbols` (symbol, body, index among `own`) and of the problem's own shared unknowns; the
-    redundant ones (number from 1, name) follow from them and are left out. `integrals` are conditions on integrals over
-    the duration, of each body, with quadratures last in `equations`; of several phases they stand with the phase.
-    `inner` are the conditions at inner times.
+    The linking variables `shared` belong to no node. First come `own` variables of each body (coupled coordinates at
+    the end, values of periodic motions), then variables of the whole problem (static parameters). `shared_symbols` has
+    the variables of a body once for all bodies. All `bodies` have the same elements. `body` is the symbol of the number
+    of a body, which may occur in boundary values, bounds and guesses only. `couplings` are written in the symbols of
+    `coupling_symbols` (symbol, body, index among `own`) and in variables of the whole problem. Redundant couplings
+    (number from 1, name) follow from them and are left out. `integrals` are the integral constraints of each body, with
+    quadratures last in `equations`; with several phases they belong to the phases. `inner` are the conditions at inner
+    times.
 
-    With `scaled_time` the symbols t and h are fractions of the duration, an expression of parameters and shared
-    unknowns that is already inside `element`. `only_at_ends` are indices in a node of unknowns that only the first or
-    last node has; elsewhere they are zero. Where there are `phases`, intervals of equal number for each follow each
-    other in one chain; `element`, `cost`, bounds, guesses and equations are then taken from the first. Where there are
-    measurements, every `sample` of them adds to the share of its interval. `equations` are the discrete equations for
-    people to read, the guesses are expressions of time, duration and parameters, for the primal unknowns of a node, the
-    stages of an interval and the controls.
+    With `scaled_time` the symbols t and h are fractions of the duration, an expression in parameters and linking
+    variables that `element` already contains. `only_at_ends` are indices in a node of unknowns that only the first or
+    last node has; at other nodes they are zero. With `phases`, the intervals of all phases, the same number for each,
+    form one chain; `element`, `cost`, bounds, guesses and equations then belong to the first phase. `sample` is added
+    to an interval for every sample of measurements in it. `equations` are the discrete equations for display. Guesses
+    are expressions in time, duration and parameters, for the primal unknowns of a node, the stages and the controls.
     """
 
     model: Model
@@ -316,23 +313,23 @@ class ControlProgram:
 
     @property
     def nodal_controls(self) -> bool:
-        """Return True if controls belong to nodes."""
+        """True if controls belong to nodes."""
         return self.controlled == "nodal"
 
     def controls_of(self, control: Symbol) -> tuple[Symbol, ...]:
-        """Return the symbols of one of the author's controls: of the interval, its stages, or both nodes."""
+        """Return the symbols of an author's control: for the interval, its stages, or both nodes."""
         if self.nodal_controls:
             return at_nodes([control], "_k") + at_nodes([control], "_k1")
         return self.control_symbols[self.model.controls.index(control) :: len(self.model.controls)]
 
     @property
     def holonomic_multipliers(self) -> tuple[Unknown, ...]:
-        """Return the unknowns of a node that are multipliers of holonomic constraints, behind those of the motion."""
+        """The unknowns kappa of holonomic constraints: the unknowns of a node that follow coordinates and lambda."""
         first = 2 * len(self.model.coordinates)
         return self.node[first : first + len(self.model.holonomic)]
 
     def in_time(self, expression: Expr) -> Expr:
-        """Write an expression in t and h as times, instead of fractions of the duration or a node's time and pace."""
+        """Return an expression with t and h as times, not fractions of the duration, nor time and pace of a node."""
         if not self.scaled_time:
             return expression
         if self.inner.scales:
@@ -343,20 +340,20 @@ class ControlProgram:
 
     @property
     def element_symbols(self) -> tuple[Symbol, ...]:
-        """Return the unknowns of an interval with both its nodes, then the shared ones."""
+        """The unknowns of an interval and its two nodes, then the linking variables."""
         inside = (*self.interval_symbols, *self.control_symbols, *self.slack_symbols)
         return (*self.left_symbols, *inside, *self.right_symbols, *self.shared_symbols)
 
     @property
     def interval_elements(self) -> tuple[IntervalElement, ...]:
-        """Return the shares of all kinds of intervals; a phase may have a special first interval."""
+        """The contributions of all kinds of intervals; a phase may have a special first interval."""
         if not self.phases:
             return (IntervalElement(self.element, self.cost),)
         return tuple(element for phase in self.phases for element in phase.elements)
 
     @property
     def has_inequalities(self) -> bool:
-        """Return True if an unknown has bounds or is a slack."""
+        """True if an unknown has bounds or is a slack."""
         unknowns = (*self.node, *self.interval, *self.controls, *self.shared)
         unknowns += tuple(unknown for phase in self.phases for unknown in (*phase.node, *phase.inside))
         bounded = any(u.lower is not None or u.upper is not None for u in unknowns)
@@ -369,17 +366,16 @@ class StepProgram:
     """An initial value problem: one step from the left node (q_k, p_k) to the right node (q_k1, p_k1).
 
     `equations` are the scheme's equations in textbook form, expressions that must vanish, in the symbols of the left
-    node, of inner stages and of the right node. `summary` derives them in formulas. The solution has three parts:
-    `before` are explicit assignments in order, `unknowns` with `residual` remain for Newton's method (none for an
-    explicit scheme; `linear` if one linear solve suffices), and `after` are the final explicit assignments. Where a
-    mass matrix is large, `guess` and `energy` may read `state_assignments`, which depend on the left node alone.
-    `velocities` are unknowns in place of positions, each with the two positions of its divided difference and the time
-    between them. `guess` starts Newton's method. `energy` is the Hamiltonian at the left node. `start` holds the
-    initial (q, p) in terms of the parameters and of the symbols of `start_values`.
+    node, inner stages and the right node. `summary` has the formulas behind them. The solution has three parts:
+    explicit assignments `before`, `unknowns` with a `residual` for Newton's method, and explicit assignments `after`.
+    An explicit scheme leaves no unknowns; `linear` is True if one linear solve suffices. For a large mass matrix,
+    `guess` and `energy` may contain symbols of `state_assignments`, which depend on the left node alone. `velocities`
+    replace positions as unknowns: each has the two positions of its divided difference and the time between them.
+    `guess` is the initial guess of Newton's method. `energy` is the Hamiltonian at the left node. `start` is the
+    initial (q, p) in terms of the parameters and the symbols of `start_values`.
 
-    For a composition this is one step of its base, whose lengths are the symbols `lengths`. `fractions` has a row for
-    each step of the base with these lengths as fractions of the whole step. Otherwise the only length is h, and there
-    are no fractions.
+    For a composition this is one step of its base scheme with the `lengths` as symbols. `fractions` has a row for each
+    step of the base: its lengths as fractions of the whole step. Otherwise the only length is h, without fractions.
     """
 
     model: Model
@@ -408,7 +404,7 @@ class StepProgram:
 
     controlled: ClassVar[str] = "interval"
     holonomic_multipliers: ClassVar[tuple[Unknown, ...]] = ()
-    """Attributes of optimisations, which have no content in simulations."""
+    """Attributes of control programs, which are constant in simulations."""
 
     def in_time(self, expression: Expr) -> Expr:
         """Return an expression of t and h unchanged."""
@@ -423,7 +419,7 @@ class Names:
     """A source of names `<stem>_1`, `<stem>_2`, ... and `<stem>_<quantity>` that no symbol of the model has."""
 
     def __init__(self, model: Model) -> None:
-        """Reserve every name that the author declared, and those derived from them."""
+        """Reserve all names that the author declared, and names derived from them."""
         quantities = (*model.coordinates, *model.rates, *model.controls, *model.parameters, model.time)
         others = (*(p.symbol for p in model.free_parameters), *(value.symbol for value in model.end_values))
         self._taken = {symbol.name for symbol in (*quantities, *others)}
@@ -446,22 +442,22 @@ class Names:
         return name
 
     def reserve(self, names: Iterable[str]) -> None:
-        """Exclude names from those that are returned."""
+        """Exclude names from later results."""
         self._taken |= set(names)
 
 
 def symbols(names: Iterable[str], suffix: str) -> tuple[Symbol, ...]:
-    """Return the symbols of named unknowns at a node (`_k`, `_k1`) or on the interval (`_k`)."""
+    """Return the symbols `<name><suffix>` of unknowns at a node (`_k`, `_k1`) or on the interval (`_k`)."""
     return at_nodes([Symbol(name) for name in names], suffix)
 
 
 def occurring(quantities: Sequence[Symbol], *expressions: Expr) -> set[int]:
-    """Return the indices of those quantities that occur in any of the expressions."""
+    """Return the indices of the quantities that occur in any of the expressions."""
     present = set[Symbol]().union(*(expression.free_symbols for expression in expressions), set())
     return {i for i, quantity in enumerate(quantities) if quantity in present}
 
 
 def is_invariant_under_shifts(expression: Expr, shifts: dict[Symbol, Expr]) -> bool:
-    """Return True if an expression keeps its value when quantities are shifted, as an angle by 2 pi."""
+    """Return True if an expression keeps its value when quantities are shifted, such as an angle by 2 pi."""
     shifted = expression.subs({q: q + shift for q, shift in shifts.items() if shift != 0}, simultaneous=True)
     return bool(shifted == expression) or identically_zero(shifted - expression)

@@ -1,4 +1,4 @@
-"""Simulate task -> StepProgram: one step from (q_k, p_k) to (q_k1, p_k1), solved explicitly as far as possible.
+"""Transcription of a simulation: one step from (q_k, p_k) to (q_k1, p_k1), solved explicitly as far as possible.
 
 Variational method: the position-momentum form of the forced discrete Euler-Lagrange equations, p_k = -D1 Ld - f- and
 p_k1 = D2 Ld + f+. They are solved for the velocity (q_k1 - q_k)/h instead of q_k1, because the difference of two nearby
@@ -8,16 +8,15 @@ way. Source: Marsden and West (2001), section 1.5.3.
 Hamiltonian method: the equations of a one-step method, inner stages included. A composition is one step of its base
 scheme, which the generated module repeats with other lengths: the code does not grow with their number.
 
-Explicit elimination leaves to Newton's method only the unknowns without a symbolic solution. Equation i and unknown i
-belong together: for a consistent scheme its coefficient is 1 + O(h), or an entry of the mass matrix, and does not
-vanish. An equation that is linear in one unknown is solved for it, and the solution is put into the other equations.
-The procedure is known as tearing. Source: Duff, Erisman and Reid (2017), Direct methods for sparse matrices, chapters 5
-and 7.
+Explicit elimination leaves to Newton's method only the unknowns without a symbolic solution. Equation i belongs to
+unknown i: for a consistent scheme the coefficient of the unknown is 1 + O(h), or an entry of the mass matrix, and does
+not vanish. An equation that is linear in an unknown is solved for it, and the solution is substituted into the other
+equations. The procedure is known as tearing. Source: Duff, Erisman and Reid (2017), Direct methods for sparse matrices,
+chapters 5 and 7.
 
-Velocities and energy are functions of a state (q, p), without the inverse of a large mass matrix written out. Written
-out, the inverse of a matrix of n coordinates that all depend on each other has about 4^n terms. Step by step, as
-M = L D L^T on a graph of values, it takes about n^3/6 products. Source: Golub and Van Loan (2013), Matrix computations,
-section 4.1.
+Velocities and energy are functions of a state (q, p). For a large mass matrix they do not contain its symbolic inverse,
+which for n coordinates that all depend on each other has about 4^n terms. The factorisation M = L D L^T, as a sequence
+of assignments, needs about n^3/6 products. Source: Golub and Van Loan (2013), Matrix computations, section 4.1.
 """
 
 from __future__ import annotations
@@ -52,14 +51,14 @@ from codegen.symbolic.graph import ONE, Assignment, Graph
 from codegen.symbolic.zeros import identically_zero
 
 _EXPANSION_LIMIT = 200
-"""Limit for operations, and terms, of sums that are multiplied out to test linearity."""
+"""Greatest number of operations, and of terms, of sums that are expanded to test linearity."""
 _GROWTH_LIMIT = 150
-"""Limit for operations that substitutions add to the equations; beyond it a numerical solution is cheaper."""
+"""Greatest number of operations that substitutions add to the equations; more make a numerical solution cheaper."""
 
 
 @dataclass(frozen=True)
 class Elimination:
-    """Assignments before Newton's method, its unknowns and residual, and assignments after it, each in order.
+    """The unknowns and the residual of Newton's method, with the assignments `before` and `after` it in order.
 
     `linear` is True if the residual is linear in the unknowns. Without unknowns all assignments are in `before`.
     """
@@ -74,8 +73,8 @@ class Elimination:
 def eliminate(equations: Sequence[Expr], unknowns: Sequence[Symbol], constants: Iterable[Symbol]) -> Elimination:
     """Solve equations (expressions that must vanish) for as many unknowns as possible, one by one.
 
-    `constants` are the symbols that keep their value along a trajectory. Of two orders, the one that leaves fewer
-    unknowns to Newton's method is taken, or else the one with fewer operations.
+    `constants` are the symbols that are constant along a trajectory. Equations are tried in both orders; the result has
+    the fewest unknowns for Newton's method, then the fewest operations.
     """
 
     def cost(result: Elimination) -> tuple[int, bool, int]:
@@ -104,7 +103,7 @@ class _Equation:
 
 
 class _System:
-    """The open equations and unknowns, and the assignments of the solved unknowns."""
+    """The equations and unknowns that are still open, and the assignments of the solved unknowns."""
 
     def __init__(self, equations: Sequence[Expr], unknowns: Sequence[Symbol], constants: AbstractSet[Symbol]) -> None:
         self.equations = {i: _Equation.of(e) for i, e in enumerate(equations)}
@@ -118,7 +117,7 @@ class _System:
     def solved(self, order: Sequence[int]) -> Elimination:
         while self._solve_determined(order) or self._eliminate(order):
             pass
-        # Each assignment follows those that it reads; first the assignments that read no open unknown.
+        # Sort: an assignment follows the values that it reads. Those that read no open unknown come first.
         waiting, before, after = list(self.assignments), list[Assignment](), list[Assignment]()
         for readable, sequence in ((frozenset[Symbol](), before), (self.open, after)):
             while True:
@@ -134,14 +133,14 @@ class _System:
         return Elimination(tuple(before), unknowns, residual, tuple(after), linear)
 
     def _solve_determined(self, order: Sequence[int]) -> bool:
-        """Solve one equation with a single open unknown, linearly; False if there is none."""
+        """Solve one equation that is linear in its single open unknown; return False if there is no such equation."""
         for i in order:
             present = self._present(i)
             if len(present) == 1:
                 (y,) = present
                 solution = self._solution(i, y)
                 if solution is not None:
-                    # The name of the unknown remains in other equations: its value depends on no open unknown.
+                    # Other equations keep the symbol, because its value depends on no open unknown.
                     del self.equations[i]
                     self.open.discard(y)
                     self.assignments.append((y, solution[1]))
@@ -149,9 +148,9 @@ class _System:
         return False
 
     def _eliminate(self, order: Sequence[int]) -> bool:
-        """Express one unknown by other open ones, and substitute; False when none is admissible.
+        """Solve one equation for an unknown in terms of open unknowns, and substitute; return False if none fits.
 
-        The unknown's own equation comes first, then the pair with the least fill-in (Markowitz's count).
+        Equation i is first tried for unknown i, then the pair with the least fill-in (Markowitz's count).
         """
         present = {i: self._present(i) for i in order}
         occurrences = {y: sum(y in symbols for symbols in present.values()) for y in self.open}
@@ -164,8 +163,8 @@ class _System:
         for is_foreign, _, position, index in sorted(ranked):
             i, y = order[position], self.unknowns[index]
             solution = self._solution(i, y)
-            # The pivot must not vanish where the system is regular. Constants of the unknown's own equation do not; a
-            # parameter of another equation (a friction, say) may be zero, but numbers and powers of h are not.
+            # The pivot must not vanish where the system is regular. In equation i, constants are safe pivots of unknown
+            # i. In other equations a parameter, such as a friction, may be zero; numbers and powers of h are safe.
             trusted = {STEP} if is_foreign else self.constants | {STEP}
             if solution is None or not solution[0].free_symbols <= trusted:
                 self.rejected.add((i, y))
@@ -189,7 +188,7 @@ class _System:
         return self.equations[i].symbols & self.open if i in self.equations else frozenset()
 
     def _solution(self, i: int, y: Symbol) -> tuple[Expr, Expr] | None:
-        """Return the coefficient of y in equation i and the value of y, if y enters linearly and surely."""
+        """Return the coefficient of y in equation i and the solution; None if y is not linear, or cancels."""
         equation = self.equations[i].expression
         coefficient = linear_in(equation, y, self.open)
         if coefficient is None or identically_zero(coefficient):
@@ -199,9 +198,9 @@ class _System:
 
 
 def linear_in(expression: Expr, y: Symbol, variables: AbstractSet[Symbol]) -> Expr | None:
-    """Return the coefficient of y, free of all `variables`, or None if the expression is not linear in y in that sense.
+    """Return the coefficient of y if it contains none of the `variables`, else None.
 
-    Long expressions are tested as they stand; in short ones terms may cancel once they are multiplied out.
+    Long expressions are tested as they are written; short expressions are also expanded, so that terms may cancel.
     """
     terms = [term for term in Add.make_args(expression) if y in _symbols_of(term)]
     nonlinear = [term for term in terms if y in _nonlinear_symbols(term, variables)]
@@ -214,7 +213,7 @@ def linear_in(expression: Expr, y: Symbol, variables: AbstractSet[Symbol]) -> Ex
 
 
 def _nonlinear_symbols(expression: Expr, variables: AbstractSet[Symbol]) -> AbstractSet[Symbol]:
-    """Return the variables in which an expression, as written, is not linear with a coefficient free of variables."""
+    """Return the variables in which an expression, as written, is not linear with a coefficient without variables."""
     varying = [part for part in expression.args if _symbols_of(part) & variables]
     if expression.is_Add or (expression.is_Mul and len(varying) == 1):
         return frozenset[Symbol]().union(*(_nonlinear_symbols(part, variables) for part in varying))
@@ -223,12 +222,12 @@ def _nonlinear_symbols(expression: Expr, variables: AbstractSet[Symbol]) -> Abst
 
 @lru_cache(maxsize=10_000)
 def _symbols_of(expression: Expr) -> AbstractSet[Symbol]:
-    """Return the symbols of a term, cached since every unknown is tested in turn."""
+    """Return the symbols of a term, cached because every unknown is tested."""
     return frozenset(expression.free_symbols)
 
 
 _WRITTEN_OUT = 3
-"""Limit for coordinates coupled by the mass matrix whose inverse is written out."""
+"""Greatest number of coordinates that the mass matrix couples for which its inverse is written out."""
 _PIVOT = 1e-6
 """A pivot below this fraction of the largest entry of its row is postponed."""
 _HALF = ONE / 2
@@ -236,7 +235,7 @@ _HALF = ONE / 2
 
 @dataclass(frozen=True)
 class PhaseFunctions:
-    """The velocities dH/dp and the energy H at (q, p, t), in symbols of ordered `assignments` as well."""
+    """The velocities dH/dp and the energy H in (q, p, t) and in the symbols of `assignments`, which are in order."""
 
     assignments: tuple[Assignment, ...]
     velocities: tuple[Expr, ...]
@@ -244,11 +243,10 @@ class PhaseFunctions:
 
 
 def phase_functions(model: Model) -> PhaseFunctions | None:
-    """Solve p = dL/dv for v step by step; None where the Hamiltonian may be written out.
+    """Return velocities and energy by elimination in p = dL/dv; None if the Hamiltonian is to be written out.
 
-    This is the case where at most three coordinates depend on each other in the mass matrix. It is also the case where
-    the mass matrix depends on velocities, so that momenta are not linear in them. The momenta have the names of
-    `legendre.conjugate_symbols`.
+    The Hamiltonian is written out if the mass matrix couples at most three coordinates, or depends on velocities, so
+    that momenta are not linear in them. The momenta have the names of `legendre.conjugate_symbols`.
     """
     if model.form != "lagrangian" or len(model.coordinates) <= _WRITTEN_OUT:
         return None
@@ -280,7 +278,7 @@ def phase_functions(model: Model) -> PhaseFunctions | None:
 
 
 def _pivots(samples: Iterable[np.ndarray | None]) -> list[int] | None:
-    """Return an order of rows in which no pivot of a symmetric elimination vanishes, or None."""
+    """Return an order of rows in which no pivot of a symmetric elimination vanishes at one of the samples, or None."""
     for values in samples:
         if values is None:
             continue
@@ -299,7 +297,7 @@ def _pivots(samples: Iterable[np.ndarray | None]) -> list[int] | None:
 
 
 class _Elimination:
-    """The solution of M v = y for v by nodes of a graph, with symmetric M = L D L^T."""
+    """The factorisation M = L D L^T of a symmetric matrix of graph nodes, and the solution of M v = y."""
 
     def __init__(self, graph: Graph, mass: Mapping[tuple[int, int], int], order: Sequence[int]) -> None:
         self.graph = graph
@@ -337,7 +335,7 @@ class _Elimination:
         return solution
 
     def _reduced(self, node: int, products: Sequence[tuple[int, int]]) -> int:
-        """Return a value minus some products."""
+        """Return the node of a value minus the products."""
         return self.graph.sum([(node, ONE), *((self.graph.times(a, b), -ONE) for a, b in products)])
 
 
@@ -346,7 +344,7 @@ Equation = tuple[str, Expr]
 
 @dataclass(frozen=True)
 class _Step:
-    """One step: its equations, their origin in formulas, their solution, and the guess of Newton's method."""
+    """One step: its equations, the formulas behind them (`summary`), their solution, and the initial guesses."""
 
     equations: tuple[Equation, ...]
     summary: tuple[Equation, ...]
@@ -357,7 +355,7 @@ class _Step:
 
 
 def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
-    """Transcribe an initial value problem by the "variational" or the "hamiltonian" method.
+    """Return the program of an initial value problem, by the "variational" or the "hamiltonian" method.
 
     Raises SchemeError when the scheme belongs to the other method, and the errors of the Legendre transforms.
     """
@@ -422,14 +420,14 @@ def _variational_step(
     velocities = at_nodes(model.rates, "_k")
     points = range(1, len(interval.inner) // dimension + 1)
     velocities += tuple(v for i in points for v in at_nodes(model.rates, f"_stage{i}"))
-    # Right nodes and inner points, the left node, and the time between them.
+    # Triples: a position at the right node or an inner point, the position at the left node, the time between them.
     differences = [(q1, q, STEP) for q1, q in zip(interval.q.right, interval.q.left, strict=True)]
     for i, (q, c) in enumerate(zip(interval.inner, interval.inner_abscissae, strict=True)):
         differences.append((q, interval.q.left[i % dimension], c * STEP))
     dimension = len(model.coordinates)
     arriving = interval.right_momentum
     if interval.inner:
-        # All equations together: rounded coefficients of velocities would make the energy drift.
+        # The sum of all equations, without coefficients of velocities: their rounding errors make the energy drift.
         arriving = tuple(p + gained for p, gained in zip(left[dimension:], interval.impulse, strict=True))
     arrival: dict[Symbol, Expr] = {
         q1: q + STEP * v for q1, q, v in zip(interval.q.right, interval.q.left, velocities, strict=False)
@@ -439,7 +437,7 @@ def _variational_step(
         arrival[q] = interval.q.left[i % dimension] + c * STEP * v
 
     def in_velocities(momentum: Expr) -> Expr:
-        # (q_k1 - q_k)/h stands in one sum, so that sympy cancels q_k by itself and v_k remains.
+        # (q_k1 - q_k)/h stays one sum, so that sympy cancels q_k and v_k remains.
         terms = Add.make_args(momentum.xreplace(arrival))
         return Add(*(expand_mul(term, deep=False) if term.has(1 / STEP) else term for term in terms))
 
@@ -474,7 +472,7 @@ def _one_step(
     interval = one_step_interval(phase, scheme)
     unknowns = (*interval.stages, *right)
     equations = tuple((f"step of {y}", e) for y, e in zip(unknowns, interval.equations, strict=True))
-    # Every stage and the right node start from explicit Euler steps that begin at the left node.
+    # The initial guesses of stages and of the right node are explicit Euler steps from the left node.
     rates = {x.name: (x, rate) for x, rate in zip(left, rates_of_change(phase, left), strict=True)}
     abscissae, guesses = scheme.step().abscissae, dict[Symbol, Expr]()
     for y in unknowns:
@@ -493,7 +491,7 @@ def _one_step(
 
 
 def _mean_velocities(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
-    """Guess the velocities of a step: those of the left node, or half a step later where that costs little."""
+    """Return guesses of the mean velocities of a step: at the left node, or half a step later if that is cheap."""
     dimension = len(phase.coordinates)
     rates = rates_of_change(phase, left)
     velocities, slopes = rates[:dimension], rates[dimension:]
@@ -505,7 +503,7 @@ def _mean_velocities(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
 
 
 def rates_of_change(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
-    """Return the forced Hamiltonian vector field at the left node."""
+    """Return the time derivatives of (q, p) at the left node: the forced Hamiltonian vector field."""
     velocity = [diff(phase.function, p) for p in phase.rates]
     slope = [f - diff(phase.function, q) for q, f in zip(phase.coordinates, phase.force, strict=True)]
     return [_at(phase, value, left) for value in (*velocity, *slope)]

@@ -1,4 +1,4 @@
-"""Task -> Program: the expressions that are stationary or vanish on every interval, and the layout of the unknowns."""
+"""From a model to a program: the expressions of one interval, and the layout of the unknowns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from codegen.errors import ArgumentError, SchemeError
 DEFAULT_SCHEME = "midpoint"
 _SYSTEMS = {"lagrangian": "a Lagrangian", "hamiltonian": "a Hamiltonian", "first-order": "a first-order system"}
 MOST_PARTS = 16
-"""Limit for the steps of a composition on an interval of a control problem."""
+"""Greatest number of steps of a composition on an interval of a control problem."""
 
 
 @overload
@@ -35,7 +35,7 @@ def transcribe(
 def transcribe(
     model: Model | PairwiseModel, scheme: str | None = None, method: str | None = None, controls: str = "interval"
 ) -> ControlProgram | StepProgram | PairwiseProgram:
-    """Transcribe a model by the named scheme and method; None stands for the default.
+    """Return the program of a model for the named scheme and method; None means the default.
 
     Raises ArgumentError for a method that the task does not have, SchemeError for a scheme that does not exist.
     """
@@ -67,14 +67,14 @@ def transcribe(
 
 
 def methods_for(model: Model) -> tuple[str, ...]:
-    """Return the methods that fit a model: first its own side, and for control problems the variational method."""
+    """Return the methods for a model: "variational" comes first, except in simulations of a Hamiltonian."""
     if model.form == "first-order":
         return (schemes.FIRST_ORDER,)
     return tuple(sorted(schemes.METHODS, reverse=model.task == "control" or model.form == "lagrangian"))
 
 
 def method_with(model: Model, scheme: str | None) -> str:
-    """Return the first method that fits a model and has the scheme, or else the first that fits."""
+    """Return the first method that a model can use and that has the scheme, or else the first method."""
     methods = methods_for(model)
     return next((method for method in methods if scheme is None or schemes.is_known(scheme, method)), methods[0])
 

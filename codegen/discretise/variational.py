@@ -1,14 +1,15 @@
-"""Control task by the variational method -> ControlProgram.
+"""Transcription of a control problem by the variational method.
 
-l = Cd + lambda_k . (D1 Ld + f-) + lambda_k1 . (D2 Ld + f+), and lambda_i . (D_i Ld + f_i) for each inner point of a
-Galerkin variational integrator (Ober-Bloebaum and Saake 2015). Summed over intervals, the multipliers of a node
-multiply both halves of its forced discrete Euler-Lagrange equation.
+With the discrete cost Cd, the contribution of an interval to the Lagrangian of the optimisation problem is
+l = Cd + lambda_k . (D1 Ld + f-) + lambda_k1 . (D2 Ld + f+). Each inner point of a Galerkin variational integrator adds
+lambda_i . (D_i Ld + f_i) (Ober-Bloebaum and Saake 2015). Summed over intervals, the multipliers of a node multiply both
+halves of its forced discrete Euler-Lagrange equation.
 
-The momentum boundary conditions arise at the two end nodes. The shares +lambda_0 . D2 L(q(0), v(0)) at the start and
--lambda_N . D2 L(q(T), v(T)) at the end make the discrete momenta of the ends match the momenta of the velocities. A
-free velocity is an unknown of its end if a matched momentum, a condition or the terminal cost depends on it. Its
-momentum is matched too, so that each fixed velocity and each condition counts once. The multiplier of an unmatched
-momentum is zero. Source: Ober-Bloebaum, Junge and Marsden (2011), Discrete mechanics and optimal control: an analysis.
+At the end nodes the discrete momenta match the momenta of the velocities, by +lambda_0 . D2 L(q(0), v(0)) at the start
+and -lambda_N . D2 L(q(T), v(T)) at the end. A free velocity is an unknown of its end if a matched momentum, a condition
+or the terminal cost depends on it. Its momentum is matched too, so that the number of equations is right. The
+multiplier of an unmatched momentum is zero. Source: Ober-Bloebaum, Junge and Marsden (2011), Discrete mechanics and
+optimal control: an analysis.
 """
 
 from __future__ import annotations
@@ -44,9 +45,10 @@ from codegen.symbolic.derivatives import gradient
 
 @dataclass(frozen=True)
 class EndConditions:
-    """Values, conditions, terminal cost and momenta (by index, in unknowns) at one end of a variational problem.
+    """Values, conditions and terminal cost at one end; `suffix` and `sign` are `_k` and 1, or `_k1` and -1.
 
-    `aliased` names coordinates that equal a shared unknown there.
+    `momenta` maps indices of coordinates to unknown momenta that are matched, and `aliased` has the names of
+    coordinates that equal a linking variable.
     """
 
     suffix: str
@@ -59,7 +61,7 @@ class EndConditions:
 
 
 def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgram:
-    """Transcribe with unknowns q and lambda on nodes and u on intervals (or nodes).
+    """Return the program with unknowns q and lambda at nodes, and u on intervals (or at nodes).
 
     Holonomic constraints add kappa and eta to the nodes. Raises the errors of the Legendre transform, and BoundaryError
     for conditions that do not fit together.
@@ -105,10 +107,10 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
 
 
 def _matched_indices(model: Model, end: EndConditions, constraints: Constraints) -> set[int]:
-    """Return the indices of the momenta that match those of velocities at an end.
+    """Return the indices of coordinates whose discrete momentum at an end matches the momentum of a velocity.
 
-    These are the momenta of fixed velocities, and the momenta of velocities on which a condition, the terminal cost, a
-    matched momentum or a constraint with a matched velocity depends.
+    The velocity is prescribed, or a condition, the terminal cost, another matched momentum or a holonomic constraint
+    with a matched velocity depends on it.
     """
     momentum = gradient(model.function, model.rates)
     matched = {i for i, value in enumerate(end.boundary.rates) if value is not None}
@@ -130,9 +132,9 @@ def _momentum_end(
     shared: set[Symbol],
     names: Names,
 ) -> End:
-    """Fix positions, match momenta, and impose conditions at an end.
+    """Return the terms that fix positions, match momenta and impose conditions at an end.
 
-    `values` are the boundary values behind their symbols, and `shared` the symbols of shared unknowns.
+    `values` maps symbols of boundary values to the values; `shared` are the symbols of linking variables.
     """
     both = " ".join(model.coordinates[i].name for i in sorted(matched & set(end.momenta)))
     if both:
@@ -173,7 +175,7 @@ def _momentum_end(
 
 
 def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraints) -> Motion:
-    """Return the forced discrete Euler-Lagrange equations, with constraint forces, times their multipliers."""
+    """Return the discrete equations of motion: forced Euler-Lagrange equations with constraint forces."""
     interval = variational_interval(path.with_inner_path(model), scheme, controls)
     if interval.inner and model.holonomic:
         raise SchemeError(
@@ -218,7 +220,7 @@ def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraint
 
 
 def _left_velocities(model: Model, interval: VariationalInterval) -> tuple[Expr, ...]:
-    """Return the velocities of the discrete momenta at the left node of an interval, by the Legendre transform.
+    """Return the velocities at the left node of an interval, from the discrete momenta by the Legendre transform.
 
     Raises BoundaryError where constraints divide the momentum of a node between its intervals, and the errors of the
     transform.

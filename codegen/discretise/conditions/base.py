@@ -1,4 +1,4 @@
-"""The interface of a kind of condition to the stages of the pipeline."""
+"""The interface that every kind of condition offers to the stages of the pipeline."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Remedies = Mapping[type[Quantity], str]
 
 
 class Latex(Protocol):
-    """The writer of an author's problem in LaTeX: a call writes an expression; `first` and `last` name the ends."""
+    """A writer of LaTeX: a call writes an expression; `first` and `last` are the times of the start and the end."""
 
     first: str
     last: str
@@ -37,13 +37,13 @@ class Latex(Protocol):
 
 
 class ConditionKind:
-    """A kind of condition: its reading, its checks and its descriptions.
+    """A kind of condition: how it is read, checked and described.
 
-    `argument` is the argument of `Control`, `field` the field of the model, and `words` describes problems with such
-    conditions. `scope` gives for each role of its expressions the symbols that may occur, `remedies` the advice for
-    other symbols. `not_in_phases` is the error, finding and remedy where phases cannot have such conditions. `check` is
-    the name of a numerical check of these conditions alone, or "".
-    The methods of this class are the defaults: a kind without a method has no requirement.
+    `argument` is the argument of `Control` with such conditions, `field` their field of `Model`, and `words` their name
+    in messages. `scope` maps each role of an expression to the kinds of symbols that may occur in it. `remedies` maps
+    other kinds of symbols to the advice of the error message. `not_in_phases` is the error, finding and remedy for
+    phases with such conditions, or None. `check` is the name of a numerical check of these conditions alone, or "".
+    The methods of this class are defaults without any requirement.
     """
 
     argument: ClassVar[str]
@@ -55,55 +55,55 @@ class ConditionKind:
     check: ClassVar[str] = ""
 
     def written(self, control: Control) -> Iterator[Entry]:
-        """Yield the author's expressions; raises a kind of CodegenError for objects that are not of this kind."""
+        """Yield the author's expressions as entries; raise a kind of CodegenError for unsuitable objects."""
         return relation_entries(self.argument, getattr(control, self.argument))
 
     def require_fitting(self, entry: Entry, control: Control, form: str) -> None:
-        """Refuse an expression that contradicts other arguments, independently of numbers."""
+        """Raise an error if an expression contradicts other arguments of `Control`, whatever the numbers are."""
 
     def of_model(self, model: Model) -> tuple[Condition, ...]:
         """Return the conditions of this kind in a model."""
         return tuple(getattr(model, self.field))
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
-        """Add the author's conditions, in plain symbols, to a model."""
+        """Return a model with the author's conditions added; the entries are in the symbols of the model."""
         fields: dict[str, Any] = {self.field: (*self.of_model(model), *self.conditions(entries))}
         return replace(model, **fields)
 
     def conditions(self, entries: Sequence[Entry]) -> tuple[object, ...]:
-        """Return the conditions in the order in which they were written."""
+        """Return the conditions of this kind among the entries, in the order in which they were written."""
         return conditions_of(entries, self.argument)
 
     def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
-        """Yield the expressions that need a real value somewhere, with their names in messages."""
+        """Yield (name in messages, expression) for expressions that must be real at one trial point or more."""
         yield from ((condition.name, condition.expression) for condition in self.of_model(model))
 
     def numbers(self, model: Model) -> Iterator[tuple[str, Expr]]:
-        """Yield the expressions that must be finite numbers at the default parameters, with their names in messages."""
+        """Yield (name in messages, expression) for expressions that must be finite at the default parameters."""
         yield from ()
 
     def at(self, model: Model, end: str) -> Iterator[Condition]:
-        """Yield the conditions at the `start` or `end` with which prescribed values must agree."""
+        """Yield the conditions that prescribed values at an end, "start" or "end", must satisfy."""
         yield from ()
 
     def require_regular(self, model: Model, points: Points) -> None:
-        """Refuse conditions that are void or dependent at trial points."""
+        """Raise an error for conditions that are constant or linearly dependent at the trial points."""
 
     def sentences(self, model: Model) -> list[str]:
-        """Return the lines of a module's docstring about the conditions."""
+        """Return the lines about these conditions in the docstring of a generated module."""
         return []
 
     def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
-        """Yield headings and rows (name, value) that `codegen show` adds to the continuous problem."""
+        """Yield headings with rows (name, expression), which `codegen show` adds to the continuous problem."""
         yield from ()
 
     def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
-        """Yield the author's conditions, unchecked, as rows in LaTeX, aligned at their &, for notebooks."""
+        """Yield the author's conditions, without checks, as rows of LaTeX aligned at &, for notebooks."""
         for relation in listed(getattr(control, self.argument)):
             yield rf"&{latex.relation(relation)}\quad{self.when(latex)}"
 
     def when(self, latex: Latex) -> str:
-        """Return the times at which a condition holds, in LaTeX, or its kind."""
+        """Return in LaTeX the times at which a condition holds, or the name of the argument."""
         return rf"\text{{({self.argument})}}"
 
     def costs(self, control: Control, latex: Latex) -> Iterator[str]:
@@ -112,24 +112,24 @@ class ConditionKind:
 
 
 def listed(given: Relations) -> Sequence[Relation]:
-    """Return relations without the author's names."""
+    """Return relations as a sequence, without the names that are the keys of a mapping."""
     return list(given.values()) if isinstance(given, Mapping) else given
 
 
 def conditions_of(entries: Sequence[Entry], role: str) -> tuple[Condition, ...]:
-    """Return the relations of a role in the order in which they were written."""
+    """Return the conditions of the entries with a role, in the order in which they were written."""
     return tuple(Condition(entry.name, entry.expression, entry.equality) for entry in entries if entry.role == role)
 
 
 def is_constant(condition: Condition, symbols: Sequence[sympy.Symbol], points: Points) -> bool:
-    """Return True if a condition depends on none of the symbols at trial points; short derivatives come first."""
+    """Return True if all derivatives with respect to the symbols, tested from the shortest, vanish at trial points."""
     present = [symbol for symbol in symbols if symbol in condition.expression.free_symbols]
     present.sort(key=lambda symbol: sympy.count_ops(sympy.diff(condition.expression, symbol)))
     return all(dependent([condition], [symbol], points) for symbol in present)
 
 
 def dependent(conditions: Sequence[Condition], symbols: Sequence[sympy.Symbol], points: Points) -> str:
-    """Return the names of conditions that depend on each other to first order at all trial points, or ""."""
+    """Return the names of conditions whose gradients are linearly dependent at all trial points, or ""."""
     if not conditions:
         return ""
     slopes = [sympy.diff(c.expression, s) for c in conditions for s in symbols]

@@ -1,8 +1,8 @@
 """Conditions on coordinates and rates at one end, in addition to prescribed values; at the end also between bodies.
 
-An end of the time interval has pinned unknowns, conditions and unknowns of its own. For a uniform layout an unknown of
-an end is an unknown of every node, and x^2/2 in every interval's share makes it vanish elsewhere. `linking` imposes
-the conditions between bodies.
+An end of the time interval has prescribed values, conditions, and unknowns that other nodes do not need. All nodes have
+the same layout, so that these unknowns exist at every node: a term x^2/2 in the contribution of every interval to the
+Lagrangian makes them vanish elsewhere. `linking` imposes the conditions between bodies.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class AtStart(ConditionKind):
         yield from self.of_model(model) if end == self.end else ()
 
     def require_regular(self, model: Model, points: Points) -> None:
-        """Require that equations determine quantities that no value at this end has fixed already."""
+        """Raise an error unless the equations restrict quantities that this end does not already prescribe."""
         conditions: tuple[Condition, ...] = self.of_model(model)
         free = tuple(parameter.symbol for parameter in model.free_parameters)
         symbols = (*model.coordinates, *model.rates, *(free if model.bodies == 1 else ()))
@@ -79,7 +79,7 @@ class AtStart(ConditionKind):
 
 
 class AtEnd(AtStart):
-    """Equations and inequalities at the end, and equations there between bodies, which are `couplings` of the model."""
+    """Equations and inequalities at the end; equations between bodies there become `couplings` of the model."""
 
     argument = field = "end_conditions"
     end = "end"
@@ -87,7 +87,7 @@ class AtEnd(AtStart):
     remedies: ClassVar[Remedies] = {Time: _DURATION, ControlInput: _CONTROLS}
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
-        """Add conditions with values of single bodies as couplings, and the others as conditions of every body.
+        """Return a model with conditions on end values of single bodies as couplings, and others for every body.
 
         Raises BoundaryError for a coupling that is an inequality, ExpressionError for a coupling with a coordinate of
         no particular body.
@@ -104,12 +104,12 @@ class AtEnd(AtStart):
         return replace(model, couplings=conditions_of(couplings, self.argument))
 
     def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
-        """Yield couplings that differ in their bodies alone once."""
+        """Yield the expressions, with one for all couplings that differ in their bodies alone."""
         yield from super().values(model)
         yield from ((c.name, c.expression) for c in _distinct_couplings(model))
 
     def require_regular(self, model: Model, points: Points) -> None:
-        """Refuse also couplings in which bodies cancel."""
+        """Raise an error also for couplings in which the bodies cancel."""
         super().require_regular(model, points)
         for condition in _distinct_couplings(model):
             if is_constant(condition, [value.symbol for value in model.end_values], points):
@@ -125,10 +125,11 @@ def _distinct_couplings(model: Model) -> list[Condition]:
 
 @dataclass(frozen=True)
 class End:
-    """One end: pinned unknowns, own unknowns, own share of the Lagrangian, conditions to read, and terminal cost.
+    """The terms of one end of the time interval; unknowns are given by their names.
 
-    `aliases` equate an unknown of the node to a shared unknown plus an offset. `slacks` pair a slack with its
-    multiplier. `bounds` pair unknowns with their bounds at this end. All unknowns are given by their names.
+    `pins` pair unknowns of the node with prescribed values, and `extra` are unknowns of this end alone. `element` is
+    the contribution to the Lagrangian of the optimisation problem; `conditions` are equations for display. `aliases`
+    equate an unknown of the node to a linking variable plus an offset. `slacks` pair a slack with its multiplier.
     """
 
     pins: tuple[tuple[str, Expr], ...] = ()
@@ -141,12 +142,12 @@ class End:
     bounds: tuple[tuple[str, EndBound], ...] = ()
 
     def __add__(self, other: End) -> End:
-        """Return the end with the terms of both."""
+        """Return the terms of both."""
         return End(*(getattr(self, part.name) + getattr(other, part.name) for part in fields(End)))
 
 
 def pinned_at_zero(names: Sequence[str]) -> End:
-    """Return an end at which some unknowns of the node have no meaning."""
+    """Return an end at which the named unknowns of the node are zero, because they have no meaning there."""
     return End(pins=tuple((name, S.Zero) for name in names))
 
 
@@ -162,10 +163,10 @@ def conditioned_end(
 ) -> End:
     """Impose g = 0 by nu g, and g <= 0 by nu (g + s) with a slack s >= 0; add the terminal cost.
 
-    `substitution` puts the quantities of this end into a condition; `unknowns` are the symbols that are free there. An
-    inequality that limits one of the node's `own` unknowns by `constants` becomes a bound, which needs no further
-    unknowns of all nodes, unless an equation determines the unknown. Raises BoundaryError for a condition on
-    prescribed values.
+    `substitution` replaces coordinates and rates by symbols or values at this end; `unknowns` are the free symbols. An
+    inequality that limits a single unknown in `own` (symbols and unknowns of the node) by `constants` becomes a bound,
+    unless an equation determines the unknown. A bound needs no further unknowns of all nodes. Raises BoundaryError for
+    a condition on prescribed values.
     """
     values = [condition.expression.subs(substitution, simultaneous=True) for condition in conditions]
     equations = [value for condition, value in zip(conditions, values, strict=True) if condition.equality]
@@ -194,7 +195,7 @@ def conditioned_end(
 
 
 def with_bounds(unknowns: Sequence[Unknown], model: Model) -> tuple[Unknown, ...]:
-    """Give unknowns the bounds of the quantities of the same names."""
+    """Return the unknowns, each with the bounds of the quantity of the model that has the same name."""
     bounds = {bound.symbol.name: bound for bound in model.bounds}
     pairs = ((unknown, bounds.get(unknown.name)) for unknown in unknowns)
     return tuple(replace(u, lower=b.lower, upper=b.upper) if b is not None else u for u, b in pairs)
@@ -203,7 +204,7 @@ def with_bounds(unknowns: Sequence[Unknown], model: Model) -> tuple[Unknown, ...
 def _as_bound(
     condition: Condition, value: Expr, own: Mapping[Symbol, Unknown], constants: Collection[Symbol]
 ) -> tuple[str, EndBound] | None:
-    """Return the single unknown in value <= 0 and its bound; None for other inequalities, or uncertain bounds."""
+    """Return the name of the only unknown in value <= 0 with its bound; None for other inequalities."""
     present = value.free_symbols - set(constants)
     if len(present) != 1 or not present <= own.keys():
         return None
@@ -230,15 +231,16 @@ _SLACKS = {
     Kind.END_CONDITION: Kind.END_SLACK,
     Kind.SWITCH_CONDITION: Kind.SWITCH_SLACK,
 }
-"""The kinds of slacks by the kinds of multipliers."""
+"""The kind of a slack for each kind of multiplier."""
 
 
 def imposed(
     condition: Condition, value: Expr, names: Names, kind: Kind, suffix: str, at: float = 0, least: Expr | None = None
 ) -> tuple[tuple[Unknown, ...], Expr, Equation]:
-    """Impose g = 0 by y g, or g <= 0 by y (g + s) with a slack s >= `least`; `at` is the abscissa, or the switch.
+    """Return the terms that impose g = 0 by y g, or g <= 0 by y (g + s) with a slack s >= `least`.
 
-    Return the multiplier and the slack, the share of l in symbols with a `suffix`, and the equation to read.
+    `value` is g in the symbols of an interval or end, and `at` its abscissa or the number of the switch. The terms are
+    the multiplier with the slack, if any, the product in symbols with the `suffix`, and the equation for display.
     """
     meaning, stem = Meaning(kind, condition.name, at, condition.segment), "y" if kind.place is Place.INTERVAL else "nu"
     unknowns, equation = [Unknown(names.numbered(stem), meaning)], Equation(value, condition=meaning.subject)
@@ -251,7 +253,7 @@ def imposed(
 
 
 def indexed(end: End, node: Sequence[Unknown], shared: Sequence[Unknown]) -> EndElement:
-    """Replace the names of unknowns by their indices in the node and among the shared unknowns."""
+    """Return an end with the names of unknowns replaced by indices in the node and among the linking variables."""
     index = {unknown.name: i for i, unknown in enumerate(node)}
     shared_index = {unknown.name: i for i, unknown in enumerate(shared)}
     return EndElement(

@@ -10,10 +10,11 @@ multiplier of c(q_k) = 0. The ends have half the force. Source: Wendlandt and Ma
 West (2001), section 3.4; Leyendecker, Ober-Bloebaum, Marsden and Ortiz (2010), Discrete mechanics and optimal control
 for constrained systems (DMOCC), section 3.
 
-The count at an end. Matched momenta determine kappa of the end along the normals of the constraint, so that a
-prescribed full velocity does not over-determine the end. Where no momentum is matched, kappa has no meaning and is
-zero. If some velocities of a constraint's coordinates are prescribed and others are not, the others are unknowns of the
-end. All their momenta are matched, and the velocity is tangential, G v + dc/dt = 0 (the partial derivative by time).
+The number of equations at an end. A momentum is matched if the discrete momentum must equal the momentum of a velocity.
+Matched momenta determine kappa along the normals of the constraint, so that a prescribed full velocity does not
+over-determine the end. Without a matched momentum kappa has no meaning and is zero. If only some velocities of a
+constraint's coordinates are prescribed, the others are unknowns of the end. All their momenta are matched, and the
+velocity is tangential, G v + dc/dt = 0, with the partial derivative with respect to time.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from codegen.runtime.record import Kind, Meaning
 
 
 class Holonomic(ConditionKind):
-    """Equations between coordinates and time, which forces along their normals enforce."""
+    """Equations between coordinates and time, which constraint forces along their gradients enforce."""
 
     argument, field, words = "constraint", "holonomic", "holonomic constraints"
     scope: ClassVar[Scope] = {"constraint": (Coordinate, Time, Parameter)}
@@ -77,7 +78,7 @@ class Holonomic(ConditionKind):
             yield Condition(f"the rate of constraint {text(c)} = 0", rate + sympy.diff(c, model.time))
 
     def require_regular(self, model: Model, points: Points) -> None:
-        """Refuse dependent constraints, and as many constraints as coordinates."""
+        """Raise an error for constant or dependent constraints, and for as many constraints as coordinates."""
         named = [Condition(f"{text(c)} = 0", c) for c in model.holonomic]
         for condition in named:
             if is_constant(condition, model.coordinates, points):
@@ -104,10 +105,10 @@ class Holonomic(ConditionKind):
 
 
 class Constraints:
-    """The constraints of a model with their unknowns kappa and eta at the nodes."""
+    """The holonomic constraints of a model with the unknowns kappa and eta of every node."""
 
     def __init__(self, model: Model, names: Names) -> None:
-        """Name the unknowns; `touched` lists for each constraint the indices of its coordinates."""
+        """Name the unknowns; the attribute `touched` has the indices of the coordinates in each constraint."""
         self.model = model
         self.touched = tuple(occurring(model.coordinates, c) for c in model.holonomic)
         self.kappa = tuple(
@@ -117,7 +118,7 @@ class Constraints:
         self.eta = nodal_equalities(model, conditions, "eta", names, Kind.CONSTRAINT)
 
     def force(self, suffix: str) -> list[Expr]:
-        """Return the impulse h/2 G^T kappa of a node's constraint force in one of its two intervals."""
+        """Return the impulse h/2 G^T kappa of the constraint force at the left (`_k`) or right (`_k1`) node."""
         substitution = dict(zip(self.model.coordinates, at_nodes(self.model.coordinates, suffix), strict=True))
         if suffix == "_k1":
             substitution[self.model.time] = self.model.time + STEP
@@ -126,10 +127,10 @@ class Constraints:
         return [(STEP * sympy.diff(potential, q) / 2).xreplace(substitution) for q in self.model.coordinates]
 
     def nodal_terms(self, matched: tuple[set[int], set[int]], by_pi: tuple[set[int], set[int]]) -> NodalTerms:
-        """Return unknowns and pins: a kappa is zero at an end where no momentum of its coordinates is matched.
+        """Return the unknowns of nodes; kappa is zero at an end where no momentum of its coordinates is matched.
 
-        Where both ends match the same unknown momenta, at the indices `by_pi` of the start and the end, only the sum of
-        both kappa acts, and the kappa of the end is zero.
+        `matched` and `by_pi` are, at start and end, the indices of momenta matched to velocities and to unknowns pi.
+        Where both ends match the same pi, only the sum of both kappa acts, and the kappa of the end is zero.
         """
         pairs = list(zip(self.kappa, self.touched, strict=True))
         return NodalTerms(
@@ -141,11 +142,11 @@ class Constraints:
         )
 
     def tangency(self, boundary: Boundary, matched: set[int], values: Mapping[Symbol, Expr]) -> tuple[Condition, ...]:
-        """Return conditions dc/dt = 0 at an end for constraints with a matched velocity that the data do not satisfy.
+        """Return dc/dt = 0 at an end for constraints with matched velocities, unless prescribed values imply it.
 
-        `values` are the boundary values behind their symbols. A velocity of zero is always tangential. An end
-        determines the coordinates of a constraint if at most as many of them are free as constraints depend on them
-        alone.
+        `values` maps the symbols of boundary values to the values. A prescribed velocity of zero is tangential if time
+        does not occur. Other prescribed velocities need no condition if the coordinates of the constraint are known:
+        at least as many constraints as free coordinates must depend on no other free coordinate.
         """
         conditions, time = [], self.model.time
         for constraint, touched in zip(self.model.holonomic, self.touched, strict=True):
@@ -171,7 +172,7 @@ class Constraints:
 
 
 def refuse(model: Model, method: str) -> None:
-    """Refuse holonomic constraints for a method that has no discrete constraint forces."""
+    """Raise ArgumentError for a model with holonomic constraints: the method has no discrete constraint forces."""
     if model.holonomic:
         raise ArgumentError(
             f"the {method} method has no holonomic constraints, and {model.holonomic[0]} = 0 is one",

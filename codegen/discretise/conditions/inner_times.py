@@ -1,22 +1,24 @@
 """Conditions at times between start and end, fixed or free, imposed at nodes of one chain of intervals.
 
-A condition g = 0 has a multiplier y on the node, and g <= 0 also a slack s >= 0. Inner times become nodes when the
-module runs. Therefore every node has these unknowns, and numbers m that are one at inner times and zero elsewhere,
+A condition g = 0 has a multiplier y on the node, and g <= 0 also a slack s >= 0. Only the running module knows which
+nodes are inner times. Therefore every node has these unknowns and a number m, one at inner times and zero elsewhere.
+The contribution l of each interval to the Lagrangian of the optimisation problem gains, at its left node,
 
-    l gains m y g + (1 - m) y^2/2    or    m y (g + s) + (1 - m) (y^2 + s^2)/2
+    m y g + (1 - m) y^2/2    or    m y (g + s) + (1 - m) (y^2 + s^2)/2,
 
-at the left node of each interval, so that the unknowns vanish at other nodes. Conditions that differ in numbers alone
-are one expression, whose numbers belong to the node as m does, and different ones at different times share their
-multiplier. Neither the code nor the time of a build grows with the number of times.
+so that the unknowns vanish at other nodes. Conditions that differ in numbers alone are one expression, whose numbers
+belong to the node like m. Different conditions at different times have a common multiplier. Neither the code nor the
+time of a build grows with the number of times.
 
-Where times are free, every node has its time e and a pace a > 0, the rate of time along the interval before it. The
-chain's own parameter runs from 0 to 1, with the same share of it between any two consecutive inner times. An interval
-of length h lasts a_k1 h, and its l gains
+Where times are free, every node has its time e and a pace a > 0: the derivative of time with respect to a parameter, on
+the interval before the node. The parameter runs from 0 to 1 over the motion, and grows by the same amount between any
+two consecutive inner times. An interval of length h in the parameter lasts a_k1 h, and its l gains
 
     mu_e (e_k1 - e_k - a_k1 h) + mu_a (a_k1 - a_k),
 
 the second term only where its left node is not at an inner time: the pace is constant between two inner times. Each
-interval depends on its own length alone, so that the system stays narrow for any number of inner times.
+interval depends on its own length alone, so that the bandwidth of the KKT matrix does not depend on the number of
+inner times.
 """
 
 from __future__ import annotations
@@ -57,7 +59,7 @@ _SAME = 1e-9
 """Two times differ by at least this fraction of the duration."""
 _ORDER = "let each be before the next, and all before the end"
 _TRIALS = 30
-"""Points of each size at which an expression is tried."""
+"""Number of random points of each size at which an expression is tried."""
 
 
 class AtTimes(ConditionKind):
@@ -86,7 +88,7 @@ class AtTimes(ConditionKind):
         return () if any(inner.time is None for inner in model.inner_times) else model.inner_conditions
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
-        """Add times, in their order at the default parameters, with their conditions."""
+        """Return a model with the conditions added, and with their times, sorted at the default parameters."""
         times = [entry.expression for entry in entries if entry.role == "inner time"]
         numbers = [expressions.rounded_at(time, model.default_values) or 0.0 for time in times]
         order = sorted(range(len(times)), key=numbers.__getitem__)
@@ -105,7 +107,7 @@ class AtTimes(ConditionKind):
             yield from ((f"the inner time {text(time)}", time) for time in limits if time is not None)
 
     def require_regular(self, model: Model, points: Points) -> None:
-        """Refuse times that are not between start and end or not in order, and conditions that say nothing new."""
+        """Raise an error for times out of order or outside the motion, and for constant or dependent conditions."""
         _require_order(model)
         symbols = (*model.coordinates, *model.rates, *(free.symbol for free in model.free_parameters))
         always = [*nodal_conditions(model, equality=True), *(Condition(f"{text(c)} = 0", c) for c in model.holonomic)]
@@ -145,7 +147,7 @@ class AtTimes(ConditionKind):
 
 
 class Waypoints(ConditionKind):
-    """Equations and inequalities at times that are free, but in order; they share the fields of fixed times."""
+    """Equations and inequalities at free times in a given order, in the same fields of the model as `AtTimes`."""
 
     argument, field, words = "waypoints", "inner_conditions", "waypoints"
     check = AtTimes.check
@@ -196,7 +198,7 @@ class Waypoints(ConditionKind):
         yield from ()
 
     def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
-        """Yield the conditions at free times, which have numbers, and the order of the times."""
+        """Yield the conditions at the free times t_1, t_2, ..., the windows, and the order of the times."""
         times = [f"t_{{{number}}}" for number in range(1, len(control.waypoints) + 1)]
         for written, time in zip(control.waypoints, times, strict=True):
             waypoint = _waypoint(written)
@@ -213,7 +215,7 @@ def _waypoint(written: Waypoint | Relations) -> Waypoint:
 
 
 def _conditions(role: str, what: str, where: str, relations: Relations) -> Iterator[Entry]:
-    """Yield the conditions at one inner time; ExpressionError where there are none."""
+    """Yield the conditions at one inner time; raise ExpressionError if there is no condition."""
     entries = list(relation_entries(what, relations))
     if not entries:
         raise ExpressionError(f"{what} has no condition", "write what holds then, or leave it out")
@@ -221,7 +223,7 @@ def _conditions(role: str, what: str, where: str, relations: Relations) -> Itera
 
 
 def _numbered(role: str, time: str, entries: Sequence[Entry], order: Sequence[int]) -> list[InnerCondition]:
-    """Return the conditions of a role, each of which follows the entry of its time, by times in their order."""
+    """Return the conditions of a `role`, sorted by the `order` of their times; each follows the entry of its `time`."""
     conditions, number = list[InnerCondition](), -1
     for entry in entries:
         if entry.role == time:
@@ -232,7 +234,7 @@ def _numbered(role: str, time: str, entries: Sequence[Entry], order: Sequence[in
 
 
 def _require_order(model: Model) -> None:
-    """Refuse times that are not in order between start and end, and empty windows, at the default parameters."""
+    """Raise BoundaryError for empty windows, and for times that are not in order between start and end."""
     if not model.inner_times:
         return
     values = model.default_values
@@ -274,10 +276,10 @@ def _require_order(model: Model) -> None:
 def inner_terms(
     model: Model, at_left: Callable[[Expr], Expr], names: Names, clock: Clock | None
 ) -> tuple[NodalTerms, InnerTimes]:
-    """Impose the conditions of a model; `at_left` writes an expression in the symbols of an interval's left node.
+    """Return the unknowns that nodes need for conditions at inner times, and the times with the numbers of nodes.
 
-    Return the unknowns of nodes with their share of l, and the times, whose indices count these unknowns from zero.
-    With a `clock` the times are free.
+    `at_left` writes an expression in the symbols of an interval's left node. The indices in the times count these
+    unknowns from zero. With a `clock` the times are free.
     """
     if not model.inner_conditions:
         return NodalTerms(), InnerTimes()
@@ -298,7 +300,7 @@ def inner_terms(
         conditions = [replace(c, expression=c.expression.xreplace({model.time: clock.symbol})) for c in conditions]
         model = replace(model, inner_conditions=tuple(conditions), inner_times=tuple(inner_times))
         table = _Table(model, names, clock)
-        # The share before lengths are replaced.
+        # The contribution to an interval before lengths are replaced.
         left, right = (symbols([unknown.name for unknown in clock.node], end) for end in ("_k", "_k1"))
         mu_time, mu_pace = symbols([unknown.name for unknown in clock.interval], "_k")
         constant, is_inner = mu_pace * (right[1] - left[1]), table.symbol(dict.fromkeys(numbers, S.One))
@@ -347,7 +349,7 @@ def inner_terms(
 
 
 class _Table:
-    """The numbers of nodes, a row for each symbol: its value at each inner time, by the number of the time."""
+    """The numbers that belong to nodes: `rows` maps each symbol to its values by the index of the inner time."""
 
     def __init__(self, model: Model, names: Names, clock: Clock | None) -> None:
         self._model, self._names = model, names
@@ -361,7 +363,7 @@ class _Table:
     def share(
         self, lane: Sequence[InnerCondition], multiplier: Symbol, slack: Expr, at_left: Callable[[Expr], Expr]
     ) -> Expr:
-        """Return the share of l of conditions with a common multiplier, and perhaps a common slack."""
+        """Return the contribution to l of the conditions in a `lane`, which have a common multiplier and slack."""
         element, present, slacked = S.Zero, S.Zero, S.Zero
         for equality in (True, False):
             alike = [c for c in lane if c.equality == equality]
@@ -381,10 +383,10 @@ class _Table:
         return element + sympy.expand(absent / 2)
 
     def _defined_everywhere(self, form: Form, numbers: Mapping[Symbol, Symbol], is_here: Symbol) -> Expr:
-        """Return the expression of a form in numbers of the node, with finite derivatives at other nodes too.
+        """Return the expression of a form with symbols for `numbers`, which is also finite where `is_here` is zero.
 
-        A distance has no derivative at zero, and a root has no value below it. At other nodes, where the condition has
-        no meaning, the expression is evaluated at a regular point: zero times infinity is no number.
+        A distance has no derivative at zero, and a root has no value below zero. At nodes where the condition does not
+        hold, the expression is evaluated at a regular point: zero times infinity is no number.
         """
         moving = sorted(form.expression.free_symbols & self._moving, key=str)
         if form.expression.is_polynomial(*moving, *numbers):
@@ -396,7 +398,7 @@ class _Table:
         return form.expression.xreplace(values)
 
     def symbol(self, row: Mapping[int, Expr]) -> Symbol:
-        """Return the symbol of a number of nodes; equal rows have one symbol."""
+        """Return the symbol for numbers by the index of the inner time; equal rows have one symbol."""
         for symbol, numbers in self.rows.items():
             if numbers == row:
                 return symbol
@@ -406,7 +408,7 @@ class _Table:
 
 
 def _regular_point(expression: Expr, moving: Sequence[Symbol], values: Mapping[Symbol, float]) -> dict[Symbol, Expr]:
-    """Return values of the moving symbols at which an expression and two derivatives are finite; or no values."""
+    """Return values of the moving symbols at which an expression and two derivatives are finite, or {}."""
     slopes = [sympy.diff(expression, x) for x in moving]
     derivatives = [expression, *slopes, *(sympy.diff(slope, x) for slope in slopes for x in moving)]
     generator = np.random.default_rng(7)
@@ -421,10 +423,10 @@ def _regular_point(expression: Expr, moving: Sequence[Symbol], values: Mapping[S
 
 @dataclass(frozen=True)
 class Clock:
-    """Time and pace as unknowns of nodes, and the multipliers of their equations on intervals.
+    """Time and pace as unknowns of a node, and the multipliers of their equations as unknowns of an interval.
 
-    `symbol` is the time in conditions at inner times. `scales` are the length of an interval and the time at its left
-    node, by the symbols that they replace. The start is at time zero, the end at the duration.
+    `symbol` is the time in conditions at inner times. `scales` pair h and t with the length of an interval and the time
+    at its left node. `start` and `end` fix the time to zero and to the duration.
     """
 
     symbol: Symbol
@@ -436,7 +438,7 @@ class Clock:
 
 
 def clock_of(model: Model, names: Names) -> Clock | None:
-    """Return the clock of a model that has free times between start and end."""
+    """Return the clock of a model with free inner times, or with inner times in a free duration; otherwise None."""
     free, duration = {parameter.symbol for parameter in model.free_parameters}, model.duration
     if not any(inner.time is None or duration.free_symbols & free for inner in model.inner_times):
         return None
@@ -460,9 +462,9 @@ def clock_of(model: Model, names: Names) -> Clock | None:
 
 @dataclass(frozen=True)
 class Form:
-    """An expression in `places` for numbers, which several expressions share, such as x - 1 and x - 2.
+    """The common form of several expressions: x - 1 and x - 2 have the form x - n, with a symbol n in `places`.
 
-    `members` maps the indices of the expressions to values in the order of the places.
+    `members` maps the index of each expression to its numbers, in the order of `places`.
     """
 
     expression: Expr
@@ -471,10 +473,10 @@ class Form:
 
 
 def common_forms(expressions: Sequence[Expr], moving: AbstractSet[Symbol]) -> tuple[Form, ...]:
-    """Return the forms of expressions, in the order of their first occurrence.
+    """Group expressions that differ in numbers alone, and return their forms in the order of first occurrence.
 
-    A part without `moving` symbols is a number. Exponents belong to the form, and so does every number that all
-    expressions of the form share.
+    A part without `moving` symbols is a number. Exponents belong to the form, and so does every number that is equal in
+    all expressions of the form.
     """
     groups: dict[str, dict[int, tuple[Expr, tuple[Expr, ...]]]] = {}
     for index, expression in enumerate(expressions):
@@ -497,13 +499,13 @@ def _place(index: int) -> Symbol:
 
 
 def _placed(value: Expr, values: list[Expr]) -> Symbol:
-    """Append a number to `values`, and return its place."""
+    """Append a number to `values`, and return the symbol in its place."""
     values.append(value)
     return _place(len(values) - 1)
 
 
 def _pattern(expression: Expr, moving: AbstractSet[Symbol], values: list[Expr]) -> Expr:
-    """Return the expression with places, and append its numbers to `values`."""
+    """Return the expression with symbols in place of numbers, and append the numbers to `values`."""
     if not expression.free_symbols & moving:
         return _placed(expression, values)
     if not expression.args:
@@ -520,7 +522,7 @@ def _pattern(expression: Expr, moving: AbstractSet[Symbol], values: list[Expr]) 
 
 
 def _sum(expression: Expr, moving: AbstractSet[Symbol], values: list[Expr]) -> Expr:
-    """Return the pattern of a sum, in which every term has a factor, with a constant that may be zero."""
+    """Return a sum with symbols for numbers: the factor of every term, and a constant that may be zero."""
     constant, rest = expression.as_independent(*moving, as_Add=True)
     pairs = [term.as_independent(*moving, as_Add=False) for term in Add.make_args(rest)]
     factors = {part: number for number, part in pairs}
@@ -530,5 +532,5 @@ def _sum(expression: Expr, moving: AbstractSet[Symbol], values: list[Expr]) -> E
 
 
 def _sorted(parts: Sequence[Expr], moving: AbstractSet[Symbol]) -> list[Expr]:
-    """Sort parts in an order that does not depend on the numbers in them."""
+    """Return the parts in an order that does not depend on their numbers."""
     return sorted(parts, key=lambda part: (str(_pattern(part, moving, [])), str(part)))

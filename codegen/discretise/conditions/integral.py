@@ -1,8 +1,9 @@
 """Conditions on integrals over the whole duration, such as a length or an amount of fuel.
 
-With the scheme's quadrature Gd of the integrand over an interval, as for the cost, the sum of all Gd equals a value c,
-or does not exceed it. The equation belongs to no node and no interval. Its multiplier is a shared unknown zeta, and so
-is the slack s >= 0 of an inequality. Every interval's l gains zeta Gd, and the end's share zeta (s - c).
+Gd is the scheme's quadrature of the integrand over an interval, as for the cost. The sum of all Gd equals a value c, or
+does not exceed it. The equation belongs to no node and no interval: its multiplier zeta and the slack s >= 0 of an
+inequality are linking variables. In the Lagrangian of the optimisation problem, the contribution l of every interval
+gains zeta Gd, and the contribution of the end gains zeta (s - c).
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ from codegen.symbolic import checks as expressions
 
 
 class Integrals(ConditionKind):
-    """Relations between an integrand and the value of its integral."""
+    """Equations and inequalities between the integral of an expression and a value."""
 
     argument, field, words = "integral", "integrals", "conditions on integrals"
     check = "integrals"
     scope: ClassVar[Scope] = {"integral": (*MOVING, Delayed, ControlInput, Time, *STATIC), "integral value": STATIC}
 
     def written(self, control: Control) -> Iterator[Entry]:
-        """Yield integrands, each followed by the value of its integral or its limit."""
+        """Yield each integrand, followed by the value or the upper limit of its integral."""
         given = named_relations(self.argument, getattr(control, self.argument))
         for entry, (_, written) in zip(super().written(control), given, strict=True):
             left, right, sign = sides(written)
@@ -85,7 +86,7 @@ class Integrals(ConditionKind):
 
 
 def integral_equations(model: Model, names: Names) -> tuple[IntegralEquation, ...]:
-    """Return the equations of the conditions on integrals, with names for their unknowns."""
+    """Return the equations of the integral constraints, with new symbols for multipliers and slacks."""
     equations = []
     for condition in model.integrals:
         multiplier = Symbol(names.numbered("zeta"), real=True)
@@ -95,7 +96,7 @@ def integral_equations(model: Model, names: Names) -> tuple[IntegralEquation, ..
 
 
 def own_unknowns(equations: Sequence[IntegralEquation]) -> tuple[Own, ...]:
-    """Return the multipliers and slacks, of which every body has its own."""
+    """Return the multipliers and slacks as linking variables, of which every body has its own."""
     own = list[Own]()
     for equation in equations:
         name, symbol = equation.condition.name, equation.multiplier
@@ -106,12 +107,12 @@ def own_unknowns(equations: Sequence[IntegralEquation]) -> tuple[Own, ...]:
 
 
 def end_share(equations: Sequence[IntegralEquation]) -> End:
-    """Return the terms of the end."""
+    """Return the terms zeta (s - c) that the end of the motion adds to the Lagrangian."""
     return End(element=Add(*(equation.multiplier * equation.excess for equation in equations)))
 
 
 def with_distinct_integral_names(programs: Sequence[ControlProgram], names: Names) -> list[ControlProgram]:
-    """Rename the unknowns of conditions on integrals, so that no two phases use one name."""
+    """Return the programs of phases with new names for unknowns of integral constraints, different in each phase."""
     renamed = []
     for program in programs:
         old = [own.symbol for own in own_unknowns(program.integrals)]

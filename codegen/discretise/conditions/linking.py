@@ -3,15 +3,16 @@
 Linking variables are static parameters of the problem, coupled coordinates of each body at the end, and values where
 segments of one motion meet.
 
-The value w where two segments meet is a shared unknown. The quantity at the start of the later segment equals w. For
-the quantity x at the end of the earlier one the end gains zeta (x - w), with a shared multiplier zeta. Each segment by
-itself is then an initial value problem with a solution, also without controls. A velocity is no unknown of a node:
-since all segments have the same Lagrangian, equal velocities mean equal momenta. The discrete momenta of both segments
-match a shared unknown pi, the momentum of the earlier segment by a shared multiplier.
+The value w where two segments meet is a linking variable. The quantity at the start of the later segment equals w. For
+the quantity x at the end of the earlier segment, the Lagrangian gains zeta (x - w) at the end. The multiplier zeta is
+also a linking variable. Each segment is then an initial value problem with a solution, also without controls. A
+velocity is no unknown of a node: since all segments have the same Lagrangian, equal velocities mean equal momenta. The
+discrete momenta of both segments match a linking variable pi. In the equation of the earlier segment the multiplier is
+a linking variable.
 
-Couplings between bodies may be redundant although no two of them are alike: of the sides, centre, height and interior
-angles of a regular polygon with H corners, 2 H + 3 equations, only 2 H are independent. A solver needs independent
-equations. They are found numerically, at a configuration where all couplings hold.
+Couplings between bodies may be redundant although no two couplings are alike. Of the 2 H + 3 equations for sides,
+centre, height and interior angles of a regular polygon with H corners, only 2 H are independent. A solver needs
+independent equations. They are found numerically, at a configuration where all couplings hold.
 """
 
 from __future__ import annotations
@@ -38,21 +39,21 @@ _DEPENDENT = 1e-7
 """Tolerance for the component of a gradient outside the span of earlier gradients, relative to its length."""
 _NAMED = 1e-6
 _HOLDS = 1e-8
-"""Tolerance for the distance to the set where a coupling holds, relative to the size of the configuration."""
+"""Tolerance for the distance from the set where all couplings hold, relative to the scale of the configuration."""
 _EXACT = 1e-15
 _ITERATIONS = 50
 
 Array = NDArray[np.float64]
 System = Callable[[Array], tuple[Array, Array]]
-"""Residuals and their Jacobian at a configuration."""
+"""A function that returns residuals (m,) and Jacobian (m, n) at a configuration (n,)."""
 
 
 @dataclass(frozen=True)
 class Shared:
-    """Shared unknowns, first each body's own ones, then the common ones; and the couplings of bodies.
+    """The linking variables of every body (`own`) and of the problem (`common`), and the couplings of bodies.
 
-    `start_aliases` and `end_aliases` are the unknowns of nodes that equal them at the ends. `redundant` are the
-    numbers, from 1, and names of the couplings that follow from the others.
+    `start_aliases` and `end_aliases` are unknowns of nodes that equal linking variables at the ends. `redundant` are
+    the numbers, from 1, and names of the couplings that follow from the others.
     """
 
     own: tuple[Own, ...]
@@ -65,15 +66,15 @@ class Shared:
 
     @property
     def all(self) -> tuple[Own, ...]:
-        """All shared unknowns in order."""
+        """All linking variables in order."""
         return (*self.own, *self.common)
 
 
 def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], names: Names) -> Shared:
-    """Collect static parameters, shared unknowns of periodicity, and the coupled coordinates at the end.
+    """Return the linking variables: static parameters, values of `periodic`, and coupled coordinates at the end.
 
-    `guesses` are the guesses of the coordinates. Raises BoundaryError when a coupled coordinate is fixed at the end,
-    and for a coupling without a gradient, which no Newton step can reach.
+    `guesses` belong to the coordinates. Raises BoundaryError when a coupled coordinate is fixed at the end, and for a
+    coupling whose gradient vanishes where it holds, which no Newton step can reach.
     """
     common = tuple(
         Own(Unknown(p.symbol.name, Meaning(Kind.FREE_PARAMETER, p.symbol.name), p.lower, p.upper), p.symbol, p.guess)
@@ -101,7 +102,7 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
     independent = independent_couplings(model)
     couplings = tuple(model.couplings[i] for i in independent.kept)
     if not independent.consistent:
-        # Couplings that follow from contradicting ones need not hold with them.
+        # If couplings contradict each other, keep all: dependent couplings need not hold.
         couplings = model.couplings
     for dropped, sources in independent.dropped if independent.consistent else ():
         if not sources:
@@ -125,7 +126,7 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
 
 
 def _bounded(model: Model, unknown: Unknown, aliases: Sequence[Alias]) -> Unknown:
-    """Give a shared unknown the bounds of the quantities that equal it, up to their offsets, at the ends."""
+    """Return a linking variable with the bounds, minus the offsets, of the quantities that equal it at the ends."""
     bounds = {bound.symbol.name: bound for bound in model.bounds}
     tied = [(bounds[name], offset) for name, other, offset in aliases if other == unknown.name and name in bounds]
     lower = [bound.lower - offset for bound, offset in tied if bound.lower is not None]
@@ -134,7 +135,7 @@ def _bounded(model: Model, unknown: Unknown, aliases: Sequence[Alias]) -> Unknow
 
 
 def joined_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Sequence[Expr], names: Names) -> Periodic:
-    """Join segments in the quantities that are unknowns of the node: coordinates, and momenta of a Hamiltonian."""
+    """Return the terms that continue coordinates, and momenta of a Hamiltonian, from one segment to the next."""
     out, guess = Periodic(), dict(zip(quantities, guesses, strict=True))
     for group in (model.coordinates, model.rates):
         for i, j in _joined_indices(model) if group and set(group) <= set(quantities) else ():
@@ -149,7 +150,7 @@ def joined_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Sequenc
 
 
 def joined_momenta(model: Model, names: Names) -> Periodic:
-    """Join segments in the rates of a model in Lagrangian form, whose momenta the discrete momenta match."""
+    """Return the terms that continue the discrete momenta of a Lagrangian model from one segment to the next."""
     out = Periodic()
     for i, j in _joined_indices(model):
         last, first = model.coordinates[i], model.coordinates[j]
@@ -167,7 +168,7 @@ def joined_momenta(model: Model, names: Names) -> Periodic:
 
 
 def _joined_indices(model: Model) -> list[tuple[int, int]]:
-    """Return the indices of joined coordinates: of the one at the end and of the one at the start."""
+    """Return index pairs of joined coordinates: the first one at the end equals the second one at the start."""
     return [(model.coordinates.index(last), model.coordinates.index(first)) for last, first in model.joined]
 
 
@@ -191,7 +192,7 @@ class IndependentCouplings:
 class _Equations:
     """Equations between end values: names, expressions of the unknowns, and the initial guess of the unknowns.
 
-    The end conditions of each body by itself come first, the couplings last.
+    The end conditions of single bodies come first, the couplings last.
     """
 
     names: tuple[str, ...]
@@ -201,11 +202,11 @@ class _Equations:
 
 
 def independent_couplings(model: Model) -> IndependentCouplings:
-    """Sort the couplings of a model into independent ones and ones that follow from those written before them.
+    """Return the independent couplings of a model, and the couplings that follow from earlier equations.
 
-    A coupling may also follow from equations that hold at the end of each body by itself; those are always kept.
-    Dependence is judged to first order at the default parameters, at a configuration near the guess that satisfies all
-    equations, if one is found (Levenberg-Marquardt steps, from the guess and from points near it).
+    Earlier equations are the couplings written before, and the end conditions of single bodies, which are always kept.
+    Dependence is judged to first order at the default parameters. The configuration is near the guess and satisfies all
+    equations, if possible (Levenberg-Marquardt steps, from the guess and from points near it).
     """
     if not model.couplings:
         return IndependentCouplings((), ())
@@ -217,7 +218,7 @@ def independent_couplings(model: Model) -> IndependentCouplings:
     for distance in (0.0, 1e-3, 1e-1, 1.0, 1.0, 1.0):
         start = guess + distance * size * generator.uniform(-1.0, 1.0, guess.size) if distance else guess
         projections.append(_projected(system, start))
-        # The guess may be special, such as bodies in one line, and so may the configuration that is found from it.
+        # The guess may be special, such as bodies in one line, and so may the configuration near the guess.
         if distance and any(violation <= _HOLDS for _, violation in projections):
             break
     nearest, least = min(projections, key=lambda projection: projection[1])
@@ -249,7 +250,7 @@ def _equations(model: Model) -> _Equations:
     duration = expressions.rounded_at(model.duration, values)
     assert duration is not None, "checked when the model was made"
     values |= {model.time: duration}
-    # Motions from which the solver starts, or None.
+    # The initial guess of each coordinate, then of each rate, as a function of time; or None.
     motions = [dict(model.guess).get(q, x) for q, x in zip(model.coordinates, model.start.positions, strict=True)]
     if model.form == "lagrangian":
         motions += [None if motion is None else sympy.diff(motion, model.time) for motion in motions]
@@ -282,11 +283,11 @@ def _equations(model: Model) -> _Equations:
 
 
 def _system(equations: _Equations) -> System:
-    """Return residuals and Jacobian as a function; all terms of a kind are evaluated at once."""
+    """Return a function for residuals and Jacobian, which evaluates all terms of a kind at once."""
     size = len(equations.expressions), len(equations.unknowns)
     kinds, instances = sorted_terms(equations.expressions, {s: j for j, s in enumerate(equations.unknowns)})
     functions = list[Callable[..., list[Array]]]()
-    for kind in kinds:  # a term and its derivatives by all its arguments
+    for kind in kinds:  # a term and its derivatives with respect to all its arguments
         value = kind.expression
         if value.has(sympy.Max, sympy.Min):  # numpy's maximum takes no array with a number
             value = value.rewrite(sympy.Piecewise)
@@ -310,18 +311,18 @@ def _system(equations: _Equations) -> System:
 
 
 def _scaled(residuals: Array, jacobian: Array) -> tuple[Array, Array]:
-    """Divide equations by the lengths of their gradients, so that residuals are distances."""
+    """Return residuals and Jacobian divided by the lengths of the gradients, so that residuals are distances."""
     length = np.linalg.norm(jacobian, axis=1)
     length[~(length > 0.0)] = 1.0
     return residuals / length, jacobian / length[:, None]
 
 
 def _projected(system: System, point: Array) -> tuple[Array, float]:
-    """Move a point to the set where all equations hold, and return it with its relative distance from the set.
+    """Return a nearby point of the set where all equations hold, and its relative distance from the set.
 
     The damping of the steps is the square of the residuals, with which they converge quadratically even where
     equations are redundant (Yamashita and Fukushima, 2001, On the rate of convergence of the Levenberg-Marquardt
-    method). A line search takes the first of ever shorter steps that reduces the error.
+    method). A line search halves the step until the error decreases.
     """
     residuals, jacobian = _scaled(*system(point))
     error = float(np.linalg.norm(residuals))
@@ -346,9 +347,9 @@ def _projected(system: System, point: Array) -> tuple[Array, float]:
 def _sorted_rows(
     titles: Sequence[str], jacobian: Array
 ) -> tuple[tuple[int, ...], tuple[tuple[int, tuple[str, ...]], ...]]:
-    """Gram-Schmidt in the order of the rows: the independent rows, and the others with the rows they depend on.
+    """Return the indices of independent rows, and the index of each other row with the `titles` of its source rows.
 
-    Each row is orthogonalised twice, which keeps the basis orthogonal to rounding.
+    Gram-Schmidt in the order of the rows orthogonalises each row twice, so that the basis is orthogonal to rounding.
     """
     kept: list[int] = []
     dropped: list[tuple[int, tuple[str, ...]]] = []

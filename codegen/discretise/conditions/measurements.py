@@ -1,4 +1,4 @@
-"""Measurements that a motion is to fit: a sample adds the loss of its errors to the cost."""
+"""Measurements that a motion fits: every sample adds the loss of its errors to the cost."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from codegen.symbolic import checks as expressions
 from codegen.symbolic.tables import LOSSES, require_within
 
 _LISTED = 6
-"""Limit for the files that a module lists in its docstring."""
+"""Greatest number of files that the docstring of a generated module lists."""
 
 
 class Observations(ConditionKind):
-    """Expressions of the motion whose values were measured."""
+    """Expressions in coordinates and rates whose values were measured."""
 
     argument, field, words = "observations", "observed", "measurements"
     check = "measurements"
@@ -54,7 +54,7 @@ class Observations(ConditionKind):
         yield from ((f"what {observed.name} measures", observed.expression) for observed in model.observed)
 
     def require_regular(self, model: Model, points: Points) -> None:
-        """Refuse times outside the motion, and columns of constant quantities."""
+        """Raise an error for sample times outside the motion, and for columns of constant quantities."""
         for observed in model.observed:
             if not observed.expression.has(*model.coordinates, *model.rates):
                 raise ExpressionError(
@@ -88,7 +88,7 @@ class Observations(ConditionKind):
         yield from ()
 
     def costs(self, control: Control, latex: Latex) -> Iterator[str]:
-        """Yield the sums over measured values, which have the names of their columns."""
+        """Yield the sums of losses over all samples in LaTeX, with the names of the columns of measurements."""
         observations = control.observations
         for measured in [observations] if isinstance(observations, Measurements) else observations:
             form = r"\left({}\right)^2" if measured.loss == "squares" else rf"\text{{{measured.loss}}}\left({{}}\right)"
@@ -100,7 +100,7 @@ class Observations(ConditionKind):
 
 
 def measurements_of(control: Control) -> tuple[Measurements, ...]:
-    """Return the measurements of each body; TableError for other objects, or for different layouts."""
+    """Return the measurements of each body; raise TableError for other objects, or for different layouts."""
     observations: object = control.observations
     listed = (observations,) if isinstance(observations, Measurements) else observations
     if not isinstance(listed, (list, tuple)) or not all(isinstance(one, Measurements) for one in listed):
@@ -123,7 +123,7 @@ def measurements_of(control: Control) -> tuple[Measurements, ...]:
 
 
 def sample_element(model: Model, observed: Sequence[Expr], names: Names) -> SampleElement | None:
-    """Return the share of one sample, if there are measurements; `observed` are its values by the motion."""
+    """Return the loss of one sample, None without measurements; `observed` are the model's values at FRACTION."""
     if not observed:
         return None
     fraction = Symbol(names.numbered("fraction"), nonnegative=True)
@@ -142,7 +142,7 @@ def sample_element(model: Model, observed: Sequence[Expr], names: Names) -> Samp
 
 
 def _loss(name: str, error: Expr) -> Expr:
-    """Return a loss of a weighted error.
+    """Return the loss function `name` at a weighted error.
 
     Source: Huber (1964), Robust estimation of a location parameter, Annals of Mathematical Statistics 35.
     """

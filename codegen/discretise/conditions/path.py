@@ -1,20 +1,20 @@
 """Conditions that hold at every time, on the intervals and at the nodes.
 
-Where rates or controls occur, a condition holds at the points at which the scheme evaluates cost and dynamics:
-l gains y g for g = 0, and y (g + s) with a slack s >= 0 for g <= 0. Both y and s are unknowns of the interval.
+Where rates or controls occur, a condition holds at the points at which the scheme evaluates cost and dynamics. The
+contribution l of the interval to the Lagrangian of the optimisation problem gains y g for g = 0, and y (g + s) with a
+slack s >= 0 for g <= 0. Both y and s are unknowns of the interval.
 
 A condition on coordinates and time alone holds at the nodes. An inequality is imposed at the right node of each
 interval, and at the start unless the coordinates are fixed there. It is also imposed where the scheme evaluates cost
 and dynamics. Otherwise nodes could alternate between two sides of a forbidden region, with the middle of every interval
 inside it, where the cost is less. On a straight line between two nodes a convex condition follows from the nodes.
-A bound of a state holds at the nodes, and where an implicit scheme evaluates the dynamics inside the interval: kinetics
-may change sign beyond it. A stage that is an unknown has the bound itself. A value between two bounded values needs no
-bound. Other values, as on a polynomial, are limited by an inequality with a slack. Stages of explicit schemes follow
-from the nodes with less accuracy than the step, and have no bounds.
+A bound of a state holds at the nodes, and where an implicit scheme evaluates the dynamics inside the interval: the
+rate of a reaction may change sign beyond it. A stage that is an unknown has the bound itself. A value between two
+bounded values needs no bound. Other values, as on a polynomial, are limited by an inequality with a slack. Stages of
+explicit schemes follow from the nodes with less accuracy than the step, and have no bounds.
 
-An equality has its multiplier on the node, and l gains (y_k g_k + y_k1 g_k1)/2. In this form each end can do without
-the multiplier where the coordinates are fixed: a condition on fixed numbers has no derivative, and the KKT matrix would
-be singular.
+An equality has its multiplier on the node, and l gains (y_k g_k + y_k1 g_k1)/2. An end where the coordinates are fixed
+has no multiplier: a condition on fixed numbers has no derivative, and the KKT matrix would be singular.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Path(ConditionKind):
         yield from model.path
 
     def require_regular(self, model: Model, points: Points) -> None:
-        """Refuse conditions on nothing that moves, and equations that follow from each other."""
+        """Raise an error for conditions without coordinates, rates and controls, and for dependent equations."""
         symbols = (*model.coordinates, *model.rates, *model.controls)
         for condition in model.path:
             if is_constant(condition, symbols, points):
@@ -86,17 +86,17 @@ def nodal_conditions(model: Model, equality: bool) -> tuple[Condition, ...]:
 YIELDING = Rational(1, 10**8)
 """Tolerated violation at nodes of inequalities that also hold inside intervals.
 
-Where a motion rests on a curved limit, both inequalities are active, and multipliers are not unique. The cost has its
-weight inside the intervals: with multipliers there, and none at nodes, the Hessian of the Lagrangian has the inertia of
-a minimum.
+Where a motion rests on a curved limit, both inequalities are active, and multipliers are not unique. The quadrature
+evaluates the cost inside the intervals. With multipliers there, and none at nodes, the Hessian of the Lagrangian has
+the inertia of a minimum.
 """
 
 
 @dataclass(frozen=True)
 class IntervalTerms:
-    """Path conditions on one interval: multipliers, slacks with the indices of their multipliers, and their share of l.
+    """The path conditions of an interval: their unknowns, and their contribution `element` to the Lagrangian.
 
-    `inequalities` are the values to which the slacks belong.
+    `slack_multipliers` are the indices in the interval of the slacks' multipliers; `inequalities` belong to the slacks.
     """
 
     multipliers: tuple[Unknown, ...]
@@ -109,7 +109,7 @@ class IntervalTerms:
 
 @dataclass(frozen=True)
 class NodalTerms:
-    """Unknowns of every node, their share of l, and the unknowns without meaning at the start and at the end."""
+    """Unknowns of every node, their contribution to an interval, and names of unknowns that are zero at an end."""
 
     unknowns: tuple[Unknown, ...] = ()
     element: Expr = S.Zero
@@ -123,12 +123,12 @@ class NodalTerms:
 
 
 def with_inner_path(model: Model) -> Model:
-    """Return the model with the path conditions that hold inside an interval: all but equalities on coordinates."""
+    """Return the model with only the path conditions inside intervals: all but equalities on coordinates."""
     return replace(model, path=tuple(g for g in model.path if not (is_nodal(model, g) and g.equality)))
 
 
 def start_inequalities(model: Model) -> tuple[Condition, ...]:
-    """Return path inequalities on coordinates for the start, which is no right node, unless it is fixed or repeated."""
+    """Return the path inequalities on coordinates that are not fixed, periodic or joined at the start."""
     inequalities = ((g, g.expression) for g in nodal_conditions(model, equality=False))
     return tuple(
         g
@@ -140,7 +140,7 @@ def start_inequalities(model: Model) -> tuple[Condition, ...]:
 
 
 def bounded_stages(model: Model, inside: Sequence[StateValue], stages: Sequence[Unknown]) -> tuple[Unknown, ...]:
-    """Give unknowns of an interval the bounds of the states whose values they are."""
+    """Return the `stages`, unknowns of an interval, with the bounds of the states whose inner values they are."""
     quantities = {v.value.name: v.quantity for v in inside if isinstance(v.value, Symbol)}
     bounds = {bound.symbol: bound for bound in model.bounds}
     pairs = ((unknown, bounds.get(quantities.get(unknown.name))) for unknown in stages)
@@ -148,9 +148,9 @@ def bounded_stages(model: Model, inside: Sequence[StateValue], stages: Sequence[
 
 
 def stage_inequalities(model: Model, inside: Sequence[StateValue]) -> tuple[PathValue, ...]:
-    """Return the bounds of states at evaluations of the dynamics that do not follow from the bounds of unknowns.
+    """Return the bounds of states inside intervals that do not follow from the bounds of unknowns.
 
-    Raises ExpressionError for a bound that differs from body to body.
+    `inside` are the values at evaluations of the dynamics. Raises ExpressionError for bounds that depend on the body.
     """
     bounds, values = {bound.symbol: bound for bound in model.bounds}, list[PathValue]()
     for state in inside:
@@ -175,9 +175,9 @@ def stage_inequalities(model: Model, inside: Sequence[StateValue]) -> tuple[Path
 
 
 def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: Names) -> IntervalTerms:
-    """Impose all conditions inside an interval and at its right node, behind its `first` unknowns.
+    """Return the terms of all path conditions inside an interval and at its right node.
 
-    Conditions inside that follow from conditions at the nodes are left out.
+    Values in `inner` that follow from the nodes are left out. `first` counts the unknowns before the multipliers.
     """
     nodal = nodal_conditions(model, equality=False)
     values = [v for v in inner if v.is_bound or v.condition not in nodal or not _follows_from_nodes(model, v)]
@@ -202,7 +202,7 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
 
 
 def _follows_from_nodes(model: Model, value: PathValue) -> bool:
-    """Return True if a value is that of a node, or of a convex condition on the straight line between two nodes."""
+    """Return True if a value equals the value at a node, or if its condition is convex on the line between nodes."""
     if value.value in [_at_node(model, value.condition, abscissa) for abscissa in (S.Zero, S.One)]:
         return True
     along = {model.time, STEP, *model.parameters, *(free.symbol for free in model.free_parameters)}
@@ -220,7 +220,7 @@ def _at_node(model: Model, condition: Condition, abscissa: Expr) -> Expr:
 
 
 def is_convex(model: Model, condition: Condition) -> bool:
-    """Return True if the second derivatives prove that a condition is convex in the quantities of nodes."""
+    """Return True if constant second derivatives prove that a condition is convex in coordinates and rates."""
     quantities = (*model.coordinates, *model.rates)
     present = [quantities[i] for i in sorted(occurring(quantities, condition.expression))]
     if not present:
@@ -234,11 +234,11 @@ def is_convex(model: Model, condition: Condition) -> bool:
 def nodal_equalities(
     model: Model, conditions: Sequence[Condition], stem: str, names: Names, kind: Kind = Kind.NODAL
 ) -> NodalTerms:
-    """Impose conditions on coordinates and time at every node by multipliers `<stem>_<number>` of a kind.
+    """Return the terms that impose equalities on coordinates at every node, with multipliers `<stem>_<number>`.
 
-    A multiplier is pinned at an end where every coordinate of its condition is fixed. It is also pinned where the
-    condition repeats another one: at the end of a motion that is periodic in all of its coordinates, and at the start
-    of a segment that follows another one.
+    A multiplier is zero at an end where every coordinate of its condition is fixed. A multiplier is also zero where the
+    condition repeats another condition. This is the end of a motion that is periodic in all of the coordinates, and the
+    start of a segment that follows another segment.
     """
     unknowns, start_pins, end_pins, element = list[Unknown](), list[str](), list[str](), S.Zero
     equations = list[Equation]()
@@ -257,21 +257,21 @@ def nodal_equalities(
 
 
 def _fixed_at(model: Model, boundary: Boundary, expression: Expr) -> bool:
-    """Return True if an end fixes all coordinates and parameters in an expression."""
+    """Return True if an end fixes all coordinates in an expression, and no free parameter occurs."""
     free = {parameter.symbol for parameter in model.free_parameters}
     indices = occurring(model.coordinates, expression)
     return not expression.free_symbols & free and all(boundary.positions[i] is not None for i in indices)
 
 
 def _repeats_segment(model: Model, expression: Expr) -> bool:
-    """Return True if an expression in coordinates at the start equals that of another segment at its end."""
+    """Return True if all coordinates in an expression start where another segment of the motion ends."""
     joined = {first for _, first in model.joined}
     present = [model.coordinates[i] for i in occurring(model.coordinates, expression)]
     return bool(present) and all(q in joined for q in present)
 
 
 def _repeats_start(model: Model, expression: Expr) -> bool:
-    """Return True if an expression in coordinates has the same value at the end as at the start, by periodicity."""
+    """Return True if periodicity gives an expression in coordinates the same value at both ends."""
     shifts = dict(model.periodic)
     present = [model.coordinates[i] for i in occurring(model.coordinates, expression)]
     periodic = bool(present) and all(q in shifts for q in present) and not expression.has(model.time)

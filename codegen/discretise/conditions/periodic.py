@@ -2,10 +2,10 @@
 
 The condition is x(T) = x(0) + shift for coordinates, velocities, momenta and states.
 
-An unknown of the node equals one shared unknown at both ends, up to the shift. A velocity is no unknown of a node. If
-equal velocities mean equal momenta, the discrete momenta of both ends match a shared unknown pi: the end elements gain
-+lambda_0 pi and -lambda_N pi. Every other quantity has a condition at each end with a shared unknown w: x - w = 0 at
-the start, and x - w - shift = 0 at the end.
+An unknown of the node equals one linking variable at both ends, up to the shift. A velocity is no unknown of a node. If
+equal velocities mean equal momenta, the discrete momenta of both ends match a linking variable pi. The contributions of
+the ends to the Lagrangian gain +lambda_0 pi and -lambda_N pi. Every other quantity has a linking variable w, with the
+condition x - w = 0 at the start, and x - w - shift = 0 at the end.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from codegen.symbolic.derivatives import gradient
 
 
 class PeriodicKind(ConditionKind):
-    """Coordinates, rates or states, with their shifts."""
+    """Coordinates, rates or states with the same value at both ends, up to a shift."""
 
     argument, field, words = "periodic", "periodic", "periodic ends"
     scope: ClassVar[Scope] = {"periodic": (Parameter,)}
     not_in_phases = BoundaryError, "it is periodic", SAME_AT_BOTH_ENDS
 
     def written(self, control: Control) -> Iterator[Entry]:
-        """Yield the shifts of periodic quantities; a value that one end fixes is also fixed at the other end."""
+        """Yield the shifts of periodic quantities; if one end prescribes a value, yield the value at the other end."""
         periodic = control.periodic
         if isinstance(periodic, Mapping):
             shifts = list(checked_mapping("periodic", periodic, "symbol: shift").items())
@@ -92,14 +92,14 @@ class PeriodicKind(ConditionKind):
 
 
 Alias = tuple[str, str, Expr]
-"""An unknown of the node, the shared unknown that it equals, and the offset."""
+"""The name of an unknown of a node, the name of the linking variable that it equals, and the offset."""
 
 
 @dataclass(frozen=True)
 class Own:
-    """A shared unknown that every body has for itself, with its symbol and its guess.
+    """A linking variable with its symbol and its initial guess.
 
-    A shared unknown that `follows` an unknown of a node needs no bounds of its own.
+    A variable that `follows` an unknown of a node needs no bounds of its own.
     """
 
     unknown: Unknown
@@ -110,10 +110,10 @@ class Own:
 
 @dataclass(frozen=True)
 class Periodic:
-    """Shared unknowns and their terms at both ends.
+    """The linking variables of periodic quantities, or of joined segments, and their terms at both ends.
 
-    `start_momenta` and `end_momenta` give for a coordinate's index the momentum that the discrete momentum matches.
-    `end_share` is added to the end's share of the Lagrangian.
+    `start_momenta` and `end_momenta` are pairs (index of a coordinate, value that the discrete momentum matches).
+    `end_share` is a contribution of the end to the Lagrangian of the optimisation problem.
     """
 
     own: tuple[Own, ...] = ()
@@ -131,7 +131,7 @@ class Periodic:
 
 
 def periodic_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Sequence[Expr], names: Names) -> Periodic:
-    """Return the periodicity of the quantities that are unknowns of the node."""
+    """Return the terms for periodic `quantities`, which are unknowns of a node and have the `guesses`."""
     out = Periodic()
     for quantity, shift in model.periodic:
         if quantity in quantities:
@@ -141,7 +141,7 @@ def periodic_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Seque
 
 
 def periodic_velocities(model: Model, names: Names, phase: Model | None = None) -> Periodic:
-    """Return the periodicity of the velocities of a Lagrangian, by momenta where these are equivalent.
+    """Return the terms for the periodic velocities of a Lagrangian, by momenta where these are equivalent.
 
     `phase` is the model in Hamiltonian form, if momenta are unknowns of nodes. Otherwise a velocity in a condition or
     in the terminal cost is an unknown of the end, and keeps a condition of its own.
@@ -164,7 +164,7 @@ def periodic_velocities(model: Model, names: Names, phase: Model | None = None) 
 
 
 def periodic_momenta(original: Model, model: Model, names: Names) -> Periodic:
-    """Return the periodicity of the momenta of a Hamiltonian that is transcribed in Lagrangian form."""
+    """Return the terms for periodic momenta of a Hamiltonian model `original`, transcribed in Lagrangian form."""
     shifts = dict(original.periodic)
     out = Periodic()
     for i, p in enumerate(original.rates):
@@ -174,10 +174,10 @@ def periodic_momenta(original: Model, model: Model, names: Names) -> Periodic:
 
 
 def equivalent_momenta(model: Model, chosen: Sequence[int]) -> tuple[int, ...]:
-    """Return those of the chosen indices at which equal velocities at both ends mean equal momenta dL/dv.
+    """Return the `chosen` indices of velocities whose periodicity is equivalent to periodic momenta dL/dv.
 
-    The momenta must depend on periodic velocities and coordinates only and must not change under the coordinates'
-    shifts. Of a holonomic constraint either all coordinates or none are returned.
+    The momenta must depend on periodic velocities and coordinates only, and must not change under the coordinates'
+    shifts. All coordinates in a holonomic constraint must qualify, or none is returned.
     """
     shifts = dict(model.periodic)
     same = {i for i in chosen if shifts[model.rates[i]] == 0}
@@ -202,21 +202,21 @@ def equivalent_momenta(model: Model, chosen: Sequence[int]) -> tuple[int, ...]:
 
 
 def _tied(quantity: Symbol, shift: Expr, guess: Expr, names: Names) -> Periodic:
-    """Equate an unknown of the node at both ends to a shared unknown."""
+    """Return the terms that equate an unknown of the node at both ends to a linking variable."""
     own = own_unknown(names.named("periodic", quantity), Kind.START_VALUE, quantity, guess)
     name = own.unknown.name
     return Periodic((own,), ((quantity.name, name, S.Zero),), ((quantity.name, name, shift),))
 
 
 def _matched(model: Model, index: int, shift: Expr, guess: Expr, names: Names) -> Periodic:
-    """Match the discrete momenta of both ends to a shared unknown."""
+    """Return the terms that match the discrete momenta of both ends to a linking variable."""
     q = model.coordinates[index]
     own = own_unknown(names.named("pi", q), Kind.START_MOMENTUM, q, guess)
     return Periodic(own=(own,), start_momenta=((index, own.symbol),), end_momenta=((index, own.symbol + shift),))
 
 
 def _by_conditions(quantity: Symbol, value: Expr, shift: Expr, guess: Expr, names: Names) -> Periodic:
-    """Impose a condition at each end with a shared unknown."""
+    """Return the terms that impose a condition with a linking variable at each end."""
     own = own_unknown(names.named("periodic", quantity), Kind.START_VALUE, quantity, guess)
     at_ends = (Condition(f"{quantity} is periodic", value - own.symbol - offset) for offset in (S.Zero, shift))
     start, end = at_ends
@@ -224,12 +224,12 @@ def _by_conditions(quantity: Symbol, value: Expr, shift: Expr, guess: Expr, name
 
 
 def own_unknown(name: str, kind: Kind, of: Symbol, guess: Expr, follows: bool = False) -> Own:
-    """Return a shared unknown of each body that belongs to a quantity."""
+    """Return a linking variable of each body, which belongs to the quantity `of`."""
     return Own(Unknown(name, Meaning(kind, of.name)), Symbol(name, real=True), guess, follows)
 
 
 def require_constraints_return(model: Model, periodic: Periodic) -> None:
-    """Refuse periodic velocities of a holonomic constraint whose other velocities are not periodic, or are shifted."""
+    """Raise BoundaryError if velocities of a holonomic constraint are periodic only in part, or with a shift."""
     conditions = (*periodic.start_conditions, *periodic.end_conditions)
     indices = occurring(model.rates, *(condition.expression for condition in conditions))
     for constraint in model.holonomic:

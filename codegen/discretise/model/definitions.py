@@ -14,7 +14,7 @@ from codegen.symbolic.tables import MeasurementData
 
 @dataclass(frozen=True)
 class Boundary:
-    """Values of the coordinates and of their rates at one end of the time interval; None where an end is free."""
+    """The prescribed values of coordinates and rates at one end of the time interval; None for a free value."""
 
     positions: tuple[sympy.Expr | None, ...]
     rates: tuple[sympy.Expr | None, ...]
@@ -24,8 +24,8 @@ class Boundary:
 class Condition:
     """An expression that must vanish, or (`equality` false) must not be positive.
 
-    `name` is the author's name of the condition, or else the condition as it was written, which messages shorten.
-    `segment` is the number, from 1, of the segment of a motion with delays, or else 0.
+    `name` is the author's name of the condition, or else the condition as it was written; messages shorten it.
+    `segment` is the number, from 1, of the segment of a motion with delays, or 0 without delays.
     """
 
     name: str
@@ -39,14 +39,14 @@ class Condition:
 
 @dataclass(frozen=True)
 class Integral(Condition):
-    """The integral of `expression` over the duration equals `value`, or (`equality` false) does not exceed it."""
+    """An integral constraint: the integral of `expression` equals `value`, or (`equality` false) does not exceed it."""
 
     value: sympy.Expr = sympy.S.Zero
 
 
 @dataclass(frozen=True)
 class InnerTime:
-    """A time between start and end at which conditions hold: given, or (None) free within a window."""
+    """A time between start and end at which conditions hold; `time` is None if it is free within the window."""
 
     time: sympy.Expr | None
     earliest: sympy.Expr | None = None
@@ -55,14 +55,14 @@ class InnerTime:
 
 @dataclass(frozen=True)
 class InnerCondition(Condition):
-    """A condition that holds at one of the inner times of a model, whose index is `number`."""
+    """A condition that holds at the inner time of the model with the index `number`."""
 
     number: int = 0
 
 
 @dataclass(frozen=True)
 class Observed:
-    """The quantity of a column of measurements, `name`: the value of `expression` at the time of the sample."""
+    """The quantity that the column `name` of measurements contains: `expression` at the time of each sample."""
 
     name: str
     expression: sympy.Expr
@@ -78,7 +78,7 @@ class Bounds:
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
-        """Return the bounds as inequalities."""
+        """The bounds as inequalities."""
         signed = [(-1, ">=", self.lower), (1, "<=", self.upper)]
         return tuple(
             Condition(f"{self.symbol} {relation} {text(limit)}", sign * (self.symbol - limit), equality=False)
@@ -89,7 +89,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A static parameter that is optimised along with the motion: first guess and bounds."""
+    """A static parameter that is optimised together with the motion, with its initial guess and bounds."""
 
     symbol: sympy.Symbol
     guess: sympy.Expr
@@ -99,7 +99,7 @@ class FreeParameter:
 
 @dataclass(frozen=True)
 class EndValue:
-    """The symbol of one body's coordinate at the end of the time interval, in coupling conditions."""
+    """The symbol, in couplings, of the value at the end of a coordinate (given by its index) of one body."""
 
     symbol: sympy.Symbol
     coordinate: int
@@ -121,11 +121,11 @@ class Delay:
 
 @dataclass(frozen=True)
 class Segments:
-    """The division of a motion with delays into `number` segments of equal length, which run side by side.
+    """The division of a motion with delays into `number` segments of equal length, integrated simultaneously.
 
-    `whole` is the problem as its author gave it. Each segment has all of its quantities, in the same order. In the
-    order of the delays, a delayed value is the value `steps_back` segments before. `names` has for every quantity of a
-    segment its name in the segment, its name in the whole problem and the number of the segment, from 1.
+    `whole` is the problem as its author gave it. Each segment has copies of all quantities, in the same order. The
+    value of delay i is a value `steps_back[i]` segments before. `names` are triples: name of a quantity in a segment,
+    its name in the whole problem, and the number of the segment, from 1.
     """
 
     number: int
@@ -148,21 +148,22 @@ class Model:
     `terminal_cost` is added to the integral of `cost` and depends on coordinates and rates at the end and on
     parameters. Both are negated where the author asked for a maximum (`maximised`). `holonomic` constraints c(q) = 0
     hold at every time. The `loss` of the differences between `observed` expressions and `measurements` is added to the
-    cost. The measurements are files of one layout, one file for each body.
+    cost. The measurements are files with the same layout, one file for each body.
     `periodic` gives pairs (coordinate or rate, shift): the value at the end is the value at the start plus the shift.
     `joined` gives pairs of coordinates: the first one at the end equals the second one at the start, and so do their
-    rates. Models with `delays` have symbols for delayed values; only the whole problem behind `segments` has them.
+    rates. Models with `delays` have symbols for delayed values. After the division into segments only the problem
+    `segments.whole` has delays.
 
-    With `bodies` > 1 the system is that many identical bodies without interaction. `body` is the symbol of a body's
-    number 0, 1, ... in boundary values, guesses and bounds. `couplings` tie bodies together at the end, in the symbols
-    of `end_values` and parameters. The duration may depend on free parameters. `scales` are the author's typical sizes
-    of unknowns. `drawing` and `units` serve pictures alone. `units` pairs names with texts: of coordinates, rates,
+    With `bodies` > 1 the system is that number of identical bodies without interaction. `body` is the symbol of the
+    number 0, 1, ... of a body in boundary values, guesses and bounds. `couplings` are equations between `end_values` of
+    several bodies and parameters. The duration may depend on free parameters. `scales` are the author's scaling factors
+    of unknowns. `drawing` and `units` affect pictures alone. `units` are pairs (name, text) for coordinates, rates,
     momenta, controls, parameters, the time `t`, `cost` and `energy`.
 
-    A problem of P phases has a model for each phase in `phases`. The P - 1 `jumps` give pairs (coordinate or rate,
-    value after the switch as an expression of the values before). The model of the problem itself has the start of the
-    first phase, the end of the last one, and the sum of all durations. Its controls, parameters and free parameters
-    are the ones of all phases, and its time runs through all phases.
+    A problem of P phases has a model for each phase in `phases`. Each of the P - 1 `jumps` has pairs (coordinate or
+    rate, value after the switch as an expression in the values before). The model of the problem has the start of the
+    first phase, the end of the last phase, and the sum of all durations. It has the controls, parameters and free
+    parameters of all phases, and its time runs through all phases.
     """
 
     task: str
@@ -215,23 +216,23 @@ class Model:
 
     @property
     def with_free_ends(self) -> Model:
-        """Return the model with free ends, since a Legendre transform may fail for fixed rates."""
+        """The model without prescribed values at its ends, since a Legendre transform may fail for fixed rates."""
         free = Boundary((None,) * len(self.coordinates), (None,) * len(self.rates))
         return replace(self, start=free, end=free if self.end else None)
 
     @property
     def authored(self) -> Model:
-        """Return the problem as its author gave it, with delays."""
+        """The problem as its author gave it, with delays."""
         return self.segments.whole if self.segments else self
 
     @property
     def default_values(self) -> dict[sympy.Symbol, float]:
-        """Return the parameters with their default values."""
+        """The default values of the parameters."""
         return dict(zip(self.parameters, self.defaults, strict=True))
 
 
 def prescribed(model: Model, end: str) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return the values of coordinates and rates that `start` or `end` fixes."""
+    """Return the prescribed values of coordinates and rates at one end, "start" or "end"."""
     boundary = model.start if end == "start" else model.end
     if boundary is None:
         return {}
@@ -240,7 +241,7 @@ def prescribed(model: Model, end: str) -> dict[sympy.Symbol, sympy.Expr]:
 
 
 def expressions_of(model: Model) -> Iterator[sympy.Expr]:
-    """Yield cost, Lagrangian or Hamiltonian, forces, dynamics, and the expressions of path and integral conditions."""
+    """Yield cost, Lagrangian or Hamiltonian, forces, dynamics, path conditions and integrands of a model."""
     yield from (e for e in (model.cost, model.function, *model.force, *model.dynamics) if e is not None)
     yield from (condition.expression for condition in model.path)
     yield from (integral.expression for integral in model.integrals)

@@ -1,11 +1,11 @@
 """Delays: values of the past, `x.delayed(tau)`, and the method of steps that replaces them.
 
-A motion is cut into M segments of length T/M that run side by side, and every delay is a multiple of this length. The
-delayed value is then the value of an earlier segment at the same instant of its own, or a value of the history:
-x_i'(t) = f(x_i(t), x_{i-a}(t), u_i(t), t + (i-1) T/M). Where segments meet, x_i at the end equals x_{i+1} at the start.
-The result is a problem without delays, of M times as many states on an M-th of the duration. Since all segments have
-the same grid, stages of a step fall on stages, and a scheme keeps its order. Kinks that a history causes at multiples
-of the delay fall on nodes.
+A motion is divided into M segments of length T/M, such that every delay is a multiple a of this length. The segments
+are integrated simultaneously over 0 <= t <= T/M. A delayed value is then the value of an earlier segment at the same t,
+or a value of the history: x_i'(t) = f(x_i(t), x_{i-a}(t), u_i(t), t + (i-1) T/M). Where segments meet, x_i at the end
+equals x_{i+1} at the start. The result is a problem without delays, with M times as many states and the duration T/M.
+Since all segments have the same grid, stages coincide, and a scheme keeps its order. Kinks that a history causes at
+multiples of the delay fall on nodes.
 Source: Bellman and Cooke (1963), Differential-difference equations; Guinn (1976) for optimal control.
 """
 
@@ -33,7 +33,7 @@ from codegen.problem.symbols import ControlInput, Coordinate, Delayed, Momentum,
 from codegen.symbolic import checks as expressions
 
 MOST_QUANTITIES = 96
-"""Limit for coordinates, rates and controls of all segments together: the build takes three times as long as with six.
+"""Greatest number of coordinates, rates and controls of all segments; a build takes three times as long as with six.
 
 Two states and a control in 2, 8, 16 and 32 segments: 18, 23, 29 and 51 s of processor time, with scheme midpoint.
 """
@@ -46,11 +46,11 @@ _KEPT = frozenset(
     "task name title form parameters defaults time maximised free_parameters bodies body end_values drawing"
     " unused".split()
 )
-"""Fields that stay as they are; all other fields must have their defaults in a problem with delays."""
+"""Fields of the model that do not change; all other fields must have their defaults in a problem with delays."""
 
 
 def require_supported(problem: Problem | Phases) -> None:
-    """Refuse delays in phases, in several bodies of one problem, in periodic motions and in simulations."""
+    """Raise an error for delays in phases, in several bodies, in periodic motions and in simulations."""
     phases = problem.phases if isinstance(problem, Phases) else (problem,)
     if isinstance(problem, Phases) and any(getattr(phase, "history", None) for phase in phases):
         raise ExpressionError("history in a problem of phases", "say by start how the first phase begins")
@@ -74,7 +74,7 @@ def require_supported(problem: Problem | Phases) -> None:
 
 
 def history_entries(control: Control) -> Iterator[Entry]:
-    """Yield the history before t = 0, and the start values that follow from it where the author gives no others."""
+    """Yield the history before t = 0, and start values from the history for quantities without start conditions."""
     entries = list(value_entries("history", control.history))
     yield from entries
     conditions: object = control.start_conditions
@@ -94,7 +94,7 @@ def history_entries(control: Control) -> Iterator[Entry]:
 
 
 def require_history(entries: Sequence[Entry], delayed: Sequence[Delayed]) -> None:
-    """Require a history of every delayed value, and refuse the history of a control that is never delayed."""
+    """Raise an error for a delayed value without history, and for the history of a control that is never delayed."""
     histories = [entry.key for entry in entries if entry.role == "history"]
     for value in delayed:
         x = value.partner
@@ -113,7 +113,7 @@ def require_history(entries: Sequence[Entry], delayed: Sequence[Delayed]) -> Non
 def delays_of(
     entries: Sequence[Entry], delayed: Sequence[Delayed], plain: Mapping[Quantity, Symbol], time: Symbol
 ) -> tuple[Delay, ...]:
-    """Return the delayed values in the symbols of a model; the history of a velocity may follow from its coordinate."""
+    """Return the delayed values in the symbols of a model; a velocity may have the derivative of a history."""
     histories = {entry.key: entry.expression for entry in entries if entry.role == "history"}
     delays = []
     for value in delayed:
@@ -127,15 +127,15 @@ def delays_of(
 
 
 def past_name(symbol: Delayed, quantity: str) -> str:
-    """Return the name of a delayed value in a model, which notation reads."""
+    """Return the name of a delayed value in a model, such as x@t-tau, from which printed notation is made."""
     return f"{quantity}@t-{symbol.lag}" if not symbol.lag.is_Add else f"{quantity}@t-({symbol.lag})"
 
 
 def in_segments(model: Model) -> Model:
     """Rewrite a problem with delays as a problem of segments without delays.
 
-    Raises ExpressionError for delays that are no fixed part of the duration, and for a duration that is free; SizeError
-    for more segments than can be derived.
+    Raises ExpressionError for delays that are no fixed fraction of the duration, and for a free duration; SizeError for
+    more segments than can be derived.
     """
     if not model.delays:
         return model
@@ -178,7 +178,7 @@ def in_segments(model: Model) -> Model:
         terminal_cost=last.put(model.terminal_cost),
         holonomic=tuple(s.put(c) for s in segments for c in model.holonomic),
         joined=tuple((before.of(x), after.of(x)) for before, after in pairwise(segments) for x in model.coordinates),
-        # Scales of free parameters stand once.
+        # Free parameters have one scale for all segments.
         scales=tuple((s.of(x), size) for s in segments for x, size in model.scales if x in s.copies or s is first),
         delays=(),
         segments=Segments(
@@ -204,7 +204,7 @@ def in_names_of_the_whole(model: Model, text: str) -> str:
 
 @contextmanager
 def errors_of_the_whole(model: Model) -> Iterator[None]:
-    """Let errors name the quantities of segments by those of the whole problem."""
+    """Replace the names of quantities of segments in the messages of errors by names of the whole problem."""
     try:
         yield
     except CodegenError as error:
@@ -214,7 +214,7 @@ def errors_of_the_whole(model: Model) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Segment:
-    """One segment: its number, from 1, the copies of moving quantities, and the values of symbols of the whole."""
+    """A segment, numbered from 1: its copies of moving quantities, and the `values` of symbols of the whole problem."""
 
     number: int
     copies: dict[Symbol, Symbol]
@@ -225,11 +225,11 @@ class _Segment:
         return self.copies.get(quantity, quantity)
 
     def put(self, expression: Expr) -> Expr:
-        """Write an expression of the whole problem at the time of this segment."""
+        """Return an expression of the whole problem in the symbols and at the time of this segment."""
         return expression.xreplace(self.values)
 
     def condition(self, condition: Condition, segments: int) -> Condition:
-        """Write a condition that holds at every time; its name tells the segment where there are several."""
+        """Return a path condition in this segment; with several segments its name ends with the number."""
         changed = replace(condition, expression=self.put(condition.expression))
         if segments == 1:
             return changed
@@ -261,7 +261,7 @@ def _segments(model: Model, number: int, steps_back: Sequence[int]) -> list[_Seg
 def _common_parts(model: Model) -> tuple[int, tuple[int, ...]]:
     """Return the least number of segments such that each delay is a multiple of their length, and the multiples.
 
-    A delay that is not shorter than the duration reads the history alone, and has the multiple 0.
+    A delay that is not shorter than the duration refers to the history alone, and has the multiple 0.
     """
     if model.duration.free_symbols & {free.symbol for free in model.free_parameters}:
         raise ExpressionError(
@@ -289,10 +289,10 @@ def _common_parts(model: Model) -> tuple[int, tuple[int, ...]]:
 
 
 def _ratio(model: Model, delay: Delay) -> Rational:
-    """Return a delay as a fraction of the duration."""
+    """Return a delay as a fraction of the duration; raise ExpressionError if it is not rational and positive."""
     ratio = sympy.simplify(delay.lag / model.duration)
     if not ratio.is_Rational:
-        # An example: the duration as a multiple of the delay, if the default parameters make it one.
+        # An example for the message: the duration as a multiple of the delay, if the default values agree.
         values = model.default_values
         lengths = [sympy.nsimplify(each.xreplace(values), rational=True) for each in (model.duration, delay.lag)]
         times = lengths[0] / lengths[1] if all(length.is_positive for length in lengths) else S.Zero

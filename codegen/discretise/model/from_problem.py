@@ -1,4 +1,4 @@
-"""From a problem, of one phase or of several, to its canonical model.
+"""The canonical model of a problem of one phase or of several phases.
 
 A problem of several phases has a model for each phase, the quantities that are common to all phases, and the jumps at
 the switches between them.
@@ -33,12 +33,11 @@ from codegen.symbolic.checks import rounding_of
 
 
 def load_problem(problem: Source | Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:
-    """Run a problem file's `problem(...)` with the given `--set` arguments, and check and normalise the result.
+    """Run `problem(...)` of a problem file with the given `--set` arguments, and return the checked model.
 
-    The model has the name of the file, and as its title the first line of the file's docstring. The source of an
-    object has both. Raises ProblemFileError when the file cannot be read, imported or called; ArgumentError when an
-    argument does not fit `problem`; another CodegenError when the problem is not well posed. All errors name the file
-    or the object, in one line.
+    The model has the name of the file, and the first line of the file's docstring as its title; a Source has both.
+    Raises ProblemFileError when the file cannot be read, imported or called; ArgumentError when an argument does not
+    fit `problem`; another CodegenError when the problem is not well posed. All errors name the file or the object.
     """
     source = source_of(problem)
     title, written, declared = source.written(arguments)
@@ -53,10 +52,10 @@ def load_problem(problem: Source | Path | str, arguments: Mapping[str, str] = {}
 def normalise(
     problem: Problem | Phases, declared: Sequence[Quantity] = (), name: str = "problem", title: str = ""
 ) -> Model:
-    """Check an author's problem, of one phase or several, and bring it into canonical form.
+    """Return the checked canonical form of an author's problem, of one phase or several.
 
-    `declared` are the quantities that were declared while the problem was made. Raises a kind of CodegenError that
-    names the symbol or expression and the remedy.
+    `declared` are all quantities that the author declared. Raises a kind of CodegenError that names the symbol or
+    expression and the remedy.
     """
     delays.require_supported(problem)
     if isinstance(problem, Control) and has_path_couplings(problem):
@@ -92,7 +91,7 @@ def normalise(
     normal_form.require_cost(problem.phases, kinds)
     plain = normal_form.plain_symbols(used, "control")
     models = list[Model]()
-    expected = dict[sympy.Symbol, float]()  # where the phases before end
+    expected = dict[sympy.Symbol, float]()  # values at the end of the phases before
     for index, (phase, entries) in enumerate(zip(problem.phases, written, strict=True)):
         with _in_phase(index):
             models.append(_phase_model(phase, entries, kinds, plain, expected))
@@ -107,7 +106,7 @@ def normalise(
 
 @contextmanager
 def _in_phase(index: int) -> Iterator[None]:
-    """Let errors name the phase, counted from one."""
+    """Add the number of the phase, from 1, to errors."""
     try:
         yield
     except CodegenError as error:
@@ -115,7 +114,7 @@ def _in_phase(index: int) -> Iterator[None]:
 
 
 def _common_form(problem: Phases) -> str:
-    """Return the argument that gives the motion of every phase: lagrangian, hamiltonian or dynamics."""
+    """Return "lagrangian", "hamiltonian" or "dynamics", the argument that must define the motion of every phase."""
     for index, phase in enumerate(problem.phases):
         if not isinstance(phase, Control):
             raise ProblemFileError(f"phase {index + 1} is a {type(phase).__name__}", "let every phase be a Control")
@@ -149,7 +148,7 @@ def _phase_model(
     plain: Mapping[Quantity, sympy.Symbol],
     expected: Mapping[sympy.Symbol, float],
 ) -> Model:
-    """Check one phase by itself; states that it leaves open are `expected` near the end of the phases before."""
+    """Return the checked model of one phase; `expected` are values of states at the end of the phase before."""
     kinds = kinds_of(used_quantities(entries), form_of(phase))
     missing = [q.name for q in common.coordinates if q not in kinds.coordinates]
     if missing:
@@ -178,7 +177,7 @@ def _chain(
     name: str,
     title: str,
 ) -> Model:
-    """Return the model of all phases; the model of each phase gets the parameters and the time of all phases."""
+    """Return the model of the problem; its phases have common parameters, time, name and title."""
     first, last = models[0], models[-1]
     for entry in (entry for jump in jumps for entry in jump):
         if entry.expression == entry.key:
@@ -207,7 +206,7 @@ def _chain(
 
 
 def _free_parameter(symbol: sympy.Symbol, models: Sequence[Model]) -> FreeParameter:
-    """Return a free parameter with the bounds that any phase gives it."""
+    """Return a free parameter with its bounds from all phases; raise ExpressionError if these differ."""
     in_phases = [free for model in models for free in model.free_parameters if free.symbol == symbol]
     limits = []
     for side in ("lower", "upper"):
@@ -219,7 +218,7 @@ def _free_parameter(symbol: sympy.Symbol, models: Sequence[Model]) -> FreeParame
 
 
 def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
-    """Refuse jumps without a value, bounds that exclude each other, and values at the ends that violate conditions."""
+    """Raise an error for jumps without a value, contradictory bounds, and end values that violate conditions."""
     points = smoothness.sample_points(chain)
     for entry in (entry for jump in jumps for entry in jump):
         if all(expressions.rounded_at(entry.expression, point) is None for point in points):
@@ -237,7 +236,7 @@ def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
 
 
 def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, sympy.Expr]) -> None:
-    """Require that a continuous quantity can satisfy the bounds of both phases, with an interior unless it is fixed."""
+    """Raise BoundaryError if the bounds of two phases exclude a continuous quantity, or fix a free one, at a switch."""
     defaults, where = values.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
     fixed = prescribed(before, "end")
 

@@ -1,9 +1,9 @@
 """The initial guess: expressions of time, duration and parameters for the primal unknowns.
 
-A coordinate, state or momentum starts from the author's guess, or else from the straight line between its values at
-both ends. In a problem of several phases it also has values at the switches where a phase fixes its end. In every
-phase a line runs from the value after the last jump to the next fixed value, which may be several phases later. Where
-no value is fixed before the next jump of the quantity, the guess is constant.
+The guess of a coordinate, state or momentum is the author's guess, or else the straight line between its values at both
+ends. In a problem of several phases, the quantity also has a value at each switch where the end of a phase prescribes
+one. In every phase a line runs from the value after the last jump to the next prescribed value, which may be several
+phases later. If no value is prescribed before the next jump of the quantity, the guess is constant.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from codegen.discretise.model.definitions import Boundary, Condition, Model
 from codegen.symbolic.derivatives import gradient
 
 DURATION = Symbol("duration", positive=True)
-"""The length of the whole time interval, in guesses."""
+"""The symbol of the length of the whole time interval in guesses."""
 
 
 def coordinate_guess(model: Model) -> tuple[Expr, ...]:
-    """Return the guess of each coordinate as a function of time."""
+    """Return the guess of each coordinate, an expression in time and DURATION."""
     return guessed(model, model.coordinates, DURATION)
 
 
 def momentum_guess(model: Model) -> tuple[Expr, ...]:
-    """Return the guess of each momentum; of a Lagrangian the momenta along the guessed motion."""
+    """Return the guess of each momentum; for a Lagrangian, dL/dv along the guess of the coordinates."""
     if model.form != "lagrangian":
         return guessed(model, model.rates, DURATION)
     motion = coordinate_guess(model)
@@ -38,7 +38,7 @@ def momentum_guess(model: Model) -> tuple[Expr, ...]:
 
 
 def guessed(model: Model, quantities: Sequence[Symbol], duration: Expr) -> tuple[Expr, ...]:
-    """Return the guesses of coordinates or momenta: the author's ones, else straight lines between end values."""
+    """Return the guesses of coordinates or momenta: the author's guess, or a straight line between end values."""
     first = known_values(model, model.start, model.start_conditions)
     last = known_values(model, model.end, model.end_conditions)
     lines = last | first | {x: first[x] + (last[x] - first[x]) * model.time / duration for x in first if x in last}
@@ -47,14 +47,14 @@ def guessed(model: Model, quantities: Sequence[Symbol], duration: Expr) -> tuple
 
 
 def at_guess(model: Model, expression: Expr) -> Expr:
-    """Replace the free parameters in an expression by their first guesses."""
+    """Return an expression with the free parameters replaced by their initial guesses."""
     return expression.xreplace({parameter.symbol: parameter.guess for parameter in model.free_parameters})
 
 
 def known_values(model: Model, boundary: Boundary | None, conditions: Sequence[Condition]) -> dict[Symbol, Expr]:
-    """Return the values of coordinates and rates at an end, with free parameters at their guesses.
+    """Return the values of coordinates and rates at an end, with free parameters at their initial guesses.
 
-    A value is given by the boundary, or by a condition that is linear in one quantity alone.
+    The value comes from the boundary, or from a condition that is linear in one quantity and has no other quantity.
     """
     assert boundary is not None, "a control problem has an end"
     quantities = (*model.coordinates, *model.rates)
@@ -65,7 +65,7 @@ def known_values(model: Model, boundary: Boundary | None, conditions: Sequence[C
 
 
 def values_given_by(model: Model, conditions: Iterable[Condition]) -> dict[Symbol, Expr]:
-    """Solve the conditions that are linear in a single coordinate or rate; the first condition of several counts."""
+    """Return the values from equations that are linear in a single coordinate or rate; the first equation counts."""
     values: dict[Symbol, Expr] = {}
     for condition in conditions:
         present = condition.expression.free_symbols & {*model.coordinates, *model.rates}
@@ -78,9 +78,9 @@ def values_given_by(model: Model, conditions: Iterable[Condition]) -> dict[Symbo
 
 
 def inner_guess(model: Model) -> tuple[tuple[int, tuple[tuple[int, Expr], ...]], ...]:
-    """Return values at inner times, for each coordinate (by index) without a guess of the author.
+    """Return pairs (index of a coordinate, its values at inner times) for coordinates without the author's guess.
 
-    A value stands with the number of its inner time. Values that depend on more than parameters are left out.
+    The values are pairs (index of the inner time, value). Values that depend on more than parameters are left out.
     """
     guess, times = dict(model.guess), range(len(model.inner_times))
     at_times = [values_given_by(model, [c for c in model.inner_conditions if c.number == number]) for number in times]
@@ -94,11 +94,10 @@ def inner_guess(model: Model) -> tuple[tuple[int, tuple[tuple[int, Expr], ...]],
 
 
 def measured_guess(model: Model) -> tuple[tuple[int, int], ...]:
-    """Return pairs of a coordinate's index and the index of the column of measurements that holds it.
+    """Return pairs (index of a coordinate, index of the column of measurements that measures it).
 
-    Coordinates with a guess of the author are left out. Near the measurements the parameters that fit them are nearly
-    the parameters of a linear problem. Source: Bock (1983), Recent advances in parameter identification techniques for
-    O.D.E.
+    Coordinates with the author's guess are left out. For a motion near the measurements, the fit of the parameters is
+    nearly a linear problem. Source: Bock (1983), Recent advances in parameter identification techniques for O.D.E.
     """
     guess, columns = dict(model.guess), [observed.expression for observed in model.observed]
     measured = [(i, q) for i, q in enumerate(model.coordinates) if q in columns and q not in guess]
@@ -106,7 +105,7 @@ def measured_guess(model: Model) -> tuple[tuple[int, int], ...]:
 
 
 def with_guesses(model: Model) -> Model:
-    """Give every phase a guess of each coordinate, state or momentum of a Hamiltonian, in the time of the chain."""
+    """Return a model whose phases have guesses of all coordinates and momenta, in the time of the whole motion."""
     durations = [at_guess(model, phase.duration) for phase in model.phases]
     times, phases = [Add(*durations[:i]) for i in range(len(durations) + 1)], list(model.phases)
     values = known_values(model, model.start, model.start_conditions)
@@ -130,7 +129,7 @@ def with_guesses(model: Model) -> Model:
 
 
 def _line(model: Model, quantity: Symbol, index: int, left: Expr | None, times: Sequence[Expr]) -> Expr:
-    """Return the line from the value at the beginning of a phase to the next fixed value."""
+    """Return the line from the value `left` at the start of phase `index` to the next prescribed value."""
     for last, phase in enumerate(model.phases[index:], start=index):
         right = known_values(model, phase.end, phase.end_conditions).get(quantity)
         if right is not None:

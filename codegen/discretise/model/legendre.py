@@ -21,21 +21,21 @@ from codegen.symbolic.derivatives import gradient
 from codegen.symbolic.zeros import identically_zero
 
 _ADJUGATE_LIMIT = 3
-"""Up to this size the adjugate over the determinant is shorter than the nested fractions of an elimination."""
+"""Greatest matrix size for which adjugate over determinant is shorter than the nested fractions of an elimination."""
 _SIMPLIFY_LIMIT = 150
-"""Operation count up to which sympy's simplifications are affordable."""
+"""Greatest number of operations for simplifications by sympy, which are slow."""
 _TRIGSIMP_LIMIT = 40
-"""The same for all of its trigonometric rules, of which otherwise one is used: products as sums of cosines."""
+"""Greatest number of operations for `trigsimp`; above it only TR8 is used, which writes products as sums of cosines."""
 _WRITTEN_LIMIT = 100_000
-"""Operations of an inverse matrix up to which it is written out."""
+"""Greatest number of operations of an inverse matrix that is written out."""
 
 
 def hamiltonian_form(model: Model) -> Model:
     """Return the model with H(q, p, t) in place of L(q, v, t); force, cost and boundary are rewritten in (q, p, u, t).
 
-    The momenta are called `p_<coordinate>`. A model without Lagrangian is returned unchanged. Raises SymbolError when
-    such a name is taken, DegenerateError when p = dL/dv has no unique solution, and BoundaryError when a fixed end
-    velocity does not determine its momentum.
+    The momenta have the names `p_<coordinate>`. A model without Lagrangian is returned unchanged. Raises SymbolError
+    when such a name is taken, DegenerateError when p = dL/dv has no unique solution, and BoundaryError when a
+    prescribed velocity at an end does not determine its momentum.
     """
     return _transformed(model, "hamiltonian") if model.form == "lagrangian" else model
 
@@ -43,9 +43,9 @@ def hamiltonian_form(model: Model) -> Model:
 def lagrangian_form(model: Model) -> Model:
     """Return the model with L(q, v, t) in place of H(q, p, t); force, cost and boundary are rewritten in (q, v, u, t).
 
-    The velocities are called `d<coordinate>`. A model that has the form already is returned as it is. Raises
-    SymbolError when such a name is taken, DegenerateError when v = dH/dp has no unique solution, and BoundaryError
-    when a fixed end momentum does not determine its velocity.
+    The velocities have the names `d<coordinate>`. A Lagrangian model is returned unchanged. Raises SymbolError when
+    such a name is taken, DegenerateError when v = dH/dp has no unique solution, and BoundaryError when a prescribed
+    momentum at an end does not determine its velocity.
     """
     return model if model.form == "lagrangian" else _transformed(model, "lagrangian")
 
@@ -54,7 +54,7 @@ def in_phase_space(model: Model) -> Model:
     """Return a Lagrangian model with momenta as rates and boundary values, but without the Hamiltonian.
 
     This part of the Hamiltonian form does not need the solution of p = dL/dv for v. Raises SymbolError and
-    BoundaryError as `hamiltonian_form` does.
+    BoundaryError like `hamiltonian_form`.
     """
     conjugates, slopes = conjugate_symbols(model), gradient(model.function, model.rates)
     return replace(
@@ -70,7 +70,7 @@ def in_phase_space(model: Model) -> Model:
 def momentum_of_velocity(model: Model) -> tuple[sympy.Expr, ...]:
     """Return p(q, v, t), one expression for each coordinate: dL/dv, or v = dH/dp solved for p.
 
-    Symbols are the model's own and, for a Hamiltonian, the velocities `d<coordinate>`. Raises as the transforms do.
+    Symbols are those of the model and, for a Hamiltonian, velocities `d<coordinate>`. Raises errors as the transforms.
     """
     if model.form == "lagrangian":
         return gradient(model.function, model.rates)
@@ -80,7 +80,7 @@ def momentum_of_velocity(model: Model) -> tuple[sympy.Expr, ...]:
 def velocity_of_momentum(model: Model) -> tuple[sympy.Expr, ...]:
     """Return v(q, p, t), one expression for each coordinate: dH/dp, or p = dL/dv solved for v.
 
-    Symbols are the model's own and, for a Lagrangian, the momenta `p_<coordinate>`. Raises as the transforms do.
+    Symbols are those of the model and, for a Lagrangian, momenta `p_<coordinate>`. Raises errors as the transforms.
     """
     if model.form == "hamiltonian":
         return gradient(model.function, model.rates)
@@ -97,7 +97,7 @@ def conjugate_symbols(model: Model) -> tuple[sympy.Symbol, ...]:
 
 
 def new_symbols(model: Model, prefix: str, of: Sequence[sympy.Symbol]) -> tuple[sympy.Symbol, ...]:
-    """Make one real symbol `<prefix><name>` for each symbol; SymbolError when the model uses that name already."""
+    """Return a real symbol `<prefix><name>` for each symbol in `of`; raise SymbolError if the model has that name."""
     groups = (model.coordinates, model.rates, model.controls, model.parameters, (model.time,))
     taken = {symbol.name for group in groups for symbol in group}
     for symbol in of:
@@ -110,14 +110,14 @@ def new_symbols(model: Model, prefix: str, of: Sequence[sympy.Symbol]) -> tuple[
 
 
 def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sympy.Expr, ...]:
-    """Solve a regular square symbolic system, one connected block of the matrix at a time.
+    """Return the solution of a regular square symbolic system, solved for one connected block at a time.
 
-    A block is the set of unknowns that its entries couple, so a diagonal matrix costs one division an unknown and the
-    expressions stay small. Entries are simplified first, because a hidden zero joins two blocks. Raises
-    DegenerateError, naming the first row, when a block is singular, and SizeError when one is too large.
+    A block is a set of unknowns that nonzero entries couple. A diagonal matrix therefore costs one division for each
+    unknown. Entries are simplified first, because a zero that is not recognised joins two blocks. Raises
+    DegenerateError, with the first row, if a block is singular, and SizeError if a block is too large.
     """
     if _inverse_operations(matrix) > _WRITTEN_LIMIT:
-        # Zeros that hide in long entries may separate the blocks.
+        # Long entries that are identically zero may separate the blocks.
         sparse = matrix.applyfunc(lambda entry: sympy.S.Zero if identically_zero(entry) else entry)
         for block in sparse.connected_components():
             rows = sorted(block)
@@ -149,14 +149,14 @@ def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sym
 
 
 def _inverse_operations(matrix: sympy.Matrix) -> float:
-    """Estimate the operations of an inverse: every row of an elimination quadruples the terms."""
+    """Return the estimated number of operations of an inverse: each row of an elimination quadruples the terms."""
     if matrix.rows <= _ADJUGATE_LIMIT:
         return 0.0
     return float(4**matrix.rows * sum(int(entry.count_ops()) for entry in matrix) / matrix.rows**2)
 
 
 def _simplified_entry(entry: sympy.Expr) -> sympy.Expr:
-    """Expand a matrix entry, and use cos^2 + sin^2 = 1 where it occurs; a cheap step that exposes zeros."""
+    """Return the shortest of an entry, its expansion, and a trigonometric simplification, which exposes zeros."""
     if entry.count_ops() > _SIMPLIFY_LIMIT:
         return entry
     expanded = sympy.expand(entry)
@@ -184,7 +184,7 @@ def _transformed(model: Model, form: str) -> Model:
 
 
 def _dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
-    """Return y.x - f(x) and x(y), where f is the model's function, x its rates, and y = df/dx the `conjugates`."""
+    """Return y.x - f(x) and x(y): f is the function of the model, x are its rates, y = df/dx the `conjugates`."""
     function, rates = model.function, model.rates
     hessian = sympy.hessian(function, rates)
     null = expressions.null_direction(expressions.values_at(hessian, point) for point in _trial_points(model))
@@ -248,7 +248,7 @@ def _inverts(
     for point in _trial_points(model):
         image = [expressions.number_at(slope, point) for slope in slopes]
         if None in image:
-            continue  # outside the domain of the function, as above the speed of light
+            continue  # outside the domain of the function, such as above the speed of light
         tried = True
         inverse_point = point | dict(zip(conjugates, image, strict=True))
         for x in model.rates:
@@ -266,7 +266,7 @@ def _boundary(
     slopes: Sequence[sympy.Expr],
     conjugates: Sequence[sympy.Symbol],
 ) -> Boundary:
-    """Rewrite the fixed rates at one end; a free rate leaves its conjugate free."""
+    """Return the boundary at `instant` with prescribed rates replaced by conjugates; free rates remain free."""
     fixed = {**prescribed(model, where), model.time: instant}
     rates: list[sympy.Expr | None] = []
     for rate, slope, y, value in zip(model.rates, slopes, conjugates, boundary.rates, strict=True):

@@ -1,4 +1,4 @@
-"""The canonical form of a problem of one phase: collect expressions, check their symbols, build, check numbers."""
+"""The canonical form of a problem of one phase: collect expressions, check symbols, build the model, check numbers."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from codegen.symbolic.terms import value_counts
 
 
 def normalise(problem: Problem, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
-    """Check an author's problem and bring it into canonical form.
+    """Return the checked canonical form of an author's problem of one phase.
 
-    `declared` are the quantities that were declared while the problem was made; the model lists the unused ones.
-    Raises a kind of CodegenError that names the symbol or expression and the remedy.
+    `declared` are all quantities that the author declared; the model lists the unused quantities. Raises a kind of
+    CodegenError that names the symbol or expression and the remedy.
     """
     if not isinstance(problem, (Simulate, Control)):
         raise ProblemFileError(
@@ -61,9 +61,9 @@ def normalise(problem: Problem, declared: Sequence[Quantity] = (), name: str = "
 
 
 def with_positive_durations(model: Model) -> Model:
-    """Bound a free parameter that is the duration, and has no lower bound, by zero from below.
+    """Return a model in which free parameters that are durations have the lower bound zero, if they had none.
 
-    Periodic motions keep their free duration: with the bound the search may end in a motion without length.
+    A periodic motion gets no such bound, because the search could then end in a motion of length zero.
     """
     durations = {phase.duration for phase in model.phases or (model,) if not phase.periodic}
     free = tuple(
@@ -83,9 +83,9 @@ def checked_model(
     title: str = "",
     elsewhere: Mapping[sympy.Symbol, float] | None = None,
 ) -> Model:
-    """Check one problem and build its model; `values.require_agreement` checks boundary values later.
+    """Return the checked model of one problem; `values.require_agreement` checks boundary values later.
 
-    `elsewhere` has values of states that the problem leaves open, from the phases before it.
+    `elsewhere` has values, from earlier phases, of states that the problem does not prescribe.
     """
     form = form_of(problem)
     _require_fitting(problem, form, entries, kinds)
@@ -104,7 +104,7 @@ def checked_model(
 
 
 def plain_symbols(used: Sequence[Quantity], task: str) -> dict[Quantity, sympy.Symbol]:
-    """Return the symbol of the model for each quantity; names that generated code needs are marked."""
+    """Return the symbol of the model for each quantity; names that generated code needs get a mark."""
     names = {symbol.name for symbol in used if not isinstance(symbol, symbols.EndValue)}
     plain: dict[Quantity, sympy.Symbol] = {}
     for symbol in used:
@@ -121,7 +121,7 @@ def plain_symbols(used: Sequence[Quantity], task: str) -> dict[Quantity, sympy.S
 
 
 def require_cost(problems: Sequence[Control], kinds: Kinds) -> None:
-    """Refuse controls that no cost and no condition of any of the problems determines."""
+    """Raise ExpressionError for controls if no problem has a cost, or a condition in which controls may occur."""
     limits = [kind.argument for kind in CONDITIONS if symbols.ControlInput in kind.scope[kind.argument]]
     if not kinds.controls or any(getattr(problem, argument) for problem in problems for argument in limits):
         return
@@ -138,7 +138,7 @@ def require_cost(problems: Sequence[Control], kinds: Kinds) -> None:
 
 
 def require_unique_names(quantities: Sequence[Quantity]) -> None:
-    """Refuse two quantities of one name."""
+    """Raise SymbolError for two quantities with the same name."""
     seen: dict[str, Quantity] = {}
     for symbol in quantities:
         if isinstance(symbol, symbols.EndValue):
@@ -148,7 +148,7 @@ def require_unique_names(quantities: Sequence[Quantity]) -> None:
 
 
 def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
-    """Refuse arguments that contradict each other, independently of numbers."""
+    """Raise an error for arguments that contradict each other, whatever the numbers are."""
     for what, number in [("steps", problem.steps), ("bodies", getattr(problem, "bodies", 1))]:
         if isinstance(number, bool) or not isinstance(number, Integral) or number < 1:
             raise ExpressionError(f"{what} is {number!r}", "give a positive integer")
@@ -189,7 +189,7 @@ def _built(
     name: str,
     title: str,
 ) -> Model:
-    """Build the model of a problem whose entries are in plain symbols."""
+    """Return the model of a problem whose entries are in plain symbols."""
     coordinates, rates, controls, parameters, free = (
         tuple(plain[symbol] for symbol in symbols)
         for symbols in (kinds.coordinates, kinds.rates, kinds.controls, kinds.parameters, kinds.free)
@@ -203,7 +203,7 @@ def _built(
         return tuple(components.get(x, sympy.S.Zero) for x in coordinates)
 
     def boundary(end: str) -> tuple[Boundary, tuple[Condition, ...]]:
-        """Return the values at one end; values that depend on free parameters become conditions."""
+        """Return the prescribed values at one end, and conditions for values that depend on free parameters."""
         fixed = dict(_pairs(entries, end))
         tied = {symbol: fixed.pop(symbol) for symbol in [s for s in fixed if fixed[s].free_symbols & set(free)]}
         conditions = tuple(Condition(f"{symbol} = {text(value)}", symbol - value) for symbol, value in tied.items())
@@ -218,7 +218,7 @@ def _built(
         if not 0.0 < size < math.inf:
             raise ExpressionError(f"scale of {symbol} is {size:g}", "give its typical size, a positive number")
     is_control, is_first_order = isinstance(problem, Control), form == "dynamics"
-    # In Lagrangian form velocities are no unknowns of their own.
+    # In Lagrangian form velocities are no unknowns, so that their bounds become path conditions.
     velocity_bounds = _bounds_of(entries, rates if form == "lagrangian" else ())
     model = Model(
         task=problem.task,
@@ -268,7 +268,7 @@ def in_plain_symbols(entry: Entry, plain: Mapping[Quantity, sympy.Symbol]) -> En
 
 
 def _bounds_of(entries: Sequence[Entry], symbols: Sequence[sympy.Symbol]) -> tuple[Bounds, ...]:
-    """Return the bounds of those symbols that have any."""
+    """Return the bounds of the symbols that have a lower or an upper bound."""
     lower, upper = dict(_pairs(entries, "lower bound")), dict(_pairs(entries, "upper bound"))
     return tuple(Bounds(s, lower.get(s), upper.get(s)) for s in symbols if s in lower or s in upper)
 

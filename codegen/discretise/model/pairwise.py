@@ -1,4 +1,4 @@
-"""The canonical form of a pairwise problem: particles in plain symbols, both terms checked, limits taken."""
+"""The canonical form of a problem about particles that interact in pairs: checked, in plain sympy symbols."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from codegen.symbolic.functions import tables_of
 from codegen.symbolic.terms import Invariants
 
 Table: TypeAlias = tuple[tuple[float, ...], ...]
-"""Numbers of all particles, a row for each."""
+"""Numbers of all particles: one row for each particle."""
 FRACTION = Symbol("fraction", real=True)
 """The fraction of the way from start to target."""
 
 
 @dataclass(frozen=True)
 class ParticleSymbols:
-    """The plain symbols of one of the two particles."""
+    """The symbols of the coordinates `q`, momenta `p` and `own` parameters of one particle in a pair."""
 
     q: tuple[Symbol, ...]
     p: tuple[Symbol, ...]
@@ -36,7 +36,7 @@ class ParticleSymbols:
 
     @property
     def moving(self) -> tuple[Symbol, ...]:
-        """Return coordinates, then momenta."""
+        """Return the coordinates, then the momenta."""
         return (*self.q, *self.p)
 
 
@@ -44,15 +44,15 @@ class ParticleSymbols:
 class PairwiseModel:
     """A pairwise Hamiltonian in canonical form: H = sum_i self_term(z_i) + sum_{i<j} pair_term(z_i, z_j).
 
-    `coordinates`, `momenta` and `own` are the names of a particle's quantities. The symbols of `first` and `second` add
-    the marks `_i` and `_j`. `domain` holds expressions in coordinates of `first` that are positive where a particle may
-    be. `limit` is the limit of the pair term at coincidence of the particles, or None. `smooth` is True if the gradient
-    of the pair term tends to the gradient of the limit.
+    `coordinates`, `momenta` and `own` are the names of the quantities of a particle. The symbols of the particles
+    `first` and `second` of a pair append `_i` and `_j`. A particle may be where all expressions of `domain`, in
+    coordinates of `first`, are positive. `limit` is the limit of the pair term for coinciding particles, or None.
+    `smooth` is True if the gradient of the pair term tends to the gradient of the limit.
 
-    A connect problem has `points`, the default file, and `path`, the guessed position after a FRACTION of the way, in
+    A connect problem has `points`, the default file. Its `path` is the guessed position after a FRACTION of the way, in
     coordinates of `first` for the start and of `second` for the target. It is `passive` if it carries points without
-    momenta, and `parallel` if threads share its gradient. A simulation has the arrays `start` of shape (2, n, d) and
-    `own_values` of shape (n, k).
+    momenta, and `parallel` if several threads compute its gradient. A simulation of n particles in d dimensions with k
+    own parameters has the arrays `start` of shape (2, n, d) and `own_values` of shape (n, k).
     """
 
     task: str
@@ -83,7 +83,7 @@ class PairwiseModel:
 
     @property
     def connects(self) -> bool:
-        """Return True if particles are connected with their targets, False in a simulation."""
+        """Return True if particles move to given targets, False in a simulation."""
         return self.task == "connect"
 
 
@@ -93,7 +93,7 @@ def is_pairwise(problem: object) -> bool:
 
 
 def normalise_pairwise(problem: Problem, declared: Sequence[Quantity], name: str, title: str) -> PairwiseModel:
-    """Check an author's problem about particles and bring it into canonical form.
+    """Return the checked canonical form of an author's problem about particles.
 
     Raises a kind of CodegenError that names the symbol or expression and the remedy.
     """
@@ -178,7 +178,7 @@ def normalise_pairwise(problem: Problem, declared: Sequence[Quantity], name: str
 def _plain_symbols(
     pair: tuple[Particle, Particle], parameters: Sequence[Parameter], task: str
 ) -> dict[Quantity, Symbol]:
-    """Return the symbols of a model; names that generated code needs are marked, before the mark of a particle."""
+    """Return the symbol of the model for each quantity; names that generated code needs get a mark."""
     task = "particles" if task == "simulate" else task
     of_particles = [s for one in pair for s in (*one.q, *one.p, *one.own)]
     names = {symbol.name[:-2] for symbol in of_particles} | {symbol.name for symbol in parameters}
@@ -205,7 +205,7 @@ def _guessed_path(problem: Connect, first: ParticleSymbols, second: ParticleSymb
 
 
 def _particles_at_start(problem: Simulate, one: Particle) -> tuple[tuple[Table, Table], Table]:
-    """Return the initial values of a simulation, whose arrays have one number for each particle."""
+    """Return the initial (q, p) and the own parameters of all particles; raise BoundaryError for unfit values."""
     for key in problem.start:
         if key not in (*one.q, *one.p, *one.own):
             raise BoundaryError(f"start gives {key}", "give coordinates, momenta and own parameters of the first one")

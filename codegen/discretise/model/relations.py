@@ -1,4 +1,4 @@
-"""Values of symbols, and relations as expressions that vanish or are not positive, as the author wrote them."""
+"""Read what an author wrote: values of symbols, and relations as expressions that vanish or are not positive."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ STATIC = (Parameter, FreeParameter)
 class Entry:
     """An expression of a problem.
 
-    `role` is its part in the problem, `what` its name in messages, and `key` the symbol whose value it is, if any.
-    Relations have a `name`. They are equalities (the expression vanishes) or inequalities (it is not positive).
+    `role` says where it occurs, such as "cost" or "start". `what` is its name in messages, and `key` the symbol that it
+    belongs to, if any. Relations have a `name`: in an equality the expression vanishes, else it is not positive.
     """
 
     role: str
@@ -39,12 +39,12 @@ class Entry:
 
 
 def entry_of(role: str, what: str, value: Expression, key: Quantity | None = None) -> Entry:
-    """Return the entry of an expression; ExpressionError where the value is no expression that can be generated."""
+    """Return the entry of an expression; raise ExpressionError for a value from which no code can be generated."""
     return Entry(role, what, expressions.checked(value, what), key)
 
 
 def checked_mapping(what: str, mapping: object, entry: str) -> Mapping[Quantity, Expression]:
-    """Return a mapping with declared keys; ExpressionError, or SymbolError for a key, shows the notation."""
+    """Return a mapping with declared keys; raise SymbolError, or ExpressionError with the notation of an `entry`."""
     if not isinstance(mapping, Mapping):
         relations = f", and relations as {what}_conditions=[...]" if what in ("start", "end") else ""
         raise ExpressionError(f"{what} is a {type(mapping).__name__}", f"write {what} as {{{entry}, ...}}{relations}")
@@ -54,7 +54,7 @@ def checked_mapping(what: str, mapping: object, entry: str) -> Mapping[Quantity,
 
 
 def require_declared(what: str, has: str, symbol: Expression) -> None:
-    """Raise SymbolError for a key or an entry of `what` that is no declared symbol."""
+    """Raise SymbolError for an undeclared symbol in the argument `what`; `has` is the verb of the message."""
     if isinstance(symbol, Quantity):
         return
     quantities = symbol.atoms(Quantity) if isinstance(symbol, sympy.Expr) else set()
@@ -67,7 +67,7 @@ def require_declared(what: str, has: str, symbol: Expression) -> None:
 
 
 def checked_sequence(what: str, values: object, entry: str) -> Sequence[Expression]:
-    """Return a list or tuple; ExpressionError shows the notation."""
+    """Return a list or tuple; raise ExpressionError, with the notation `entry` of an item, for other objects."""
     if not isinstance(values, (list, tuple)):
         kind = type(values).__name__
         if isinstance(values, sympy.Basic):
@@ -77,7 +77,7 @@ def checked_sequence(what: str, values: object, entry: str) -> Sequence[Expressi
 
 
 def value_entries(what: str, mapping: object) -> Iterator[Entry]:
-    """Yield the values that an argument gives to symbols; the argument is their role."""
+    """Yield the values of symbols in the argument `what`, which becomes their role."""
     for key, value in checked_mapping(what, mapping, "symbol: value").items():
         if what in ("start", "end") and isinstance(value, (tuple, list)):
             raise ExpressionError(
@@ -93,7 +93,7 @@ def value_entries(what: str, mapping: object) -> Iterator[Entry]:
 
 
 def relation_entries(what: str, values: object) -> Iterator[Entry]:
-    """Yield the relations of an argument, which is their role; ExpressionError for equal names or relations."""
+    """Yield the relations in the argument `what`, their role; raise ExpressionError for equal names or relations."""
     seen, named = set[sympy.Expr](), set[str]()
     for index, (chosen_name, written) in enumerate(named_relations(what, values)):
         written_name, expression, equality = relation(written, f"{what}[{chosen_name or index!r}]")
@@ -108,7 +108,7 @@ def relation_entries(what: str, values: object) -> Iterator[Entry]:
 
 
 def named_relations(what: str, values: object) -> Iterator[tuple[str, Expression]]:
-    """Yield pairs of the author's name of a relation, or "", and the relation."""
+    """Yield pairs of the author's name for a relation, or "" without a name, and the relation."""
     for value in [*values.items()] if isinstance(values, Mapping) else checked_sequence(what, values, "relation"):
         if not isinstance(value, tuple):
             yield "", value
@@ -121,12 +121,12 @@ def named_relations(what: str, values: object) -> Iterator[tuple[str, Expression
 
 
 def text(expression: sympy.Expr) -> str:
-    """Return an expression on one line, with decimal numbers no longer than their author wrote them."""
+    """Return an expression on one line, with decimal numbers as short as their author wrote them."""
     return str(sympy.sstr(expression, full_prec=False))
 
 
 def short(name: str, limit: int = 60) -> str:
-    """Return the beginning of the name of a condition, for messages."""
+    """Return the name of a condition, shortened for messages."""
     return name if len(name) <= limit else f"{name[:limit].rstrip()} ..."
 
 
@@ -134,8 +134,8 @@ def relation(value: Expression, what: str) -> tuple[str, sympy.Expr, bool]:
     """Read Eq(a, b), a <= b, a >= b, a < b, a > b, or an expression that is to vanish.
 
     Return the relation as it was written, an expression that vanishes or is not positive, and True if it vanishes.
-    A strict inequality means the same as one that is not strict. ExpressionError names `what` when the value is no
-    single relation, or when it holds always or never.
+    A strict inequality means the same as the inequality that is not strict. Raises ExpressionError with the name `what`
+    if the value is no single relation, or if it holds always or never.
     """
     if isinstance(value, (bool, boolalg.BooleanAtom)):
         if value is False:
@@ -153,7 +153,7 @@ def relation(value: Expression, what: str) -> tuple[str, sympy.Expr, bool]:
     left, right = (expressions.checked(side, what) for side in (left, right))
     name = f"{text(left)} {sign} {text(right)}"
     difference = right - left if sign == ">=" else left - right
-    # Cancellation shows a relation between numbers; the expression itself stays as its author wrote it.
+    # Expansion detects a relation between numbers; the returned expression remains as its author wrote it.
     remainder = _expanded_to_number(expressions.tidied(difference))
     if remainder is not None:
         raise _decided(f"{what}, {name},", bool(remainder == 0 or (sign != "=" and remainder.is_negative)))
@@ -161,11 +161,11 @@ def relation(value: Expression, what: str) -> tuple[str, sympy.Expr, bool]:
 
 
 def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:
-    """Return the number to which an expression cancels, or None."""
+    """Return the number that an expression equals after expansion, or None."""
     terms = sympy.Add.make_args(expression)
     counts = Counter(symbol for term in terms for symbol in term.free_symbols)
     for term in terms:
-        # A symbol of one term alone cannot cancel with other terms; it is faster to expand this term than all.
+        # A symbol in one term alone cannot cancel with other terms; to expand this term alone is faster.
         alone = {symbol for symbol in term.free_symbols if counts[symbol] == 1}
         if alone:
             if sympy.expand(term).free_symbols & alone:
@@ -176,7 +176,7 @@ def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:
 
 
 def sides(value: Expression) -> tuple[Expression, Expression, str]:
-    """Return left side, right side and sign of a relation; an expression is to vanish."""
+    """Return left side, right side and sign ("=", "<=" or ">=") of a relation; a plain expression equals zero."""
     if isinstance(value, relational.Equality):
         return value.lhs, value.rhs, "="
     if isinstance(value, (relational.LessThan, relational.StrictLessThan)):

@@ -1,7 +1,7 @@
 """The scope of symbols: where each kind may occur, and which symbols may be fixed, bounded, guessed or forced.
 
-A drawing never changes the derivation: all its symbols must occur in the problem without it. Exceptions are the time
-and the body's number.
+A drawing never changes the derivation: its symbols must occur elsewhere in the problem. Exceptions are the time and the
+number of a body.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ _WORDS: tuple[tuple[tuple[type[Quantity], ...], str], ...] = (
 
 
 _CONSTANT = ("duration", "start", "end", "lower bound", "upper bound", "first guess", "scale", "periodic")
-"""Roles whose values are numbers before a solver has tables."""
+"""Roles whose values are computed before tables are available, so that tables must not occur."""
 
 
 @dataclass(frozen=True)
 class Kinds:
-    """The quantities of a problem by kind, in the order of declaration; rates are velocities or momenta."""
+    """The quantities of a problem by kind, in the order of declaration; `rates` are velocities or momenta."""
 
     coordinates: tuple[Coordinate | State, ...]
     rates: tuple[Velocity | Momentum, ...]
@@ -85,7 +85,7 @@ class Kinds:
 
 
 def kinds_of(used: Sequence[Quantity], form: str) -> Kinds:
-    """Sort the quantities that a problem uses; SymbolError for those that do not belong to its form."""
+    """Return the `used` quantities by kind; raise SymbolError for quantities that do not belong to the form."""
     moving_kinds: dict[str, tuple[type[Quantity], ...]] = {
         "lagrangian": (Coordinate, Velocity),
         "hamiltonian": (Coordinate, Momentum),
@@ -124,7 +124,7 @@ def kinds_of(used: Sequence[Quantity], form: str) -> Kinds:
 
 
 def require_scope(entries: Sequence[Entry], kinds: Kinds, form: str, is_control: bool) -> None:
-    """Require that each expression holds only symbols of its scope, and that each control acts."""
+    """Raise an error for symbols outside their scope, and for controls and free parameters without effect."""
     for symbol in (s for e in entries for s in sorted(e.expression.free_symbols, key=str) if not is_control):
         if isinstance(symbol, ControlInput):
             raise SymbolError(f"control {symbol} in a simulation", "return codegen.Control, or make it a parameter")
@@ -137,13 +137,13 @@ def require_scope(entries: Sequence[Entry], kinds: Kinds, form: str, is_control:
         for symbol in sorted(entry.expression.free_symbols, key=str):
             if not isinstance(symbol, _ALLOWED[entry.role]):
                 raise _out_of_scope(symbol, entry, form)
-        # A body's number in an expression that is common to all bodies.
+        # Expressions that are common to all bodies must not depend on the number of the body.
         if any(isinstance(symbol, BodyNumber) for symbol in entry.expression.free_symbols):
             if isinstance(entry.key, (Velocity, FreeParameter)) and entry.role.endswith("bound"):
                 kind = "velocity" if isinstance(entry.key, Velocity) else "free parameter"
                 raise ExpressionError(f"{entry.what} depends on body", f"give a {kind} the same bounds for all bodies")
             unknown = [str(symbol) for symbol in entry.expression.free_symbols if isinstance(symbol, FreeParameter)]
-            if unknown and entry.role != "guess":  # where the parameter has its first guess
+            if unknown and entry.role != "guess":  # there the parameter has its initial guess
                 finding = f"{entry.what} depends on body and on the free parameter {min(unknown)}"
                 raise ExpressionError(finding, "let it depend on one of them")
         for table in tables_of(entry.expression):
@@ -167,7 +167,7 @@ def require_scope(entries: Sequence[Entry], kinds: Kinds, form: str, is_control:
 
 
 def _out_of_scope(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError | ExpressionError:
-    """Return the error for a symbol that may not occur in an expression, with the remedy for its kind."""
+    """Return the error, with a remedy, for a symbol that may not occur in an expression."""
     if isinstance(symbol, ControlInput) and entry.role in ("lagrangian", "hamiltonian"):
         return SymbolError(f"control {symbol} in the {form}", "let controls act through force={...}")
     finding = f"{entry.what} depends on {symbol}"
@@ -189,7 +189,7 @@ def _out_of_scope(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError 
 
 
 def require_keys(entries: Sequence[Entry], kinds: Kinds) -> None:
-    """Require that the keys of values, bounds, guesses, forces and shifts are quantities that may have them."""
+    """Raise an error for a value, bound, guess, force or shift of a quantity that cannot have one."""
     rates = "momenta" if any(isinstance(v, Momentum) for v in kinds.rates) else "velocities"
     moving = f"coordinates and {rates}" if kinds.rates else "states"
     position = "coordinate" if kinds.rates else "state"
@@ -223,10 +223,10 @@ def require_keys(entries: Sequence[Entry], kinds: Kinds) -> None:
 
 
 def checked_drawing(problem: Problem) -> tuple[Item, ...]:
-    """Return the author's items of a drawing with every expression sympified.
+    """Return the items of the author's drawing with every expression converted to sympy.
 
-    Raises ExpressionError for objects that are no items, for a point without two coordinates, and for rates and end
-    values, which a solution does not hold at every time; SymbolError for symbols that were never declared.
+    Raises ExpressionError for other objects, for points without two coordinates, and for rates and end values: a
+    solution does not contain these at every time. Raises SymbolError for symbols that were never declared.
     """
     if not isinstance(problem.drawing, (list, tuple)):
         raise ExpressionError(
@@ -242,7 +242,7 @@ def drawn_quantities(items: Sequence[Item]) -> set[Quantity]:
 
 
 def require_derived(items: Sequence[Item], used: Sequence[Quantity]) -> None:
-    """Refuse a drawing of quantities that the problem itself does not use; SymbolError names one of them."""
+    """Raise SymbolError for a quantity of a drawing that does not occur elsewhere in the problem."""
     times = [symbol for symbol in used if isinstance(symbol, Time)]
     for symbol in sorted(drawn_quantities(items) - set(used), key=lambda symbol: symbol.declared):
         if isinstance(symbol, Time) and times:
@@ -253,7 +253,7 @@ def require_derived(items: Sequence[Item], used: Sequence[Quantity]) -> None:
 
 
 def with_drawing(model: Model, items: Sequence[Item], plain: Mapping[Quantity, sympy.Symbol]) -> Model:
-    """Return the model with its drawing in plain symbols; ExpressionError when a size is not positive."""
+    """Return the model with its drawing in plain symbols; raise ExpressionError for a size that is not positive."""
     symbols: dict[Quantity, sympy.Symbol] = {}
     for symbol in drawn_quantities(items):
         alone = model.time if isinstance(symbol, Time) else sympy.Symbol(symbol.name, real=True)

@@ -1,9 +1,9 @@
 """Trial points, and functions of a problem that are not smooth.
 
-Trial points lie where the expressions of a problem are expected to have a value: near the expected motion, and at
-random. Three kinds of functions make Newton's method fail. Functions may have no finite value, slope or curvature at
-the initial guess. A Piecewise may jump where a motion crosses a border: derivatives do not contain the jump, and the
-optimum is wrong. The slope of a cost may jump at a kink, which attracts the minimum.
+Trial points lie where the expressions of a problem should have a value: near the expected motion, and at random.
+Three kinds of functions make Newton's method fail. Functions may have no finite value or derivative at the initial
+guess. A Piecewise may jump where a motion crosses a border: derivatives do not contain the jump, and the optimum is
+wrong. The first derivative of a cost may jump at a kink, where the minimum then often lies.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from codegen.symbolic.checks import rounded_at
 from codegen.symbolic.zeros import identically_zero
 
 Singular = tuple[str, str, str]
-"""A function, the derivative of it that is not finite, and the point, as in sqrt(u), slope, u = 0."""
+"""A function, the name of its first infinite derivative, and the point, such as ("sqrt(u)", "slope", "u = 0")."""
 _INSIDE = 0.3137, 0.7713
-"""Fractions of the duration at which no scheme of a few points evaluates: singular there means singular everywhere."""
+"""Fractions of the duration that are no points of usual schemes; a function singular at both is singular everywhere."""
 _PUSH = 1e-2
-"""Distance from the bounds at which optimisers begin, relative to the size of the value."""
+"""Distance of initial values from their bounds in optimisers, relative to the absolute value or 1."""
 _WITH_ENDS = (sympy.log, sympy.asin, sympy.acos, sympy.acosh, sympy.atanh)
-"""Functions whose domain has ends, as the domain of powers has."""
+"""Functions whose domain is bounded, like the domain of powers."""
 
 
 def sample_points(
     model: Model, elsewhere: Mapping[sympy.Symbol, float] | None = None
 ) -> list[dict[sympy.Symbol, float]]:
-    """Return values of states, controls, end values and time: near the expected motion, and drawn at random.
+    """Return trial points: values of all symbols near the expected motion, and values drawn at random.
 
-    `elsewhere` has values of states that the problem leaves open, from the phases before it. All points have parameters
-    at their defaults, and they are the same in every run.
+    `elsewhere` has values, from earlier phases, of states that the problem does not prescribe. Parameters have their
+    default values. The points are the same in every run.
     """
     fixed = _constants(model)
     others = [*(value.symbol for value in model.end_values), *(delay.symbol for delay in model.delays)]
@@ -49,10 +49,10 @@ def sample_points(
 
 
 def expected_values(model: Model, share: float) -> dict[sympy.Symbol, float]:
-    """Return states, controls and time after a share of the duration, as far as the problem gives them.
+    """Return the known values of states, controls and time after the fraction `share` of the duration.
 
-    A value comes from the guess, else from the line between the values at the ends, or the only one, else the middle of
-    the bounds.
+    A value comes from the guess, else from the line between the prescribed values at both ends, else from the value at
+    one end, else from the middle of the bounds.
     """
     constants = _constants(model)
     at = {**constants, model.time: share * (rounded_at(model.duration, constants) or 0.0)}
@@ -70,7 +70,7 @@ def _constants(model: Model) -> dict[sympy.Symbol, float]:
 
 
 def singular_at_guess(model: Model) -> tuple[Singular, ...]:
-    """Return the functions in cost, dynamics and conditions of one phase that are singular all along its guess."""
+    """Return the functions in cost, dynamics and conditions of one phase that are singular on its whole guess."""
     moving = {*model.coordinates, *model.rates, *model.controls}
     singular = list[Singular]()
     for part, derivative, point in _singular_parts(model):
@@ -80,9 +80,9 @@ def singular_at_guess(model: Model) -> tuple[Singular, ...]:
 
 
 def with_regular_guesses(model: Model) -> Model:
-    """Guess one for controls without a guess if functions of them, such as log(u) or 1/u, have no value at zero.
+    """Return a model with the guess 1 for controls in functions without value at zero, such as log(u) or 1/u.
 
-    Kinks are not avoided: they need another formulation, not another guess.
+    Kinks remain: they need another formulation, not another guess.
     """
     if model.phases:
         return replace(model, phases=tuple(with_regular_guesses(phase) for phase in model.phases))
@@ -96,7 +96,7 @@ def with_regular_guesses(model: Model) -> Model:
 
 
 def _singular_parts(model: Model) -> list[tuple[Expr, str, dict[Symbol, float]]]:
-    """Return singular functions of one phase, the first derivative that is not finite, and the point."""
+    """Return triples: a singular function in one phase, its first infinite derivative, and the point."""
     points = [_point_of_guess(model, share) for share in _INSIDE]
     moving = {*model.coordinates, *model.rates, *model.controls}
     parts = dict[Expr, None]()
@@ -110,14 +110,14 @@ def _singular_parts(model: Model) -> list[tuple[Expr, str, dict[Symbol, float]]]
 
 
 def _point_of_guess(model: Model, share: float) -> dict[Symbol, float]:
-    """Return values of the guess after a share of the duration, moved inside the bounds as optimisers do."""
+    """Return the guess after the fraction `share` of the duration, moved inside the bounds as in optimisers."""
     values = _constants(model)
     at = {**values, model.time: share * (rounded_at(model.duration, values) or 0.0)}
     guess = dict(model.guess)
     lines = dict(zip(model.coordinates, guessed(model, model.coordinates, model.duration), strict=True))
     if model.form == "lagrangian":
         lines |= {v: sympy.diff(lines[q], model.time) for q, v in zip(model.coordinates, model.rates, strict=True)}
-    # Ends of models in momenta may be unknown, and a quantity without any value may be guessed elsewhere.
+    # Without a value at an end or an author's guess, a quantity is left out: it may have a guess elsewhere.
     fixed = known_values(model, model.start, model.start_conditions)
     fixed |= known_values(model, model.end, model.end_conditions)
     coordinate = dict(zip(model.rates, model.coordinates, strict=False)) if model.form == "lagrangian" else {}
@@ -138,7 +138,7 @@ def _point_of_guess(model: Model, share: float) -> dict[Symbol, float]:
 
 
 def _singular_derivative(part: Expr, point: Mapping[Symbol, float]) -> str:
-    """Return value, slope or curvature, the first that is not finite, or "" if all are, or the point lacks a symbol."""
+    """Return the first of value, slope, curvature that is not finite; "" if all are finite or a symbol is unknown."""
     if not part.free_symbols <= set(point):
         return ""
     argument = rounded_at(part.args[0], point)
@@ -154,10 +154,10 @@ def _singular_derivative(part: Expr, point: Mapping[Symbol, float]) -> str:
 
 
 def jumps(expression: Expr, unknowns: Iterable[Symbol]) -> tuple[str, ...]:
-    """Return the conditions of Piecewise at whose border an expression jumps, as the author wrote them.
+    """Return the relations in the author's Piecewise at whose border an expression jumps.
 
-    Only borders that depend on the `unknowns`, and can be solved for one of them, count: the instant at which time
-    crosses a border is known. A jump of the slope does not count, as in Piecewise((0, x < 0), (x**2, True)).
+    Only borders that depend on the `unknowns`, and are linear in one unknown, count: the instant at which time crosses
+    a border is known. A jump of a derivative does not count, as in Piecewise((0, x < 0), (x**2, True)).
     """
     moving = set(unknowns)
     borders_with_jump: dict[str, None] = {}
@@ -174,7 +174,7 @@ def jumps(expression: Expr, unknowns: Iterable[Symbol]) -> tuple[str, ...]:
 
 
 def _solved(border: sympy.core.relational.Relational, moving: set[Symbol]) -> Iterator[tuple[Symbol, Expr]]:
-    """Yield the first moving symbol in which the border is linear, with its value there."""
+    """Yield the first moving symbol in which the border is linear, with its value on the border."""
     distance = border.lhs - border.rhs
     for symbol in sorted(border.free_symbols & moving, key=str):
         slope = sympy.diff(distance, symbol)
@@ -184,9 +184,9 @@ def _solved(border: sympy.core.relational.Relational, moving: set[Symbol]) -> It
 
 
 def kinks(expression: Expr, unknowns: Iterable[Symbol]) -> tuple[str, ...]:
-    """Return the terms with Abs, Max or Min at whose kink the slope of an expression jumps, as the author wrote them.
+    """Return the author's terms with Abs, Max or Min at whose kink the first derivative of an expression jumps.
 
-    Only terms that depend on the `unknowns` count. u |u| and max(x, 0)^2 have no kink: their slopes are zero there.
+    Only terms that depend on the `unknowns` count. u |u| and max(x, 0)^2 have continuous derivatives, and do not count.
     """
     moving = set(unknowns)
     terms: dict[str, None] = {}
@@ -197,7 +197,7 @@ def kinks(expression: Expr, unknowns: Iterable[Symbol]) -> tuple[str, ...]:
         slope = expression.xreplace({bend: value}).diff(value)
         numbers = [argument for argument in bend.args if argument.is_number] or [sympy.S.Zero]
         arguments = [argument for argument in bend.args if not argument.is_number]
-        # At the kink the argument of Abs is zero, and the argument of Max or Min equals the number next to it.
+        # At the kink the argument of Abs is zero, and the argument of Max or Min equals the other, numeric argument.
         if len(arguments) > 1 or slope.subs({value: numbers[0]}).subs(arguments[0], numbers[0]) != 0:
             terms[str(bend)] = None
     return tuple(terms)

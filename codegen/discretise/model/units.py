@@ -1,10 +1,10 @@
-"""Units that an author gives: the units that follow from them, and their agreement.
+"""The units of the author's quantities: check that they agree, and derive the units of other quantities.
 
 Where every quantity of an expression has a unit, pint gives the unit of the expression. Terms must agree in dimension
-and in size: metres and kilometres in one sum are refused like metres and seconds. Functions such as sin take pure
-numbers. An angle is a pure number in radians, and a degree is no radian. An expression with a quantity without a unit
-has no unit and is accepted. Numbers are pure numbers in dynamics, forces and costs. Values, bounds and sides of
-relations may be plain numbers: they count in the units of the quantity that they are compared with.
+and in size: metres and kilometres in one sum are an error like metres and seconds. The arguments of functions such as
+sin are pure numbers. An angle is a pure number in radians, with which degrees do not agree. An expression with a
+quantity without a unit has no unit and is accepted. Numbers in dynamics, forces and costs are pure numbers. Values,
+bounds and sides of relations may be plain numbers: they have the unit of the quantity with which they are compared.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pint.facets.plain import PlainUnit as Unit
 
 _EQUAL = 1e-9
-"""Rounding of pint, relative to one, in the factor between two equal units."""
+"""Tolerance for rounding errors of pint in the ratio of two equal units."""
 _SECONDS = "s"
 """The default unit of the time."""
 _UNIT_OF_ARGUMENTS = (sympy.Abs, sympy.Min, sympy.Max)
@@ -43,14 +43,14 @@ _DYNAMICS = frozenset({"lagrangian", "hamiltonian", "dynamics", "force", "cost",
 
 @cache
 def _registry() -> UnitRegistry[float]:
-    """Return the registry of units of pint, whose import takes a while."""
+    """Return the unit registry of pint, made only when needed because the import is slow."""
     import pint
 
     return pint.UnitRegistry()
 
 
 def checked_unit(text: str, name: str) -> Unit:
-    """Return the unit that a text names; UnitError for an unknown unit, or with an offset, as degrees Celsius."""
+    """Return the unit that a text names; raise UnitError if it is unknown or has an offset, like degrees Celsius."""
     import pint
 
     registry = _registry()
@@ -69,9 +69,9 @@ def checked_unit(text: str, name: str) -> Unit:
 def units_of(
     quantities: Sequence[Quantity], entries: Iterable[Entry], plain: Mapping[Quantity, sympy.Symbol]
 ) -> tuple[tuple[str, str], ...]:
-    """Return pairs of a name and the text of its unit, in the author's order; then `t`, momenta, `energy` and `cost`.
+    """Return pairs (name, text of its unit) in the author's order, then for `t`, momenta, `energy` and `cost`.
 
-    The result is empty where no quantity has a unit. Raises UnitError for units that do not agree.
+    The result is empty if no quantity has a unit. Raises UnitError for units that do not agree.
     """
     if not any(hasattr(symbol, "unit") for symbol in quantities):
         return ()
@@ -108,7 +108,7 @@ class _Units:
         self.terminal: Unit | None = None
 
     def unit(self, symbol: sympy.Symbol) -> Unit | None:
-        """Return the unit of a quantity as the author gave it, or as it follows; None where it does not."""
+        """Return the author's unit of a quantity, or the unit that follows from other quantities, or None."""
         if isinstance(symbol, Time):
             return self.time
         if isinstance(symbol, (EndValue, Delayed)):
@@ -119,7 +119,7 @@ class _Units:
         return self.units.get(symbol)
 
     def read(self, entry: Entry) -> None:
-        """Check an entry, and set the units of the energy and of the cost."""
+        """Check the units of an entry, and store the unit of the energy or of the cost if the entry defines it."""
         unit = self._of(entry.expression, entry.what, entry.role in _DYNAMICS)
         if entry.role in ("lagrangian", "hamiltonian"):
             self.energy = unit
@@ -145,7 +145,7 @@ class _Units:
             _require_same(whole, self.terminal, "the integral of the cost", "the terminal cost")
 
     def _of(self, expression: sympy.Expr, where: str, is_strict: bool) -> Unit | None:
-        """Return the unit of an expression; None where a part has no unit."""
+        """Return the unit of an expression, None if a part has no unit; `is_strict` counts the numbers in a sum."""
         if isinstance(expression, sympy.Symbol):
             return self.unit(expression)
         if expression.is_number:
@@ -178,7 +178,7 @@ class _Units:
         return None  # tables and values of bodies have no units
 
     def _sum(self, terms: Sequence[sympy.Expr], where: str, is_strict: bool) -> Unit | None:
-        """Return the common unit of all terms."""
+        """Return the common unit of all terms, None if a term has no unit; `is_strict` counts numbers as terms."""
         counted = terms if is_strict else [term for term in terms if not term.is_number]
         units = [self._of(term, where, True) for term in counted]
         present = [(term, unit) for term, unit in zip(counted, units, strict=True) if unit is not None]
@@ -206,11 +206,11 @@ def _require_pure(unit: Unit, what: str, where: str) -> None:
 
 
 def _text(unit: Unit | None) -> str:
-    """Return a unit as axes show it, such as kg·m²/s, without radians among other units; J, N and W are named."""
+    """Return the text of a unit for axes, such as kg·m²/s, J, N or W; mechanical units have no radians."""
     if unit is None:
         return ""
     registry = _registry()
-    # A rate of an angle keeps its radian, a moment of inertia loses it.
+    # The rate of an angle keeps the radian in its unit, a moment of inertia does not.
     powers = dict(registry.Quantity(1.0, unit).unit_items())
     if powers.get("radian", 0) and not all(registry.Unit(name).dimensionality in _TIME_AND_ANGLE for name in powers):
         unit = unit / registry.Unit("radian") ** powers["radian"]

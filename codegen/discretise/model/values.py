@@ -1,4 +1,4 @@
-"""Checks with numbers: values that must be finite, positive, in order or in agreement at the default parameters."""
+"""Checks of numbers at the default parameters: values must be finite, in order, and consistent with each other."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from codegen.symbolic.derivatives import hessian_samples
 
 
 def values_at_guess(model: Model) -> dict[sympy.Symbol, float]:
-    """Return parameters at their defaults and free parameters at their first guesses, where these are numbers."""
+    """Return the default values of parameters, and the initial guesses of free parameters that are finite."""
     values = model.default_values
     guesses = {f.symbol: expressions.rounded_at(f.guess, values) for f in model.free_parameters}
     return values | {symbol: number for symbol, number in guesses.items() if number is not None}
 
 
 def require_values(model: Model, bounds: Sequence[Bounds], points: Points) -> None:
-    """Refuse values that are not finite at the default parameters, and values that contradict each other.
+    """Raise an error for values that are not finite at the default parameters, or contradict each other.
 
-    `bounds` are all bounds of the author, also the bounds of velocities and free parameters. Every expression is
-    expected to have a value at one of the `points`.
+    `bounds` are all bounds of the author, including velocities and free parameters. Every expression must have a finite
+    real value at one of the trial `points` or more.
     """
     for free in model.free_parameters:
         _number(f"guess of {free.symbol}", free.guess, model.default_values)
@@ -72,9 +72,9 @@ def require_values(model: Model, bounds: Sequence[Bounds], points: Points) -> No
 
 
 def require_regular_lagrangian(model: Model, points: Points) -> None:
-    """Refuse a Lagrangian whose momenta do not determine the velocities (its Hessian in v is singular).
+    """Raise DegenerateError if the Hessian of a Lagrangian with respect to the velocities is singular.
 
-    Directions across holonomic constraints are excepted: the Lagrangian of a rigid body does not depend on the rate
+    Directions normal to holonomic constraints are excepted: the Lagrangian of a rigid body does not depend on the rate
     of change of the length of its quaternion.
     """
     if model.form != "lagrangian":
@@ -90,7 +90,7 @@ def require_regular_lagrangian(model: Model, points: Points) -> None:
 
 
 def require_agreement(model: Model) -> None:
-    """Refuse values at an end that violate a condition which depends on no other quantities."""
+    """Raise BoundaryError if the prescribed values at an end determine a condition and violate it."""
     for end in ("start", "end"):
         fixed = {**prescribed(model, end), model.time: sympy.S.Zero if end == "start" else model.duration}
         for condition in (condition for kind in CONDITIONS for condition in kind.at(model, end)):
@@ -110,7 +110,7 @@ def require_agreement(model: Model) -> None:
 
 
 def _bodies(model: Model, *expressions: sympy.Expr | None) -> Iterator[dict[sympy.Symbol, float]]:
-    """Yield values of parameters and free parameters, for each body where an expression depends on its number."""
+    """Yield the values of parameters and free parameters: once, or for each body if an expression depends on it."""
     values = values_at_guess(model)
     if model.body is None or not any(e is not None and e.has(model.body) for e in expressions):
         yield values
@@ -129,7 +129,7 @@ def _number(what: str, expression: sympy.Expr, values: Mapping[sympy.Symbol, flo
 
 
 def _require_real(model: Model, points: Points) -> None:
-    """Refuse dynamics, costs, conditions and guesses that have no real value at any trial point."""
+    """Raise ExpressionError for dynamics, costs, conditions and guesses without a real value at any trial point."""
     form = "dynamics" if model.form == "first-order" else model.form
     named = [(f"the {form}", model.function), *((f"guess of {s}", value) for s, value in model.guess)]
     named += [(f"force of {q}", value) for q, value in zip(model.coordinates, model.force, strict=False)]

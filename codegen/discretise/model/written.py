@@ -1,4 +1,4 @@
-"""Every expression of a problem with its role and a name for messages, sympified and checked one by one."""
+"""The expressions of a problem as entries: each is checked, and has a role and a name for messages."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from codegen.symbolic.tables import TableData
 
 
 def written_entries(problem: Problem, form: str, jump: Sequence[Entry] = ()) -> list[Entry]:
-    """Return the expressions of a problem, of the jump before it, and of the declarations of its free parameters."""
+    """Return the entries of a problem, of the jump before the phase, and of the free parameters."""
     entries = [*_entries(problem, form), *jump]
     if isinstance(problem, Control):
-        # Tables and trajectories of the guess are functions of the time that the other entries use.
+        # Tables and trajectories in the guess become functions of the same time symbol as in the other entries.
         present = list(dict.fromkeys(symbol for entry in entries for symbol in _symbols(entry)))
         instant = next((symbol for symbol in present if isinstance(symbol, Time)), None) or time()
         quantities = [symbol for symbol in present if isinstance(symbol, Quantity)]
@@ -48,7 +48,7 @@ def written_entries(problem: Problem, form: str, jump: Sequence[Entry] = ()) -> 
 
 
 def jump_entries(jumps: object, switches: int) -> list[list[Entry]]:
-    """Return the expressions of the jumps between phases, a list for each switch; no list without any jumps."""
+    """Return the entries of the jumps between phases, one list for each switch, or [] if there are no jumps."""
     mappings = checked_sequence("jumps", jumps, "{state: value after the switch}")
     if mappings and len(mappings) != switches:
         raise ExpressionError(
@@ -66,9 +66,10 @@ def jump_entries(jumps: object, switches: int) -> list[list[Entry]]:
 
 
 def used_quantities(entries: Iterable[Entry]) -> list[Quantity]:
-    """Return the declared quantities of the expressions, partners included, in the order of declaration.
+    """Return the declared quantities in the entries and their partners, in the order of declaration.
 
-    Raises SymbolError for a symbol that was never declared, and TableError for two tables of one name.
+    The partner of a coordinate is its velocity or momentum. Raises SymbolError for a symbol that was never declared,
+    and TableError for two tables with the same name.
     """
     used: set[Quantity] = set()
     entries = list(entries)
@@ -92,7 +93,7 @@ def used_quantities(entries: Iterable[Entry]) -> list[Quantity]:
 
 
 def _undeclared(symbol: sympy.Symbol, entry: Entry, entries: Sequence[Entry]) -> SymbolError:
-    """Return the error for a symbol of sympy, which may have the name of a declared quantity."""
+    """Return the error for a plain symbol of sympy, also if a declared quantity has the same name."""
     for quantity in (quantity for other in entries for quantity in _symbols(other)):
         if isinstance(quantity, Quantity) and quantity.name == symbol.name:
             finding = f"{symbol} in {entry.what} is a plain symbol of sympy, and not the declared {symbol}"
@@ -135,7 +136,7 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
 
 
 def maximises(control: Control) -> bool:
-    """Return True if a problem asks for a maximum; ExpressionError when it asks for a minimum as well."""
+    """Return True if a problem asks for a maximum; raise ExpressionError if it also asks for a minimum."""
 
     def nonzero(*names: str) -> list[str]:
         values = [(name, getattr(control, name)) for name in names]
@@ -150,7 +151,7 @@ def maximises(control: Control) -> bool:
 
 
 def written_costs(control: Control) -> Iterator[Entry]:
-    """Yield running and terminal cost in the form in which solvers minimise them."""
+    """Yield running and terminal cost, which solvers minimise: negated if the author maximises."""
     is_maximised = maximises(control)
     for role in ("cost", "terminal_cost"):
         what = role.replace("cost", "maximise") if is_maximised else role
@@ -159,7 +160,7 @@ def written_costs(control: Control) -> Iterator[Entry]:
 
 
 def _limits(key: Quantity, lower: Expression, upper: Expression) -> Iterator[Entry]:
-    """Yield the bounds of a quantity, without those that are infinite on their own side."""
+    """Yield the bounds of a quantity, without a lower bound of -oo and an upper bound of oo."""
     for role, value, infinity in (("lower bound", lower, -sympy.oo), ("upper bound", upper, sympy.oo)):
         if value is not None and not (isinstance(value, (float, sympy.Basic)) and value == infinity):
             yield entry_of(role, f"{role} of {key}", value, key)

@@ -1,4 +1,4 @@
-"""The registry of schemes: names to data, by the method or the kind of system."""
+"""The registry of schemes: find a scheme by its name and its method."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from codegen.errors import SchemeError
 __all__ = ["ALIASES", "FIRST_ORDER", "METHODS", "PARTICLES", "Scheme", "find", "of_method"]
 
 _FAMILIES = (discrete_lagrangians, one_step, runge_kutta, compositions)
-"""The families, each with its SCHEMES by method; the schemes of a method are listed in this order."""
+"""The modules of the families, each with its SCHEMES by method; messages list schemes in this order."""
 _ALL: dict[str, dict[str, Scheme]] = {
     method: {scheme.name: scheme for family in _FAMILIES for scheme in family.SCHEMES.get(method, ())}
     for method in ("variational", "hamiltonian", FIRST_ORDER, PARTICLES)
 }
 METHODS = {method: _ALL[method] for method in ("variational", "hamiltonian")}
-"""Every scheme for mechanical systems by method and name; tests run over this table."""
+"""Every scheme for mechanical systems by method and name; the tests cover this table."""
 
 ALIASES = {
     ("variational", "stormer-verlet"): "trapezoidal",
@@ -30,15 +30,15 @@ ALIASES = {
     ("hamiltonian", "lobatto-2"): "stormer-verlet",
     ("hamiltonian", "forest-ruth"): "yoshida-4",
 }
-"""Other names of the same scheme."""
+"""Other names of schemes, by method."""
 
 
 def find(name: str, method: str) -> Scheme:
-    """Return the scheme of that name for that method; SchemeError lists the schemes.
+    """Return the named scheme for a method; raise SchemeError, with suggestions, for other names.
 
-    `alpha-<a>`, with a a decimal or a fraction in [0, 1], names a member of the alpha family, and
-    `<composition>-of-<base>`, as in yoshida-4-of-midpoint, a composition of a symmetric scheme of order 2.
-    `<n>-steps-of-<base>`, as in 4-steps-of-rk4, is a base scheme with so many equal steps in one.
+    `alpha-<a>`, with a decimal or fraction a in [0, 1], is a scheme of the alpha family. `<composition>-of-<base>`,
+    such as yoshida-4-of-midpoint, is a composition of a symmetric base scheme of order 2. `<n>-steps-of-<base>`, such
+    as 4-steps-of-rk4, is n equal steps of a base scheme in one step.
     """
     table = _ALL[method]
     name = ALIASES.get((method, name), name)
@@ -87,7 +87,7 @@ def find(name: str, method: str) -> Scheme:
 
 
 def is_known(name: str, method: str) -> bool:
-    """Return True if `find` returns a scheme."""
+    """Return True if `find` finds the scheme."""
     try:
         return bool(find(name, method))
     except SchemeError:
@@ -95,5 +95,5 @@ def is_known(name: str, method: str) -> bool:
 
 
 def of_method(method: str) -> tuple[Scheme, ...]:
-    """Return every scheme of a method by itself, without families and aliases."""
+    """Return every scheme of a method that has its own name, without aliases, alpha schemes and other compositions."""
     return tuple(_ALL[method].values())

@@ -1,8 +1,7 @@
-"""The definition of a scheme: data that fill one time interval.
+"""The definition of a scheme: the data that discretise one time interval.
 
-Schemes come in families, one file each. A family defines a step, which is either a discrete Lagrangian, a quadrature
-rule along a polynomial between two positions, or a `Step` in states at both ends. Other modules do not depend on the
-family.
+Schemes belong to families, one file each. A step of a scheme is either a discrete Lagrangian (a quadrature rule along a
+polynomial between two positions), or a `Step` in the states at both ends. Other modules do not depend on the family.
 """
 
 from __future__ import annotations
@@ -17,15 +16,15 @@ from sympy import Expr, Rational, Symbol
 from codegen.errors import SchemeError
 
 Shares: TypeAlias = tuple[tuple[int, Expr], ...]
-"""Numbers of states, each with its factor in a sum."""
+"""A weighted sum of states of a step: pairs (number of the state, weight)."""
 Rows: TypeAlias = tuple[tuple[Expr, ...], ...]
 
 
 @dataclass(frozen=True)
 class FieldPoint:
-    """A point X_j at the abscissa c of the step; the shares of states in its position and momentum add up to 1.
+    """A point X_j at which a scheme evaluates the vector field: its abscissa in the step and weight in quadratures.
 
-    `weight` is the weight of the point in quadratures over the step.
+    Its `position` and `momentum` are weighted sums of states, whose weights add up to 1.
     """
 
     abscissa: Expr
@@ -36,7 +35,7 @@ class FieldPoint:
 
 @dataclass(frozen=True)
 class Update:
-    """x = x_begin + g h sum_j w_j F(X_j) over all points of the step, with g the `fraction`."""
+    """The equation x = x_begin + g h sum_j w_j F(X_j) of a state, over all points of the step; g is the `fraction`."""
 
     begin: int
     fraction: Expr
@@ -54,10 +53,10 @@ class Tableau:
 
 @dataclass(frozen=True)
 class Step:
-    """A step through states 0, ..., s + 1: the first state belongs to the left node, the last one to the right node.
+    """A step through states 0, ..., s + 1: state 0 is the left node, the last state is the right node.
 
-    Updates number n, of coordinates and of momenta, lead to state n + 1 at the fraction `abscissae[n]` of the step.
-    An update is None if no point reads the state.
+    The updates `positions[n]` and `momenta[n]` lead to state n + 1 at the fraction `abscissae[n]` of the step. An
+    update is None if no point depends on the state.
     """
 
     points: tuple[FieldPoint, ...]
@@ -67,7 +66,7 @@ class Step:
 
     @property
     def is_chain(self) -> bool:
-        """Return True if each state follows from the one before it alone, so that stages are independent."""
+        """True if each state follows from the state before it alone, so that stages are independent."""
         for n, update in (*enumerate(self.positions), *enumerate(self.momenta)):
             if update is None or update.begin != n:
                 return False
@@ -78,7 +77,7 @@ class Step:
 
     @property
     def is_explicit(self) -> bool:
-        """Return True if each field depends on earlier fields of the step alone, so that stages need no equations."""
+        """True if each field depends on earlier fields of the step alone, so that stages need no equations."""
         tableau = self.tableau
         return not any(
             entry for table in (tableau.positions, tableau.momenta) for i, row in enumerate(table) for entry in row[i:]
@@ -86,18 +85,18 @@ class Step:
 
     @property
     def substeps(self) -> tuple[tuple[Expr, Expr, Expr], ...]:
-        """Return fractions, and shares of the next state, of a chain with one point between states: (g, a, b)."""
+        """Triples (g, a, b) of a chain: fraction of a substep, weights of its end state in position and momentum."""
         links = enumerate(self.points, start=1)
         return tuple((point.weight, dict(point.position)[n], dict(point.momentum)[n]) for n, point in links)
 
     @property
     def tableau(self) -> Tableau:
-        """Return the step as a Runge-Kutta method, whose stages are the points."""
+        """The step as a partitioned Runge-Kutta method, whose stages are the points."""
         weights, positions = self._rows(self.positions, [point.position for point in self.points])
         return Tableau(weights, positions, self._rows(self.momenta, [point.momentum for point in self.points])[1])
 
     def _rows(self, updates: Sequence[Update | None], points: Sequence[Shares]) -> tuple[tuple[Expr, ...], Rows]:
-        """Return the weights of fields on the way from the left node to the right one, and to each point."""
+        """Return the weights of the fields at all points in the right node, and in the state of each point."""
         states = {0: sympy.zeros(1, len(points))}
         for n, update in enumerate(updates):
             if update:
@@ -109,15 +108,15 @@ class Step:
 FIRST_ORDER = "one-step"
 """The method for first-order systems x' = f(x, u, t)."""
 PARTICLES = "particles"
-"""The key of the schemes for pairwise systems, in simulations and with both ends fixed."""
+"""The key of the schemes for pairwise systems, in simulations and in problems with both ends fixed."""
 
 
 @dataclass(frozen=True)
 class Scheme:
-    """Name, order of consistency, structural flags and source of a scheme.
+    """A scheme: its name, order of consistency, properties, source, and a one-line summary.
 
-    A scheme that repeats another one has a row of `parts` for each repetition: the length of the step, or of each of
-    its substeps, as a fraction of h. `adaptive` is the name in scipy of a code that chooses its own steps.
+    A scheme that repeats another scheme has a row of `parts` for each repetition: the length of the step, or of each
+    substep, as a fraction of h. `adaptive` is the name of an integrator in scipy that chooses its own steps, or "".
     """
 
     name: str
@@ -131,32 +130,32 @@ class Scheme:
 
     @property
     def variational(self) -> bool:
-        """Return True if a step is a discrete Lagrangian of positions, False if it is written in states."""
+        """True if a step is a discrete Lagrangian of positions, False if it is written in states."""
         return False
 
     @property
     def is_chain(self) -> bool:
-        """Return True if a step is a chain of substeps, whose stages are independent."""
+        """True if a step is a chain of substeps, whose stages are independent."""
         return self.step().is_chain
 
     @property
     def dense_derivatives(self) -> int:
-        """Return the number of derivatives at both nodes that interpolate a motion with the scheme's order or better.
+        """The number of derivatives at both nodes that interpolate a motion with the scheme's order or better.
 
         Without derivatives the motion is a straight line, as for the midpoint rule and the Euler methods.
         """
         return 0 if self.order <= 2 else 1 if self.order <= 4 else 2
 
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
-        """Return the repeated scheme, whose substeps have the given lengths instead of fractions of the step."""
+        """Return the scheme that is repeated, with the given lengths of its substeps; `step` is the symbol h."""
         return self
 
     def step(self) -> Step:
-        """Return one step in states; SchemeError where there is none."""
+        """Return one step in states; raise SchemeError for a discrete Lagrangian."""
         raise SchemeError(f"scheme {self.name!r} does not belong to the hamiltonian method", "choose another method")
 
     def discrete_lagrangian(self) -> DiscreteLagrangian:
-        """Return the quadrature rule of one step; SchemeError where there is none."""
+        """Return the discrete Lagrangian of one step; raise SchemeError for a scheme in states."""
         raise SchemeError(f"scheme {self.name!r} does not belong to the variational method", "choose another method")
 
 
@@ -170,10 +169,10 @@ class QuadraturePoint:
 
 @dataclass(frozen=True)
 class DiscreteLagrangian(Scheme):
-    """Ld(q0, q1) = ext h sum_i w_i L(q(c_i h), q'(c_i h)) over the inner values of the polynomial q.
+    """Ld(q0, q1) = ext h sum_i w_i L(q(c_i h), q'(c_i h)), extremal with respect to the inner values of q.
 
-    q has its values at the fractions `nodes` of the step. The first is 0 with q0 and the last 1 with q1. Without inner
-    nodes q is the straight line, and there are no inner values.
+    The polynomial q is given by its values at the fractions `nodes` of the step, with q0 at 0 and q1 at 1. Without
+    inner nodes q is the straight line, and there are no inner values.
     """
 
     points: tuple[QuadraturePoint, ...]
@@ -181,12 +180,12 @@ class DiscreteLagrangian(Scheme):
 
     @property
     def variational(self) -> bool:
-        """Return True."""
+        """Always True."""
         return True
 
     @property
     def is_chain(self) -> bool:
-        """Return True if there are no inner values."""
+        """True if there are no inner values."""
         return len(self.nodes) == 2
 
     def discrete_lagrangian(self) -> DiscreteLagrangian:

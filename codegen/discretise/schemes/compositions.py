@@ -1,11 +1,10 @@
-"""Compositions: a symmetric scheme of order 2 with steps of different lengths has a higher order.
+"""Compositions: schemes of higher order, made of steps of a symmetric scheme of order 2 with different lengths.
 
-With S a symmetric scheme of order 2, S(g_s h) ... S(g_1 h) with g_i = g_{s+1-i} has order 4, 6, 8 where the g_i satisfy
-the order conditions, whatever S is (Hairer, Lubich and Wanner 2006, section V.3.2). A partitioned method alternates
-steps of symplectic-euler-adjoint and symplectic-euler of lengths a_i h and b_i h; it is explicit where the Hamiltonian
-is separable, and has the same order where it is not (McLachlan 1995, On the numerical integration of ordinary
-differential equations by symmetric composition methods, section 2). `tests/discretise/test_orders.py` verifies
-the orders.
+For any symmetric scheme S of order 2, S(g_s h) ... S(g_1 h) with g_i = g_{s+1-i} has order 4, 6 or 8 if the g_i satisfy
+the order conditions (Hairer, Lubich and Wanner 2006, section V.3.2). A partitioned method alternates steps of
+symplectic-euler-adjoint and symplectic-euler of lengths a_i h and b_i h. It is explicit for a separable Hamiltonian,
+and has the same order for others (McLachlan 1995, On the numerical integration of ordinary differential equations by
+symmetric composition methods, section 2). `tests/discretise/test_orders.py` verifies the orders.
 """
 
 from __future__ import annotations
@@ -22,29 +21,29 @@ from codegen.errors import SchemeError
 
 @dataclass(frozen=True)
 class Composition(Scheme):
-    """Steps of a base scheme, one after the other, whose lengths add up to h; they may be negative."""
+    """Consecutive steps of a base scheme, whose lengths add up to h and may be negative."""
 
     base: Scheme
 
     @property
     def variational(self) -> bool:
-        """Return True if the base is variational."""
+        """True if the base is variational."""
         return self.base.variational
 
     @property
     def is_chain(self) -> bool:
-        """Return True if steps of the base are chains."""
+        """True if steps of the base are chains."""
         return self.base.is_chain
 
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
-        """Return the base, or the base with these lengths of its substeps."""
+        """Return the base scheme; with several lengths, these are the lengths of its substeps."""
         if len(lengths) == 1:
             return self.base
         pairs = zip(self._base().substeps, lengths, strict=True)
         return replace(self._base(), substeps=tuple(replace(s, fraction=length / step) for s, length in pairs))
 
     def step(self) -> Step:
-        """Return the steps of the base, one after the other; SchemeError where these are discrete Lagrangians."""
+        """Return the consecutive steps of the base as one step; raise SchemeError for discrete Lagrangians."""
         if not isinstance(self.base, OneStep) and not self.variational:
             return _joined(self.base.step(), [fraction for (fraction,) in self.parts])
         base, substeps = self._base(), list[Substep]()
@@ -54,7 +53,7 @@ class Composition(Scheme):
         return replace(base, substeps=tuple(substeps)).step()
 
     def discrete_lagrangian(self) -> DiscreteLagrangian:
-        """Raises SchemeError: the sum over steps of the base would have to be stationary between them."""
+        """Raise SchemeError: the sum of discrete Lagrangians would have to be stationary between the steps."""
         raise self._refusal()
 
     def _base(self) -> OneStep:
@@ -71,7 +70,7 @@ class Composition(Scheme):
 
 
 def _joined(step: Step, fractions: Sequence[Expr]) -> Step:
-    """Return the same step at these fractions of its length, one after the other, as one step."""
+    """Return one step that consists of consecutive copies of a step, with the `fractions` of its length."""
     size, count = len(step.abscissae), len(step.points)
     points, abscissae, updates = list[FieldPoint](), list[Expr](), (list[Update | None](), list[Update | None]())
     begin = S.Zero
@@ -92,7 +91,7 @@ def _joined(step: Step, fractions: Sequence[Expr]) -> Step:
 
 
 def repeated(count: int, base: Scheme) -> Composition:
-    """Return the scheme `<count>-steps-of-<base>`: so many equal steps of the base in one step, under one control."""
+    """Return the scheme `<count>-steps-of-<base>`: `count` equal steps of the base in one step, with one control."""
     substeps = [s.fraction for s in base.substeps] if isinstance(base, OneStep) else [S.One]
     return Composition(
         name=f"{count}-steps-of-{base.name}",
@@ -153,13 +152,13 @@ _SYMMETRIC: dict[str, tuple[int, str, tuple[Expr, ...]]] = {
         ),
     ),
 }
-"""Symmetric compositions of any symmetric scheme of order 2: order, source, and the fractions before the middle one."""
+"""Compositions of symmetric schemes of order 2: order, source, and the fractions before the middle fraction."""
 NAMES = tuple(_SYMMETRIC)
-"""The names of the compositions that take any base."""
+"""The names of the compositions of any symmetric base scheme of order 2."""
 
 
 def composed(name: str, base: Scheme) -> Composition | None:
-    """Return the composition of that name of a base scheme; None for other names, or an unsuitable base."""
+    """Return the named composition of a base scheme; None for other names, or an unsuitable base."""
     if name not in _SYMMETRIC or not base.symmetric or base.order != 2:
         return None
     return _of(name, base, f"{name}-of-{base.name}")
@@ -187,10 +186,10 @@ _EXPLICIT, _MIDPOINT = (
 
 
 def _partitioned(name: str, order: int, source: str, drifts: tuple[Expr, ...], kicks: tuple[Expr, ...]) -> Composition:
-    """Return a symmetric sequence drift, kick, drift, ..., each tuple up to its middle, where it counts once or twice.
+    """Return the composition with the sequence drift, kick, drift, ... of the given fractions of h.
 
-    Kick i is split into the one that ends a step of symplectic-euler-adjoint and the one that begins one of
-    symplectic-euler.
+    It consists of steps of position-verlet with unequal halves. The first half of a step (symplectic-euler-adjoint)
+    ends with one part of a kick, and the second half (symplectic-euler) begins with the other part.
     """
     rows, carried = list[tuple[Expr, ...]](), S.Zero
     for drift, kick in zip(drifts, kicks, strict=False):
@@ -210,7 +209,7 @@ def _partitioned(name: str, order: int, source: str, drifts: tuple[Expr, ...], k
 
 
 def _mirrored(half: tuple[Expr, ...], count: int) -> tuple[Expr, ...]:
-    """Return a palindrome of `count` numbers with sum 1 that begins with `half`; the middle completes the sum."""
+    """Return a palindrome of `count` numbers with the sum 1 that starts with `half`; the middle completes the sum."""
     rest = 1 - 2 * sum(half, S.Zero)
     middle = (rest,) if count % 2 else (rest / 2, rest / 2)
     return (*half, *middle, *half[::-1])

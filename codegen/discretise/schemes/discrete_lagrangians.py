@@ -1,4 +1,4 @@
-"""Discrete Lagrangians by quadrature along straight lines, and along polynomials: Galerkin variational integrators."""
+"""Discrete Lagrangians by quadrature along straight lines or polynomials (Galerkin variational integrators)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _HALF = Rational(1, 2)
 
 
 def _galerkin(method: RungeKutta, degree: int, summary: str) -> DiscreteLagrangian:
-    """Return the Galerkin integrator with the quadrature rule of a Runge-Kutta method.
+    """Return the Galerkin integrator with polynomials of a degree and the quadrature rule of a Runge-Kutta method.
 
-    Both are the same map for Gauss quadrature, and for other rules where the mass matrix is constant.
+    Both methods are the same map for Gauss quadrature, and for other rules if the mass matrix is constant.
     """
     pairs = zip(method.weights, method.abscissae, strict=True)
     return DiscreteLagrangian(

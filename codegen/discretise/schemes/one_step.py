@@ -1,4 +1,4 @@
-"""One-step methods: the Eulers, the alpha family, midpoint, Störmer-Verlet; and those for first-order systems."""
+"""One-step methods of order 1 and 2: Euler methods, the alpha family, midpoint, Störmer-Verlet and trapezoidal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ZERO, _HALF, _ONE = Rational(0), Rational(1, 2), Rational(1)
 
 @dataclass(frozen=True)
 class Substep:
-    """A fraction of the step whose vector field is evaluated at q = (1-a) q0 + a q1, p = (1-b) p0 + b p1."""
+    """A fraction of the step, with the field at q = (1-a) q0 + a q1, p = (1-b) p0 + b p1, a and b in [0, 1]."""
 
     fraction: Expr
     position: Rational
@@ -29,7 +29,7 @@ class OneStep(Scheme):
 
     @property
     def dense_derivatives(self) -> int:
-        """Return one if the field is evaluated at both nodes: the motion of the trapezoidal rule is a parabola."""
+        """1 if the field is evaluated at both nodes, where the motion is a parabola (trapezoidal rule), else 0."""
         first, last = self.substeps[0], self.substeps[-1]
         at_nodes = first.position, first.momentum, last.position, last.momentum
         return int(at_nodes == (_ZERO, _ZERO, _ONE, _ONE))
@@ -97,17 +97,17 @@ TRAPEZOIDAL = OneStep(
     summary="mean of the fields at x0 and x1; half a step of explicit-euler, then half a step of implicit-euler",
     substeps=(Substep(_HALF, _ZERO, _ZERO), Substep(_HALF, _ONE, _ONE)),
 )  # fmt: skip
-"""A scheme for first-order systems; for mechanical systems the midpoint rule is symplectic, and this one is not."""
+"""A scheme for first-order systems alone: it is not symplectic, unlike the midpoint rule for mechanical systems."""
 
 _SAME_POINT = (scheme for scheme in ONE_STEPS if all(s.position == s.momentum for s in scheme.substeps))
 SCHEMES = {"hamiltonian": ONE_STEPS, FIRST_ORDER: (*_SAME_POINT, TRAPEZOIDAL), PARTICLES: ONE_STEPS}
-"""The schemes by method; those for x' = f(x, u, t) evaluate coordinates and momenta at the same point."""
+"""The schemes by method; schemes for x' = f(x, u, t) evaluate coordinates and momenta at the same point."""
 
 
 def alpha(value: Rational) -> OneStep:
-    """Return the member of the family with the field at ((1-a) q0 + a q1, a p0 + (1-a) p1), symplectic for every a.
+    """Return the scheme with the field at ((1-a) q0 + a q1, a p0 + (1-a) p1), which is symplectic for every a.
 
-    For mechanical Hamiltonians this is the discrete Lagrangian h L((1-a) q0 + a q1, (q1 - q0)/h).
+    For mechanical Hamiltonians it is equivalent to the discrete Lagrangian h L((1-a) q0 + a q1, (q1 - q0)/h).
     """
     half = value == _HALF
     return OneStep(

@@ -1,7 +1,7 @@
-"""Runge-Kutta methods of higher order: collocation by Gauss, Radau and Lobatto, diagonally implicit and explicit ones.
+"""Runge-Kutta methods of higher order: Gauss, Radau and Lobatto collocation, diagonally implicit and explicit methods.
 
-The tables are exact; `tests/discretise/test_orders.py` proves orders and symplecticity from them. Codes with adaptive
-steps are references for particles whose ends are both fixed.
+The tables are exact; `tests/discretise/test_orders.py` proves orders and symplecticity from them. Integrators with
+adaptive steps are references for particles whose ends are both fixed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from codegen.discretise.schemes.base import FIRST_ORDER, PARTICLES, FieldPoint, 
 
 @dataclass(frozen=True)
 class RungeKutta(Scheme):
-    """X_i = x0 + h sum_j a_ij F(X_j), x1 = x0 + h sum_i b_i F(X_i): a table for coordinates, one for momenta."""
+    """X_i = x0 + h sum_j a_ij F(X_j), x1 = x0 + h sum_i b_i F(X_i), with tables a_ij for coordinates and momenta."""
 
     weights: tuple[Expr, ...]
     positions: Rows
@@ -23,11 +23,11 @@ class RungeKutta(Scheme):
 
     @property
     def abscissae(self) -> tuple[Expr, ...]:
-        """Return the fractions c_i of the step at the stages, the row sums of the coordinates' table."""
+        """The fractions c_i of the step at the stages: the row sums of the table for coordinates."""
         return tuple(sum(row, S.Zero) for row in self.positions)
 
     def step(self) -> Step:
-        """Return the step in which stage i is state i, unless its row of the table is that of a node."""
+        """Return the step in which stage i is state i, unless its row in the table shows that it equals a node."""
         end, numbers = Update(0, S.One, self.weights), range(1, len(self.weights) + 1)
 
         def state(number: int, row: tuple[Expr, ...]) -> int:
@@ -91,7 +91,7 @@ _DORMAND_PRINCE = _table(
 
 
 def _gauss_8() -> Rows:
-    """Return the table of Kuntzmann and Butcher, whose outer points come first and last."""
+    """Return the table of Kuntzmann and Butcher, with the outer points first and last."""
     outer, inner = (sqrt((15 + sign * 2 * _ROOT_30) / 35) / 2 for sign in (1, -1))
     half = [Rational(1, 8) - sign * _ROOT_30 / 144 for sign in (1, -1)]
     third = [outer * (Rational(1, 6) + _ROOT_30 / 24), inner * (Rational(1, 6) - _ROOT_30 / 24)]
@@ -179,10 +179,10 @@ HERMITE_SIMPSON = RungeKutta(
 
 @dataclass(frozen=True)
 class Adaptive(Scheme):
-    """A code of scipy that chooses its steps by a tolerance."""
+    """An integrator of scipy that chooses its steps by a tolerance."""
 
     def step(self) -> Step:
-        """Return the step of the classical Runge-Kutta method, which serves for derivatives alone."""
+        """Return the step of the classical Runge-Kutta method, which is used for derivatives alone."""
         return RK4.step()
 
 
@@ -206,4 +206,4 @@ SCHEMES = {
     FIRST_ORDER: (GAUSS_4, GAUSS_6, GAUSS_8, RADAU_3, RADAU_5, SDIRK_4, HERMITE_SIMPSON, RK4, DORMAND_PRINCE_5),
     PARTICLES: (RK4, BUTCHER_6, *ADAPTIVE),
 }
-"""The schemes of this family by method; those for particles have explicit steps."""
+"""The schemes of this family by method; schemes for particles have explicit steps."""
