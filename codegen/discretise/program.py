@@ -324,9 +324,8 @@ class ControlProgram:
 
     @property
     def holonomic_multipliers(self) -> tuple[Unknown, ...]:
-        """The unknowns kappa of holonomic constraints: the unknowns of a node that follow coordinates and lambda."""
-        first = 2 * len(self.model.coordinates)
-        return self.node[first : first + len(self.model.holonomic)]
+        """The unknowns of a node that are forces of holonomic constraints."""
+        return tuple(unknown for unknown in self.node if unknown.kind is Kind.NORMAL_FORCE)
 
     def in_time(self, expression: Expr) -> Expr:
         """Return an expression with t and h as times, not fractions of the duration, nor time and pace of a node."""

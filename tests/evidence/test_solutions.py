@@ -148,3 +148,25 @@ def test_rows_that_need_a_solution_are_not_measured_where_there_is_none(prepared
         assert found[0].passed
         assert not found[0].applies
         assert "stopped early" in found[0].detail
+
+
+CONSTRAINED = '''"""A point on a circle passes its lowest point at a time of its choice."""
+from sympy import Eq
+from codegen import Control, controls, coordinates
+def problem() -> Control:
+    (x, y), (dx, dy) = coordinates("x y")
+    u, w = controls("u w")
+    return Control(
+        lagrangian=(dx**2 + dy**2) / 2 - y, force={x: u, y: w}, cost=u**2 + w**2, duration=1,
+        constraint=[x**2 + y**2 - 1], start={x: -0.6, y: -0.8, dx: 0, dy: 0}, end={x: 0.6, y: -0.8, dx: 0, dy: 0},
+        waypoints=[[Eq(y + 0 * x, -1)]], steps=8,
+    )
+'''
+
+
+def test_constraint_forces_are_found_among_the_unknowns_of_a_clock(prepared, tmp_path: Path):
+    path = tmp_path / "constrained.py"
+    path.write_text(CONSTRAINED)
+    context = prepared(path)
+    assert [unknown.name for unknown in context.control.holonomic_multipliers] == ["kappa_1"]
+    assert not failures("discrete equations", context)
