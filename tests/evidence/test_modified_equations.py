@@ -19,7 +19,7 @@ from codegen import Control, Simulate, canonical_pair, control, coordinate
 from codegen.discretise import schemes
 from codegen.discretise.model.definitions import Boundary
 from codegen.discretise.model.from_problem import load_problem, normalise
-from codegen.discretise.schemes.one_step import alpha
+from codegen.discretise.schemes.low_order import alpha
 from codegen.errors import ExpressionError
 from codegen.evidence.analysis import modified_equations as subject
 from codegen.evidence.analysis.modified_equations import flow_series, modified_equations

@@ -6,13 +6,13 @@ import difflib
 
 from sympy import Rational
 
-from codegen.discretise.schemes import compositions, discrete_lagrangians, one_step, runge_kutta
+from codegen.discretise.schemes import compositions, discrete_lagrangians, low_order, runge_kutta
 from codegen.discretise.schemes.base import FIRST_ORDER, PARTICLES, Scheme
 from codegen.errors import SchemeError
 
 __all__ = ["ALIASES", "FIRST_ORDER", "METHODS", "PARTICLES", "Scheme", "find", "of_method"]
 
-_FAMILIES = (discrete_lagrangians, one_step, runge_kutta, compositions)
+_FAMILIES = (discrete_lagrangians, low_order, runge_kutta, compositions)
 """The modules of the families, each with its SCHEMES by method; messages list schemes in this order."""
 _ALL: dict[str, dict[str, Scheme]] = {
     method: {scheme.name: scheme for family in _FAMILIES for scheme in family.SCHEMES.get(method, ())}
@@ -70,7 +70,7 @@ def find(name: str, method: str) -> Scheme:
         except (TypeError, ValueError, ZeroDivisionError):
             value = Rational(-1)
         if value.is_finite and 0 <= value <= 1:
-            return one_step.alpha(value)
+            return low_order.alpha(value)
         raise SchemeError(f"scheme {name!r}", "give alpha-<a> with a between 0 and 1, as in alpha-0.25")
     elsewhere = [other for other, schemes in METHODS.items() if name in schemes]
     if method == FIRST_ORDER and (elsewhere or name.startswith("alpha-")):

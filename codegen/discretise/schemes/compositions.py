@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from sympy import Expr, Integer, Rational, S, Symbol, sqrt
 
 from codegen.discretise.schemes.base import FIRST_ORDER, DiscreteLagrangian, FieldPoint, Scheme, Step, Update
-from codegen.discretise.schemes.one_step import ONE_STEPS, OneStep, Substep
+from codegen.discretise.schemes.low_order import ONE_STEPS, OneStep, Substep
 from codegen.errors import SchemeError
 
 

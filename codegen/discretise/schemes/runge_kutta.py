@@ -1,4 +1,4 @@
-"""Runge-Kutta methods of higher order: Gauss, Radau and Lobatto collocation, diagonally implicit and explicit methods.
+"""Runge-Kutta methods by their Butcher tableaux: Gauss, Radau and Lobatto collocation, diagonally implicit, explicit.
 
 The tables are exact; `tests/discretise/test_orders.py` proves orders and symplecticity from them. Integrators with
 adaptive steps are references for particles whose ends are both fixed.

@@ -32,7 +32,7 @@ from codegen.discretise.model.definitions import Boundary, Model
 from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.discretise.schemes.base import Scheme
-from codegen.discretise.schemes.one_step import alpha
+from codegen.discretise.schemes.low_order import alpha
 from codegen.errors import ArgumentError, SchemeError
 from codegen.evidence.analysis.function_ring import Element, Evaluation, FunctionRing, Series, padded
 from codegen.problem.sources import settings_of
