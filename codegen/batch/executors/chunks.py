@@ -75,7 +75,7 @@ class Tally:
 
     @property
     def won(self) -> dict[str, int]:
-        """The numbers `improved` and `jumps`, each only if it is not zero."""
+        """The numbers of cases with a better optimum from a neighbour and of jumps between optima, if not zero."""
         named = {"improved": self.improved, "jumps": self.jumps}
         return {name: number for name, number in named.items() if number}
 

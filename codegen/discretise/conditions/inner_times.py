@@ -438,7 +438,7 @@ class Clock:
 
 
 def clock_of(model: Model, names: Names) -> Clock | None:
-    """Return the clock of a model with free inner times, or with inner times in a free duration; otherwise None."""
+    """Return the unknown times of the nodes as a Clock; None if inner times and duration are prescribed."""
     free, duration = {parameter.symbol for parameter in model.free_parameters}, model.duration
     if not any(inner.time is None or duration.free_symbols & free for inner in model.inner_times):
         return None

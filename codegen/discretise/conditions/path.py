@@ -96,7 +96,7 @@ the inertia of a minimum.
 class IntervalTerms:
     """The path conditions of an interval: their unknowns, and their contribution `element` to the Lagrangian.
 
-    `slack_multipliers` are the indices in the interval of the slacks' multipliers; `inequalities` belong to the slacks.
+    Each inequality has a slack. `slack_multipliers` are the indices of the multipliers of these equations.
     """
 
     multipliers: tuple[Unknown, ...]

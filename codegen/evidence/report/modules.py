@@ -50,7 +50,7 @@ def _shown(store: Store, variants: Sequence[Variant]) -> list[Variant]:
 
 
 def _operations(module: Values, column: int) -> int:
-    """Return the operations of all kernels, before (column 0) or after (1) common subexpressions are shared."""
+    """Return the number of operations of all kernels: for `column` 0 before, for 1 after, sharing subexpressions."""
     return sum(pair[column] for pair in module["operations"].values())
 
 

@@ -92,7 +92,7 @@ def row_count(shape):
 def row_width(shape):
     """Return the number of columns of an element matrix, with padding.
 
-    The width allows reading four entries at once, from column 0 on and from the first column after the block on.
+    The padding lets four columns be read at once, both from column 0 and from the first column after the first block.
     """
     block = block_size(shape)
     return padded(block + padded(row_count(shape) - block))

@@ -310,7 +310,11 @@ def add_reduced(shape, tables, own, reduced, room, element):
 
 @njit(error_model="numpy", forceinline=True)
 def solve_offsets(shape, tables, own, gradient, first, lower, upper, order, offsets):
-    """Fill `offsets` (s,) with s0 = -inverse(A) r, the step of the stages if no other unknown changes."""
+    """Fill `offsets` (s,) with the Newton step of the stages, -inverse(A) r, if no other unknown changes.
+
+    A is the Jacobian of the stage equations, in `own`, or in the factors `lower`, `upper` and `order`. The residual r
+    is in `gradient` from index `first` + s on.
+    """
     stages = shape.stages
     for i in range(stages):
         offsets[i] = -gradient[first + stages + i]

@@ -281,7 +281,7 @@ class _Sampled:
         return np.asarray(at_nodes[:, index])
 
     def terms(self, row: _Row) -> Matrix:
-        """Return the sum of |x_i dg/dx_i| over all states, as an array with the shape of `values`."""
+        """Return the sum of |x_i dg/dx_i| over all states x_i, for the condition g of a row, shaped as `values`."""
         values = self.values(row)
         total = np.zeros_like(values)
         for state in row.states:
