@@ -49,8 +49,8 @@ def solve(*positional: Any, **options: Any) -> Result:  # noqa: D417  the argume
         A simulation stores every `every`-th step.
     repeat : int
         Number of runs. The time of the fastest run is reported, without the time for compiling machine code.
-    warm : array, shape (n,), or path
-        Warm start of an optimisation: `unknowns` of a result on any grid, or a file that `--save` has written.
+    warm : Result, array of shape (n,), or path
+        Warm start of an optimisation: a result on any grid, its `unknowns`, or a file that `--save` has written.
     doublings : int
         Number of further solves, on 2 N, 4 N, ... intervals, each from the solution before.
     accuracy : float

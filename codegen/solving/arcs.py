@@ -403,8 +403,12 @@ def _carried_on(
     else:
         return None
     if bounded.any():
+        # Relative to the largest value of the same quantity: a slack may be small everywhere.
+        largest = np.zeros(start.size)
+        for values, sizes in zip(module.views(grid, start), module.views(grid, largest), strict=True):
+            sizes[:] = np.abs(values).max(axis=(0, 1))
         beyond = np.maximum(lower - current, current - upper)[bounded]
-        if np.max(beyond / np.maximum(scales, np.abs(current))[bounded]) > BEYOND:
+        if np.max(beyond / np.where(largest > 0.0, largest, np.maximum(scales, np.abs(current)))[bounded]) > BEYOND:
             return None
     return np.asarray(current)
 

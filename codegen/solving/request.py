@@ -38,7 +38,7 @@ from codegen.symbolic.tables import Layout, given_measurements, read_measurement
 
 if TYPE_CHECKING:
     from codegen.problem.points import PointSet
-    from codegen.solving.results.result import Watch
+    from codegen.solving.results.result import Result, Watch
 
 SCALINGS = ("auto", "none")
 """The choices of scaling: an optimiser computes scaling factors, or works in the units of the problem."""
@@ -70,7 +70,7 @@ class Request:
     steps: int | None = None
     every: int = 1
     repeat: int = 1
-    warm: Vector | Path | str | None = None
+    warm: Result | Vector | Path | str | None = None
     doublings: int = 0
     accuracy: float | None = None
     guesses: int = 1

@@ -42,7 +42,7 @@ class SavedStart:
     nodes: int | None
 
 
-def start_of(warm: Vector | Path | str | None) -> Callable[[GeneratedModule], Vector | None]:
+def start_of(warm: Result | Vector | Path | str | None) -> Callable[[GeneratedModule], Vector | None]:
     """Read a warm start, and return a function that maps a module to the initial unknowns (n,).
 
     The function raises ArgumentError if a saved warm start does not fit the module. Without a warm start it returns
@@ -51,7 +51,8 @@ def start_of(warm: Vector | Path | str | None) -> Callable[[GeneratedModule], Ve
     if warm is None:
         return lambda module: None
     if not isinstance(warm, Path | str):
-        unknowns = _vector("--warm", warm, "give the unknowns of a result")
+        values = warm.unknowns if isinstance(warm, Result) else warm
+        unknowns = _vector("a warm start", values, "give a result of this problem, or its unknowns")
         return lambda module: unknowns
     saved = read_start(Path(warm))
     return lambda module: fitting(saved, module)
@@ -196,6 +197,7 @@ def source_steps(module: ControlModule, unknowns: Vector) -> int:
     steps, rest = divmod((unknowns.size - root) // bodies - node, phase)
     if rest or steps < 1 or bodies * (steps * phase + node) + root != unknowns.size:
         raise NumericsError(
-            f"the start has {unknowns.size} unknowns, which fit no number of steps", "use a solution of this problem"
+            f"the start has {unknowns.size} unknowns, which fit no number of steps",
+            "use a solution of this problem by the same method, scheme and controls",
         )
     return steps

@@ -94,7 +94,7 @@ class TestJson:
     def test_failure_is_status_1_and_still_one_object(self, solved):
         result, record = solved(ORBIT, "--steps", 1)
         assert result.exit_code == 1
-        assert list(record) == KEYS
+        assert list(record) == [*KEYS, "notes"]
         assert record["status"] != "solved"
         assert record["status"] in STATUSES
         assert result.stderr.startswith(f"codegen: {record['message']}")

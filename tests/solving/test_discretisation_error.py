@@ -10,7 +10,7 @@ from compiled_modules import compiled
 from conftest import PROBLEMS
 from interpreted import of_problem
 
-from codegen import Control, control, free_parameter, states
+from codegen import Control, control, coordinates, free_parameter, states
 from codegen.solving import api
 from codegen.solving.arcs import discretisation_error
 from codegen.solving.compiler import build
@@ -134,3 +134,19 @@ def test_no_estimate_is_noted(interpreted, monkeypatch):
     assert discretisation_error(module, result, lambda *_: None) is None
     monkeypatch.setattr("codegen.solving.outcome.discretisation_error", lambda *_, **__: None)
     assert api.solve(module, steps=10).notes == (UNKNOWN_ERROR,)
+
+
+@pytest.mark.parametrize("steps", [40, 60, 80])
+def test_active_slacks_that_are_small_stay_active_on_double_steps(steps):
+    """The optimum on double steps violated the condition by its whole right side, which is small beside one."""
+    (x, y), (v, w) = coordinates("x y")
+    f, stretch = control("f"), y - x
+    damping = 0.2 * (w - v)
+    carts = Control(
+        lagrangian=v**2 / 2 + w**2 / 4 - 2 * stretch**2, force={x: f + damping, y: -damping}, cost=f**2,
+        duration=2.5, start={x: 0, v: 0, y: 0, w: 0}, end={x: 1, v: 0, y: 1, w: 0}, bounds={f: (-2, 2)},
+        path=[stretch**2 <= 0.15**2], steps=steps,
+    )  # fmt: skip
+    result = api.solve(of_problem(carts))
+    limit = 1.995451  # on 1600 intervals
+    assert result.error.cost < 5.0 * abs(result.cost - limit) / limit

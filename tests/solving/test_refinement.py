@@ -31,6 +31,7 @@ def test_warm_start_from_a_coarser_grid(interpreted):
     assert warm.status == "solved"
     assert warm.cost == pytest.approx(cold.cost, rel=1e-9)
     assert warm.iterations < cold.iterations
+    assert api.solve(module, steps=20, warm=coarse).iterations == warm.iterations
 
 
 def test_transfer_to_the_same_grid_changes_nothing(interpreted):
