@@ -6,6 +6,7 @@ A scene is a drawing with arrays of numbers in place of sympy expressions.
 from __future__ import annotations
 
 import ast
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -76,16 +77,21 @@ def _by_body(rows: Array, bodies: int) -> Array:
 
 
 def figure_of(
-    module: GeneratedModule, model: Model | PairwiseModel | None, result: Result, unit: str = "", style: str = "page"
+    module: GeneratedModule,
+    model: Model | PairwiseModel | None,
+    result: Result,
+    unit: str = "",
+    style: str = "page",
+    panels: Sequence[str] | None = None,
 ) -> Figure:
     """Return the figure of a result, with the drawing of its model if it has one; `unit` is the unit of time."""
     drawings: Scene | figures.Drawings | None = None
-    if isinstance(model, Model) and model.drawing:
+    if isinstance(model, Model) and model.drawing and panels is None:
         drawings = solution = scene(model.authored, result, fine_times(result.t))
         if is_control(module):
             guess = first_guess_of_segments(module, result)
             drawings = figures.Drawings(solution, scene(model.authored, guess, fine_times(guess.t)))
-    return figures.figure(module, result, drawings, unit, style)
+    return figures.figure(module, result, drawings, unit, style, panels)
 
 
 def save_film(

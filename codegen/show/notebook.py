@@ -248,7 +248,7 @@ def html(result: Result) -> str:
         return summary
 
 
-def picture(result: Result, style: str = "page") -> Picture:
+def picture(result: Result, style: str = "page", panels: Sequence[str] | None = None) -> Picture:
     """Return the figure of a solution; raises ArgumentError for an unknown style."""
     from codegen.show import films
     from codegen.show.figures.picture import Picture
@@ -259,7 +259,7 @@ def picture(result: Result, style: str = "page") -> Picture:
         module = with_values(loading.load(background.path or ""), result.parameters)
     is_file = background.source is not None and not isinstance(background.source, ProblemObject)
     unit = films.unit_of(background.source) if is_file else ""
-    return Picture(films.figure_of(module, _model(background), result, unit, style), style)
+    return Picture(films.figure_of(module, _model(background), result, unit, style, panels), style)
 
 
 def film(result: Result) -> Film:

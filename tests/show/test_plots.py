@@ -156,6 +156,23 @@ def test_nothing_overlaps(states, controls, bodies, form, conditions, height):
     assert {figures.label(f"x{i + 1}") for i in range(states)} <= panels_of
 
 
+@pytest.mark.parametrize("chosen", [["x2"], ["u1", "x1", "p_x2"], ["x1", "x2", "u1", "p_x1", "lambda_x1"]])
+def test_chosen_panels_are_the_only_ones_in_their_order(chosen):
+    module, result = invented(2, 1, 1, "lagrangian", 1)
+    with matplotlib.rc_context(STYLE):
+        figure = figures.control_figure(module, result, chosen=chosen)
+        assert overlaps(figure) == []
+    assert [axes.get_ylabel() for axes in figure.axes] == [figures.label(name) for name in chosen]
+    assert "initial guess" not in [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_unknown_panels_are_refused_with_all_names():
+    module, result = invented(1, 1, 1, "lagrangian")
+    for chosen in (["y"], []):
+        with pytest.raises(ArgumentError, match="choose from x1, p_x1, u1"):
+            figures.control_figure(module, result, chosen=chosen)
+
+
 def test_what_does_not_fit_is_counted():
     module, result = invented(14, 13, 1, "lagrangian")
     title = figures.control_figure(module, result).get_suptitle().replace("\n", " ")

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen.drawing import Scene
+from codegen.errors import ArgumentError
 from codegen.show.figures.control import Drawings, control_figure
 from codegen.show.figures.labels import label
 from codegen.show.figures.pareto import objectives_of, pareto_figure, require_objectives
@@ -46,17 +47,20 @@ def figure(
     drawings: Drawings | Scene | None = None,
     unit: str = "",
     style: str = "page",
+    panels: Sequence[str] | None = None,
 ) -> Figure:
     """Return the figure of a module's result in a style; `unit` is the unit of time if the result has no unit for it.
 
     Raises ArgumentError for an unknown style.
     """
+    if panels is not None and not is_control(module):
+        raise ArgumentError("panels can be chosen for optimal controls only", "leave panels out")
     with using(style):
         if is_connect(module):
             return finished(connect_figure(module, result))
         if is_control(module):
             assert not isinstance(drawings, Scene)
-            return finished(control_figure(module, result, drawings, unit))
+            return finished(control_figure(module, result, drawings, unit, panels))
         assert not isinstance(drawings, Drawings)
         return finished(simulation_figure(result, drawings, unit))
 

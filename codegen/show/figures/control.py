@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import cast
 
@@ -17,6 +17,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from codegen.drawing import Scene
+from codegen.errors import ArgumentError
 from codegen.show.figures import panels, shapes
 from codegen.show.figures.labels import in_unit, label, quantity, title
 from codegen.show.figures.picture import (
@@ -32,7 +33,7 @@ from codegen.show.figures.picture import (
     new_figure,
     present_style,
 )
-from codegen.show.figures.quantities import Quantity, inequalities_of_segments, quantities_of_segments
+from codegen.show.figures.quantities import Inequality, Quantity, inequalities_of_segments, quantities_of_segments
 from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solving.results.estimates import Fit
 from codegen.solving.results.result import Result, Sensitivities
@@ -156,6 +157,8 @@ def residuals(axes: Axes, shown: Measured, count: int) -> None:
 
 WIDTH, WIDE = 12.0, 16.0
 """Width of the figure in inches; a wide figure has two coordinates with momenta in each row."""
+_COLUMN, _MOST_IN_COLUMN = 7.0, 3
+"""Width of a figure of one column of chosen panels, and the largest number of panels in it."""
 
 _MOST_ROWS = 12
 _MOST_INEQUALITIES = 4
@@ -195,12 +198,19 @@ class Drawings:
     guess: Scene
 
 
-def control_figure(module: ControlModule, result: Result, drawings: Drawings | None = None, unit: str = "") -> Figure:
+def control_figure(
+    module: ControlModule,
+    result: Result,
+    drawings: Drawings | None = None,
+    unit: str = "",
+    chosen: Sequence[str] | None = None,
+) -> Figure:
     """Return the figure of an optimum on one page; `unit` is the unit of time.
 
     Each state has a row with its momentum and multiplier. Controls, path inequalities and iterations follow, or stand
     to the right of the drawing of a single body if they fit. The drawing of several bodies shows the initial guess and
-    the optimum.
+    the optimum. The panels `chosen` by names of quantities and conditions replace all others. Raises ArgumentError for
+    an unknown name.
     """
     groups, conditions = quantities_of_segments(module, result), inequalities_of_segments(module, result)
     style = present_style()
@@ -224,7 +234,12 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     if result.sensitivity is not None and (bars := changes(result.sensitivity, quantity_values(module, result))):
         others.append(Panel("", lambda axes: tornado(axes, bars), over_time=False))
     others.sort(key=lambda panel: not panel.over_time)
-    width = WIDE if len(states[0]) > 4 else WIDTH
+    if chosen is not None:
+        groups = {kind: [replace(one, guess=None) for one in group] for kind, group in groups.items()}
+        states, others, drawings = _chosen_rows(chosen, groups, conditions, samples), [], None
+        groups = {kind: [one for one in group if one.name in chosen] for kind, group in groups.items()}
+        conditions = [one for one in conditions if one.name in chosen]
+    width = WIDE if len(states[0]) > 4 else WIDTH if len(states[0]) > 1 or chosen is None else _COLUMN
     band_height, part = _drawing_size(drawings, width)
     columns = math.ceil(len(others) / _MOST_BESIDE)
     beside = 0.0 < part < 1.0 and columns <= (_MOST_COLUMNS_BESIDE if width == WIDE else 1) and not style.is_slide
@@ -261,7 +276,7 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     shown = [quantity for group in groups.values() for quantity in group]
     handles = panels.handles(shown, conditions, outcome, int(metadata.phases), inner_name)
     if handles:
-        lower.legend(handles=handles, loc="outside lower center", ncols=12)
+        lower.legend(handles=handles, loc="outside lower center", ncols=4 if width == _COLUMN else 12)
     if bodies > MOST_BODY_COLOURS:  # a colour bar replaces the legend
         colours = ScalarMappable(BoundaryNorm([i - 0.5 for i in range(bodies + 1)], 256), body_map())
         bar = lower.colorbar(colours, ax=axes, location="right", shrink=0.6, aspect=40, pad=0.01, label="body")
@@ -276,6 +291,25 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     if drawings is not None:
         figure.draw_without_rendering()  # axes of equal scales need a second pass of the layout
     return figure
+
+
+def _chosen_rows(
+    chosen: Sequence[str],
+    groups: dict[str, list[Quantity]],
+    conditions: Sequence[Inequality],
+    samples: Sequence[Measured],
+) -> list[Row]:
+    """Return the panels of quantities and conditions by name, in one column, or in two if there are many."""
+    drawn: dict[str, Panel] = {}
+    for kind, group in groups.items():
+        for one in group:
+            panel = _state_panel(one, samples, {}) if kind == "state" else _panel(one)
+            drawn.setdefault(one.name, replace(panel, kind=""))
+    drawn |= {one.name: Panel("", partial(panels.inequality, shown=one)) for one in conditions}
+    names = [chosen] if isinstance(chosen, str) else list(chosen)
+    if unknown := [name for name in names if name not in drawn] or ([] if names else ["(none)"]):
+        raise ArgumentError(f"there is no panel {unknown[0]}", f"choose from {', '.join(drawn)}")
+    return _in_rows([drawn[name] for name in names], 1 if len(names) <= _MOST_IN_COLUMN else 2)
 
 
 def _state_rows(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import pickle
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -214,7 +214,9 @@ class Display:
         frame.attrs["units"] = {name: unit for name, unit in result.units.items() if name == "t" or name in columns}
         return frame
 
-    def plot(self, path: Path | str | None = None, *, style: str = "page") -> Picture:
+    def plot(
+        self, path: Path | str | None = None, *, style: str = "page", panels: Sequence[str] | None = None
+    ) -> Picture:
         """Return the figure of `codegen solve --plot`.
 
         Parameters
@@ -223,6 +225,9 @@ class Display:
             File to write: .png, .pdf or .svg.
         style : {"page", "paper", "talk"}
             "paper" has the width of two columns of a journal.
+        panels : sequence of str, optional
+            Names of the quantities and path constraints to draw, in this order, without drawing and initial guess. By
+            default the figure of an optimum has a panel for each of them.
 
         Returns
         -------
@@ -232,9 +237,9 @@ class Display:
         Raises
         ------
         ArgumentError
-            For another style or kind of file, and for a result without its module.
+            For another style, panel or kind of file, and for a result without its module.
         """
-        picture: Picture = _PICTURE(self, style)
+        picture: Picture = _PICTURE(self, style, panels)
         if path is not None:
             picture.save(path)
         return picture
