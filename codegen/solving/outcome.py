@@ -58,6 +58,8 @@ _SEARCHES = ("iteration limit", "time limit", "stalled", "infeasible", "saddle p
 """Statuses for which another initial guess or another discretisation may succeed."""
 _ZERO = 1e-10
 """Controls and costs below this magnitude are considered to be zero."""
+_OF_TARGETS = (Kind.END_CONDITION, Kind.INNER_CONDITION, Kind.COUPLING, Kind.INTEGRAL)
+"""Kinds of multipliers of conditions that a motion shall reach."""
 _IDLE = "all controls are zero, and so is the cost: the free motion meets all conditions; is an end missing?"
 _ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relative error of the cost"}
 
@@ -283,7 +285,9 @@ def _with_notes(request: Request, module: GeneratedModule, result: Result) -> Re
     gross = [excursion.note for excursion in excursions(*solution) if excursion.is_gross]
     beyond = [stage.note for stage in stages_beyond(*solution)]
     sizes = [] if result.u is None or not result.u.size else [np.abs(result.u).max(), abs(result.cost or 0.0)]
-    idle = [_IDLE] if sizes and max(sizes) <= _ZERO else []
+    kinds = {meaning.kind for meaning in module.metadata.meanings.values()}
+    has_target = bool(module.metadata.end) or not kinds.isdisjoint(_OF_TARGETS)
+    idle = [_IDLE] if sizes and max(sizes) <= _ZERO and not has_target else []
     return replace(result, notes=(*result.notes, *idle, *gross, *beyond, *(pole.note for pole in poles(*solution))))
 
 

@@ -89,7 +89,7 @@ def test_malformed_command_lines(folder, words, fragment):
 @pytest.mark.parametrize("library", ["xarray", "zarr"])
 def test_without_the_libraries_one_line_names_the_command(folder, monkeypatch, library):
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(ExtraError, match=r"pip install 'variational-codegen\[sweep\]'"):
+    with pytest.raises(ExtraError, match="pip install xarray zarr"):
         codegen.sweep(ORBIT, {"r1": [6.0]})
     assert_refused(run("sweep", ORBIT, "--vary", "r1=5:6:3", "--out", "s.zarr"), f"needs {library}")
 
