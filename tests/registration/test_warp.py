@@ -185,6 +185,6 @@ def test_fields_that_cannot_be_written_say_why(tmp_path, monkeypatch):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setattr("importlib.import_module", lambda name: found("no_such_library"))
     for name in ("field.mha", "field.mhd", "field.nrrd", "field.nii"):
-        with pytest.raises(ExtraError, match="pip install (SimpleITK|nibabel)"):
+        with pytest.raises(ExtraError, match=r"pip install (SimpleITK|nibabel)"):
             write_field(tmp_path / name, field)
         assert not list(tmp_path.iterdir())
