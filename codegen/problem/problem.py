@@ -7,7 +7,7 @@ A problem file returns an object of one of these classes. The object has the exp
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, fields
+from dataclasses import KW_ONLY, MISSING, dataclass, field, fields
 from functools import wraps
 from typing import Any, ClassVar, TypeVar
 
@@ -47,7 +47,7 @@ Author = TypeVar("Author", bound=type[Any])
 
 
 def refusing(kind: Author) -> Author:
-    """Return the class with an `__init__` that raises ProblemFileError for unknown named arguments.
+    """Return the class with an `__init__` that raises ProblemFileError for unknown and for missing arguments.
 
     The remedy in the message suggests a similar argument.
     """
@@ -63,9 +63,12 @@ def refusing(kind: Author) -> Author:
             if kind is Simulate and name in [argument.name for argument in fields(Control)]:
                 remedy = OF_CONTROLS.get(
                     name,
-                    "a simulation follows the motion from its start; what else is asked of it makes it a Control(...)",
+                    "a simulation follows the motion from its start; write a Control(...) for costs and conditions",
                 )
             raise ProblemFileError(f"{kind.__name__}(...) has no argument {name!r}", remedy)
+        for each in fields(kind):
+            if not positional and each.name not in named and each.default is each.default_factory is MISSING:
+                raise ProblemFileError(f"{kind.__name__}(...) lacks {each.name!r}", f"give it, as in {each.name}=...")
         written(self, *positional, **named)
 
     setattr(kind, "__init__", initialised)  # noqa: B010  a method is not declared to change
