@@ -81,9 +81,9 @@ DEFECTS = {
     "wrong unknown": ("interval_hessian", r"= unknowns\[1\]", "= unknowns[0]"),
     "sine for cosine": ("interval_hessian", r"math\.cos\(", "math.sin("),
     "wrong coefficient": ("interval_gradient", r"0\.5\*", "0.25*"),
-    "cost": ("interval_gradient", r"return (.*)", r"return 1.0001*(\1)"),
+    "cost": ("interval_gradient", r"\n    return (.*)", r"\n    return 1.0001*(\1)"),
     "gradient at an end": ("end_gradient", r"gradient\[(\d+)\] \+= (.*?)(  #|\n)", r"gradient[\1] += -(\2)\3"),
-    "cost at an end": ("end_gradient", r"return (.*)", r"return 2*(\1)"),
+    "cost at an end": ("end_gradient", r"\n    return (.*)", r"\n    return 2*(\1)"),
     "Hessian at an end": ("end_hessian", r"hessian\[0\] = (.*?)(  #|\n)", r"hessian[0] = 1.01*(\1)\2"),
 }
 

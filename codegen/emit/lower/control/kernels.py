@@ -102,13 +102,13 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
         kernels += [
             kernel(
                 f"{stem}_gradient",
-                f"Fill the gradient (ELEMENT + SHARED,) of {share} at `unknowns` (ELEMENT,){where}; return Cd.",
+                f"Fill gradient (ELEMENT + SHARED,) of {share} at `unknowns` (ELEMENT,){where}; return Cd.",
                 (*arguments, "gradient"), codes, gradient, element.cost,
                 decorators=INNER, straight_line=element.gradient_assignments,
             ),
             kernel(
                 f"{stem}_hessian",
-                f"Fill the Hessian (HESSIAN_ROWS.size,), lower triangle, of {share} of the Lagrangian{where}.",
+                f"Fill Hessian (HESSIAN_ROWS.size,), lower triangle, of {share} of the Lagrangian{where}.",
                 (*arguments, "hessian"), codes, hessian,
                 decorators=INNER, straight_line=element.hessian_assignments,
             ),
