@@ -88,7 +88,7 @@ def sample_codes(program: ControlProgram) -> dict[Symbol, str]:
 
 def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
     """Return kernels of gradient and Hessian for each contribution to the Lagrangian: intervals, samples and ends."""
-    kernels, arguments, share = list[Kernel](), ("unknowns", "t", "h", "parameters"), "an interval's share l"
+    kernels, arguments, share = list[Kernel](), ("unknowns", "t", "h", "parameters"), "the interval's share l"
     for (stem, where), element in zip(named_elements(program), derivatives.elements, strict=True):
         codes, unknowns = symbol_codes(program, element.unknowns), element.unknowns
         gradient = [
@@ -102,13 +102,13 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
         kernels += [
             kernel(
                 f"{stem}_gradient",
-                f"Fill gradient (ELEMENT + SHARED,) of {share} at `unknowns` (ELEMENT,){where}; return Cd.",
+                f"Fill the gradient (ELEMENT + SHARED,) of {share} at `unknowns`{where}; return Cd.",
                 (*arguments, "gradient"), codes, gradient, element.cost,
                 decorators=INNER, straight_line=element.gradient_assignments,
             ),
             kernel(
                 f"{stem}_hessian",
-                f"Fill Hessian (HESSIAN_ROWS.size,), lower triangle, of {share} of the Lagrangian{where}.",
+                f"Fill the Hessian (HESSIAN_ROWS.size,), lower triangle, of {share}{where}.",
                 (*arguments, "hessian"), codes, hessian,
                 decorators=INNER, straight_line=element.hessian_assignments,
             ),
