@@ -93,7 +93,7 @@ def sweep_request(
             raise ArgumentError(f"--out {path}: unknown kind of file", "let it end in .zarr or .nc")
         require_folder(path.absolute().parent, "--out")
         if resume and path.suffix in FILES:
-            raise ArgumentError(f"--resume: {path} is written at the end, as a whole", "let --out end in .zarr")
+            raise ArgumentError(f"--resume: {path} is written in one piece at the end", "let --out end in .zarr")
         if path.exists() and not resume:
             another = "choose another name" + ("" if path.suffix in FILES else ", or --resume to go on with it")
             raise ArgumentError(f"--out {path} is there already", another)

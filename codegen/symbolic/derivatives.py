@@ -183,7 +183,7 @@ class SecondDerivatives:
 def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequence[Expr] = ()) -> SecondDerivatives:
     """Return programs for the gradient and Hessian of a scalar, without Hessian entries that are identically zero.
 
-    The expressions `beside` become further values of the gradient's program.
+    The expressions in the argument `beside` become further values of the gradient's program.
     """
     graph = Graph(unknowns)
     leaves = range(len(unknowns))

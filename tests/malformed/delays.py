@@ -41,7 +41,7 @@ MALFORMED_DELAYS = (
     _lag(
         "too-short",
         SizeError,
-        "where 32 can be derived; take a delay that goes into the duration fewer times as a whole; 0.03125 divides it",
+        "where 32 can be derived; take a larger delay that divides the duration; 0.03125 divides it",
         "0.01",
     ),
     _lag(

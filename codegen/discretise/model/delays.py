@@ -283,7 +283,7 @@ def _common_parts(model: Model) -> tuple[int, tuple[int, ...]]:
         raise SizeError(
             f"the delay {lag:g} of {model.delays[worst].quantity} in the duration {duration:g} makes {number} equal "
             f"segments, where {most} can be derived",
-            f"take a delay that goes into the duration fewer times as a whole; {these} it",
+            f"take a larger delay that divides the duration; {these} it",
         )
     return number, tuple(int(ratio * number) if ratio < 1 else 0 for ratio in ratios)
 

@@ -564,7 +564,7 @@ def _series_of(name: str, last: int) -> tuple[str, str]:
 
 
 def _blocks(result: ModifiedEquations, model: Model, notation: Notation) -> Iterator[Block]:
-    """Yield blocks of text: the modified field, then the modified Hamiltonian, or the defects if there is none."""
+    """Yield blocks of text: the modified field, then the modified Hamiltonian, or the defects without one."""
     names = ", ".join(notation.name(x) for x in result.states)
     last = len(result.field)
     plain, tex = _series_of("f", last)

@@ -1,4 +1,4 @@
-"""The generation of a report's modules: two worker processes derive and compile them into a folder beside the page.
+"""Generation of the modules of a report: two processes derive and compile them into a folder next to the page.
 
 A survey of a problem file lists the methods and schemes that may apply, and the optimal cost if a closed form exists.
 Surveys and builds need sympy, so they run in the worker processes only.

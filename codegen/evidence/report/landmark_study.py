@@ -146,7 +146,7 @@ def _routes(settings: Settings, store: Store, scheme: str, title: str, costs: st
         for name in ("optimal control", "full", "stepping fsolve", "stepping fmin"):
             head += [f"{name}, thesis", "here"]
         table = Table(
-            "Table 5.1 redone: seconds of explicit Euler, N = 100, the thesis's beside ours (SLSQP for fmincon, "
+            "Table 5.1 redone: seconds of explicit Euler, N = 100, those of the thesis and ours (SLSQP for fmincon, "
             "MINPACK for fsolve, Nelder and Mead for fminsearch, all on generated derivatives). “N ≤” tells how far a "
             "route was taken within the time allowed.",
             (*head, *(f"{name} (generated)" for name in _NEWTON_ROUTES)),

@@ -168,7 +168,7 @@ class Settings:
 
     @property
     def landmarks(self) -> PointSet:
-        """Return the 40 landmarks of two trilobites, from the data beside the problem file."""
+        """Return the 40 landmarks of two trilobites, from the data next to the problem file."""
         return read_points(self.problem.parent / "data" / "trilobite40.csv", 2)
 
     def points(self, count: int) -> PointSet:

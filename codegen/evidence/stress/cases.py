@@ -180,7 +180,7 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
         if run.drift > SIGN or doubled:
             estimate = run.announced if doubled else run.drift
             return "unsuitable", f"error {run.error:.1e}, promised {case.bound:.1e}; the summary reports {estimate:.1e}"
-        return "false solved", f"error {run.error:.1e} beyond {case.bound:.1e}, and nothing in the result says so"
+        return "false solved", f"error {run.error:.1e} beyond {case.bound:.1e}, without a note in the result"
     # Comparisons with NaN are False, so that a drift that was not measured (first-order systems) is not bounded.
     if run.drift <= case.drift:
         coarse = f"; the fast motion is not resolved (h omega = {case.h_omega:.3g})" if case.h_omega > 0.5 else ""

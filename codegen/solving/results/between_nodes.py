@@ -42,7 +42,7 @@ INCREMENT = 1e-6
 LEVELS = 8
 """Number of refinements around a suspected pole; each one reduces the refined neighbourhood to three eighths."""
 BESIDE = 1.5
-"""Half width, in parts of an interval, of the first neighbourhood that is refined around the largest change."""
+"""Half width, relative to an interval, of the first neighbourhood that is refined around the largest change."""
 CONSPICUOUS = 5.0
 """A pole is suspected if the largest change between two parts exceeds the usual change of the interval by this."""
 WITHOUT_END = 1e3
