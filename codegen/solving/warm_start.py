@@ -52,7 +52,7 @@ def start_of(warm: Result | Vector | Path | str | None) -> Callable[[GeneratedMo
         return lambda module: None
     if not isinstance(warm, Path | str):
         values = warm.unknowns if isinstance(warm, Result) else warm
-        unknowns = _vector("a warm start", values, "give a result of this problem, or its unknowns")
+        unknowns = _vector("warm=", values, "give a result of this problem, or its unknowns")
         return lambda module: unknowns
     saved = read_start(Path(warm))
     return lambda module: fitting(saved, module)

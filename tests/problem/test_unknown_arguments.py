@@ -41,5 +41,5 @@ def test_problems_are_made_copied_and_described_as_before():
     assert "duration" in inspect.signature(codegen.Simulate).parameters
     assert pickle.loads(pickle.dumps(problem)) == problem == copy.copy(problem)
     assert replace(problem, steps=7).steps == 7
-    with pytest.raises(TypeError, match="duration"):
+    with pytest.raises(ProblemFileError, match="lacks 'duration'"):
         codegen.Control(lagrangian=dx**2)
