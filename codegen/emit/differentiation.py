@@ -16,7 +16,7 @@ absent forces.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import sympy
@@ -33,8 +33,8 @@ from codegen.discretise.transcribe import transcribe
 from codegen.emit.pairwise_derivatives import PairDerivatives, pair_derivatives
 from codegen.errors import ArgumentError
 from codegen.symbolic import checks as expressions
+from codegen.symbolic.derivatives import first_derivatives, mixed_derivatives, second_derivatives
 from codegen.symbolic.derivatives import jacobian as differentiated
-from codegen.symbolic.derivatives import mixed_derivatives, second_derivatives
 from codegen.symbolic.graph import Assignment
 from codegen.symbolic.zeros import identically_zero
 
@@ -68,6 +68,21 @@ class ElementDerivatives:
 
 
 @dataclass(frozen=True)
+class ShootingGradient:
+    """The gradient of an interval's share if an explicit scheme computes the stages one after the other.
+
+    `assignments` define the stages, then the multipliers of their equations from the last to the first: the derivatives
+    of the share with respect to stages vanish. `gradient` (dense) and `cost` may read all symbols that they define.
+    `dependent` are the indices of the stages and of these multipliers among the unknowns; their gradient is zero.
+    """
+
+    dependent: tuple[int, ...]
+    gradient: tuple[Expr, ...]
+    cost: Expr
+    assignments: tuple[Assignment, ...]
+
+
+@dataclass(frozen=True)
 class ControlDerivatives:
     """All derivatives for the structured Newton method of a control problem.
 
@@ -77,6 +92,7 @@ class ControlDerivatives:
     their block of the Hessian is constant and regular and there are no stages. `stages` counts the first unknowns of an
     interval that the equations of the next multipliers determine. `linear_quadratic` is True if no Hessian entry
     depends on an unknown and one Newton step suffices. Nodal controls can make this system singular and are excluded.
+    `shooting` has one entry for each kind of interval if the scheme is explicit: then a search has no stages.
     """
 
     elements: tuple[ElementDerivatives, ...]
@@ -86,6 +102,7 @@ class ControlDerivatives:
     stages: int
     linear_quadratic: bool
     sample: ElementDerivatives | None = None
+    shooting: tuple[ShootingGradient, ...] = ()
 
     @property
     def element(self) -> ElementDerivatives:
@@ -162,17 +179,21 @@ def control_derivatives(program: ControlProgram) -> ControlDerivatives:
             condensed += len(controls)
     every = (*elements, *samples, start, end)
     varying = set[Symbol]().union(*(share.varying for share in every))
+    linear_quadratic = (
+        not program.nodal_controls
+        and not program.has_inequalities
+        and not program.couplings
+        and not any(value.free_symbols & varying for share in every for _, _, value in share.hessian)
+    )
     return ControlDerivatives(
         elements=elements,
         start=start,
         end=end,
         condensed=condensed,
         stages=stages,
-        linear_quadratic=not program.nodal_controls
-        and not program.has_inequalities
-        and not program.couplings
-        and not any(value.free_symbols & varying for share in every for _, _, value in share.hessian),
+        linear_quadratic=linear_quadratic,
         sample=next(iter(samples), None),
+        shooting=() if linear_quadratic else _shooting_gradients(program, stages, samples),
     )
 
 
@@ -247,6 +268,57 @@ def _stages(program: ControlProgram, element: ElementDerivatives) -> int:
             if (one in equations and other in duals) or (one in staged and other in slacks):
                 return 0
     return count
+
+
+def _shooting_gradients(
+    program: ControlProgram, count: int, samples: Sequence[ElementDerivatives]
+) -> tuple[ShootingGradient, ...]:
+    """Return the gradients of all kinds of intervals, with `count` stages that an explicit scheme computes.
+
+    Return nothing without stages, for an implicit scheme, or if samples of measurements depend on stages.
+    """
+    unknowns, first = program.element_symbols, len(program.node)
+    stages, multipliers = unknowns[first : first + count], unknowns[first + count : first + 2 * count]
+    dependent = range(first, first + 2 * count)
+    if not count or any(sample.gradient[index] != 0 for sample in samples for index in dependent):
+        return ()
+    gradients = []
+    for share in program.interval_elements:
+        values = [sympy.diff(share.element, multiplier) for multiplier in multipliers]
+        values = [stage - value for stage, value in zip(stages, values, strict=True)]
+        if any(value.free_symbols & {*stages[i:]} for i, value in enumerate(values)):
+            return ()
+        others = share.element.xreplace(dict.fromkeys(multipliers, sympy.S.Zero))
+        terms = (multiplier * value for multiplier, value in zip(multipliers, values, strict=True))
+        written = first_derivatives(sympy.Add(others, *(-term for term in terms)), unknowns, (share.cost, *values))
+        slopes, (cost, *values) = written.values[: len(unknowns)], written.values[len(unknowns) :]
+        of_stages = [-slopes[index] for index in dependent[:count]]
+        pairs = zip((*stages, *multipliers), (*values, *of_stages), strict=True)
+        defined = dict((*written.assignments, *pairs))
+        wanted = (*stages, *reversed(multipliers), *defined)
+        gradients.append(
+            ShootingGradient(
+                dependent=tuple(dependent),
+                gradient=tuple(sympy.S.Zero if i in dependent else slope for i, slope in enumerate(slopes)),
+                cost=cost,
+                assignments=_in_order_of_need(defined, wanted),
+            )
+        )
+    return tuple(gradients)
+
+
+def _in_order_of_need(defined: Mapping[Symbol, Expr], wanted: Sequence[Symbol]) -> tuple[Assignment, ...]:
+    """Return assignments to the `wanted` symbols one after the other, each after the assignments that it reads."""
+    number = {symbol: i for i, symbol in enumerate(defined)}
+    placed, waiting = dict[Symbol, Expr](), [*reversed(wanted)]
+    while waiting:
+        missing = defined[waiting[-1]].free_symbols & defined.keys() - placed.keys()
+        if missing:
+            waiting += sorted(missing, key=number.__getitem__, reverse=True)
+        else:
+            symbol = waiting.pop()
+            placed[symbol] = defined[symbol]
+    return tuple(placed.items())
 
 
 def _has_regular_controls(program: ControlProgram, element: ElementDerivatives) -> bool:

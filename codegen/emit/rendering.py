@@ -49,7 +49,7 @@ _OF_PAIRS = ("record", "kernels", "arithmetic", "particles.problem")
 _IMPORTED = {
     "control.py.j2": (
         "search.problem", "search.structure", "search.grid", "search.point", "search.bounds", "search.nlp",
-        "search.solution", "search.sensitivities", *_OF_KERNELS,
+        "search.solution", "search.sensitivities", "search.shooting", *_OF_KERNELS,
     ),
     "simulate.py.j2": ("kernels", "stepping.problem", "stepping.steps", "stepping.motion", *_OF_KERNELS),
     "connect.py.j2": (

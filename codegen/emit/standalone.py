@@ -420,7 +420,7 @@ def _shape_of(text: str) -> Shape:
     """Return the shape of a module's linear system; this executes the module, but compiles no kernel."""
     values: dict[str, object] = {"__name__": "standalone"}
     exec(compile(text, "<module>", "exec"), values)
-    shape: Shape = values["problem"].structure.shape  # type: ignore[attr-defined]
+    shape: Shape = values["problem"].searched.structure.shape  # type: ignore[attr-defined]
     return shape
 
 

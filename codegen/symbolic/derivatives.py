@@ -198,6 +198,15 @@ def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequenc
     return SecondDerivatives(program_of(graph, [*first, *further]), program_of(graph, second), indices)
 
 
+def first_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequence[Expr] = ()) -> StraightLine:
+    """Return a program for the gradient of a scalar; the expressions `beside` become further values."""
+    graph = Graph(unknowns)
+    by_unknown = slopes(graph, graph.of(scalar), range(len(unknowns)))
+    zero = graph.sum(())
+    roots = [*(by_unknown.get(leaf, zero) for leaf in range(len(unknowns))), *map(graph.of, beside)]
+    return program_of(graph, roots)
+
+
 @dataclass(frozen=True)
 class MixedDerivatives:
     """A straight-line program for derivatives of a scalar with respect to data, and to unknowns and data.

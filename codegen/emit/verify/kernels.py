@@ -65,6 +65,9 @@ def verify_control(program: ControlProgram, text: Text) -> None:
         symbols = list(dict.fromkeys([*share.unknowns, *others]))
         drawn = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
         ShareComparison(share, text, [with_time(near, program.model.time), drawn]).verify()
+    for share, near in intervals:
+        if text.defines(_shooting(share)):
+            _verify_shooting(text, share, with_time(near, program.model.time))
     for share, near in samples:
         _verify_values(program, text, share, with_time(near, program.model.time))
 
@@ -152,6 +155,37 @@ def _sample(program: ControlProgram, share: Share, near: Values) -> tuple[Share,
     )  # fmt: skip
     generator, count = np.random.default_rng(7), len(next(iter(near.values())))
     return measured, near | {symbol: generator.uniform(0.1, 0.9, count) for symbol in sample.symbols}
+
+
+def _shooting(share: Share) -> str:
+    """Return the name of the kernel that computes the stages of an interval and the gradient by all other unknowns."""
+    return share.gradient.removesuffix("gradient") + "shooting"
+
+
+def _verify_shooting(text: Text, share: Share, near: Values) -> None:
+    """Compare the gradient without stages with the gradient of the interval at the stages that the kernel computes."""
+    numbers, size = complex_numbers(np.complex128), len(share.unknowns)
+    points = {symbol: values.astype(complex) for symbol, values in near.items()}
+    kernels = text.kernels((_shooting(share), share.gradient), numbers)
+    found: list[Operand] = [0.0] * size
+    expected: list[Operand] = [0.0] * size
+
+    def both(unknowns: list[Operand], *others: Operand) -> Operand:
+        *given, filled = others
+        cost = kernels[_shooting(share)](unknowns, *given, filled)
+        return cost - kernels[share.gradient](unknowns, *given, expected)
+
+    with np.errstate(all="ignore"):
+        excess = share.call_gradient(both, points, found)
+    size_of_terms = np.maximum(1.0, np.max([np.abs(value) + 0.0 * near[STEP] for value in expected], axis=0))
+    names = [*(f"dl/d{symbol}" for symbol in share.unknowns), "Cd"]
+    for name, difference in zip(names, [*(a - b for a, b in zip(found, expected, strict=True)), excess], strict=True):
+        errors = np.abs(difference) / size_of_terms
+        if np.any(errors > _ROUNDING):
+            raise VerificationError(
+                f"{name} of {share.name} without stages differs from its value at the stages",
+                "this is a defect of codegen, and nothing was written; please report it with the problem file",
+            )
 
 
 def _verify_values(program: ControlProgram, text: Text, share: Share, near: Values) -> None:

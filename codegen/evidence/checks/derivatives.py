@@ -70,8 +70,9 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
         symbols = [*unknowns, *other_symbols(program)]
         scalar, cost = function_of(symbols, [share.element]), function_of(symbols, [share.cost])
         tape, kind = Tape([share.element]), np.clongdouble
-        first, second, steps = Agreement(), Agreement(), Agreement()
+        first, second, steps, without_stages = Agreement(), Agreement(), Agreement(), Agreement()
         module, pattern = context.module, pattern_of(context.module, "interval")
+        shooting = getattr(module, f"{stem}_shooting", None)
         names = [f"dl/d{x}" for x in unknowns]
         local, size = unknowns[: len(unknowns) - len(program.shared)], len(unknowns)
         likely = near_interval(context, program, stem)
@@ -88,6 +89,14 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
                 exact = second_differences(scalar, numbers, pattern)
                 pairs = [f"d2l/d{unknowns[r]} d{unknowns[c]}" for r, c in pattern]
                 second.compare(pairs, entries, [exact[pair] for pair in pattern])
+                if shooting is not None:
+                    # At the stages and multipliers that the kernel computes, derivatives by stages vanish.
+                    filled, slopes_without = x.copy(), np.zeros(size)
+                    cost_without = plain(shooting)(filled, t, h, parameters, slopes_without)
+                    at = [*map(float, filled), *numbers[len(local) :]]
+                    if np.isfinite(filled).all():
+                        exact_slopes = [*gradient(scalar, at, range(size)), cost(*map(mpmath.mpf, at))]
+                        without_stages.compare([*names, "Cd"], [*slopes_without, cost_without], exact_slopes)
             shifted = {symbol: np.full(size, number, kind) for symbol, number in point.items()}
             for i, symbol in enumerate(unknowns):
                 shifted[symbol][i] += 1j * step_of(kind)
@@ -98,6 +107,8 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
         yield first.finding(f"{stem}_gradient", "120-digit differences of l")
         yield steps.finding(f"{stem}_gradient", "complex steps of l")
         yield second.finding(f"{stem}_hessian", "120-digit second differences of l")
+        if shooting is not None:
+            yield without_stages.finding(f"{stem}_shooting", "120-digit differences of l at the stages")
     yield from _end(context, program, "start", program.start, program.left_symbols)
     yield from _end(context, program, "end", program.end, program.right_symbols)
     yield from check_couplings(context, program)

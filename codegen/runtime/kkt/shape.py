@@ -44,8 +44,6 @@ class Shape(NamedTuple):
         Stages of an interval; they are eliminated with the multipliers of their equations.
     reach : int
         Unknowns other than stages in the equations of the stages, rounded up to a multiple of four.
-    triangular : int
-        1 if the Jacobian of these equations with respect to the stages is a lower triangle, else 0.
     """
 
     node: int
@@ -61,7 +59,6 @@ class Shape(NamedTuple):
     constant: int
     stages: int = 0
     reach: int = 0
-    triangular: int = 0
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -165,8 +162,7 @@ NAMES = (
 The other tables concern the stages of an interval. STAGED lists the entries of the Hessian of an interval with stages
 or multipliers of their equations. It has four parts, in this order:
 
-- SLOPE: the Jacobian of the stage equations with respect to stages. If it is a lower triangle, the diagonal comes last
-  in each row.
+- SLOPE: the Jacobian of the stage equations with respect to stages.
 - OUTER: the Jacobian of the stage equations with respect to other unknowns. Its columns are indices of REACH.
 - CURVED: second derivatives with respect to two stages.
 - CROSS: second derivatives with respect to another unknown (row) and a stage (column). Its rows are indices of CROSSED.

@@ -9,10 +9,10 @@ A is square and regular: ds = S dy + s0 with S = -inverse(A) B and s0 = -inverse
 
     (H_yy + H_ys S + S' H_sy + S' H_ss S) dy = -(g_y + H_ys s0 + S' (g_s + H_ss s0)).
 
-Stages and multipliers have as many negative as positive eigenvalues, and need no search for pivots. For explicit
-schemes A is a sparse lower triangle. Otherwise A is factored with row exchanges: P A = L U. In feasibility restoration
-the multipliers have entries on the diagonal of the KKT matrix. Then, and if A is singular, stages and multipliers are
-eliminated as a dense symmetric matrix.
+Stages and multipliers have as many negative as positive eigenvalues, and need no search for pivots. A is factored with
+row exchanges: P A = L U. In feasibility restoration the multipliers have entries on the diagonal of the KKT matrix.
+Then, and if A is singular, stages and multipliers are eliminated as a dense symmetric matrix. A search has no stages of
+explicit schemes, see `search.shooting`.
 
 The tuple `kept` holds the factors of the N intervals of a body; s is the number of stages.
 
@@ -21,7 +21,7 @@ The tuple `kept` holds the factors of the N intervals of a body; s is the number
 - reduced (N, s, reach): S. Its width is a multiple of four. The table REACH lists the rows of an element matrix that
   belong to its columns.
 - offsets (N, s): s0.
-- lower, upper (N, s, padded s): L and U; without rows for explicit schemes.
+- lower, upper (N, s, padded s): L and U.
 - dense (N, 2 s, width), pivots (N, 2 s, 2): factors and inverse pivots of dense matrices.
 - orders (N, 2 s + 1), integers: the order of pivots or rows. The last number is 1 if A was solved, and 0 if the dense
   matrix was eliminated.
@@ -86,21 +86,21 @@ def stage_views(shape, tables, reals, integers, bodies, body, steps):
     The storage begins at the pointers `reals` and `integers`.
     """
     stages, reach, width = shape.stages, shape.reach, dense_width(shape)
-    copied, solved = count_of(tables, STAGED) + stages, 0 if shape.triangular else stages
-    of_body = steps * (copied + stages * (1 + reach) + 2 * solved * padded(stages) + 2 * stages * (width + 2))
+    copied = count_of(tables, STAGED) + stages
+    of_body = steps * (copied + stages * (1 + reach) + 2 * stages * padded(stages) + 2 * stages * (width + 2))
     at_entries = body * of_body
     at_reduced = at_entries + steps * copied
     at_offsets = at_reduced + steps * stages * reach
     at_lower = at_offsets + steps * stages
-    at_upper = at_lower + steps * solved * padded(stages)
-    at_dense = at_upper + steps * solved * padded(stages)
+    at_upper = at_lower + steps * stages * padded(stages)
+    at_dense = at_upper + steps * stages * padded(stages)
     at_pivots = at_dense + steps * 2 * stages * width
     kept = (
         carray(ahead(reals, at_entries), (steps, copied)),
         carray(ahead(reals, at_reduced), (steps, stages, reach)),
         carray(ahead(reals, at_offsets), (steps, stages)),
-        carray(ahead(reals, at_lower), (steps, solved, padded(stages))),
-        carray(ahead(reals, at_upper), (steps, solved, padded(stages))),
+        carray(ahead(reals, at_lower), (steps, stages, padded(stages))),
+        carray(ahead(reals, at_upper), (steps, stages, padded(stages))),
         carray(ahead(reals, at_dense), (steps, 2 * stages, width)),
         carray(ahead(reals, at_pivots), (steps, 2 * stages, 2)),
         carray(ahead(integers, body * steps * (2 * stages + 1)), (steps, 2 * stages + 1)),
@@ -131,8 +131,8 @@ def stage_sizes(shape, copied, bodies, steps):
 
     stages, reach = shape.stages, shape.reach
     rows = shape.stride - shape.condensed - 2 * stages + shape.node + shape.border + shape.shared
-    width, solved = fours(2 * stages + fours(rows)), 0 if shape.triangular else stages
-    of_interval = copied + stages * (2 + reach) + 2 * solved * fours(stages) + 2 * stages * (width + 2)
+    width = fours(2 * stages + fours(rows))
+    of_interval = copied + stages * (2 + reach) + 2 * stages * fours(stages) + 2 * stages * (width + 2)
     room = reach * (stages + reach + rows) + 2 * stages * width + width
     return bodies * steps * of_interval + room, bodies * steps * (2 * stages + 1)
 
@@ -155,10 +155,7 @@ def eliminate_stages(shape, tables, hessian, gradient, diagonal, k, kept, room, 
         largest = max(largest, abs(diagonal[first + stages + i]))
     is_solved = largest <= NEGLIGIBLE
     if is_solved:
-        if shape.triangular:
-            is_solved = solve_triangle(shape, tables, own, reduced[k])
-        else:
-            is_solved = solve_by_factors(shape, tables, own, lower[k], upper[k], order, reduced[k])
+        is_solved = solve_by_factors(shape, tables, own, lower[k], upper[k], order, reduced[k])
     order[2 * stages] = is_solved
     if not is_solved:
         return eliminate_dense(shape, tables, own, gradient, diagonal, first, dense[k], pivots[k], order, room, element)
@@ -194,28 +191,6 @@ def put_outer(tables, own, reduced):
     clear(reduced)
     for j in range(count_of(tables, OUTER_ROWS)):
         reduced[np.uint64(tables[rows + j]), np.uint64(tables[columns + j])] = -own[at + j]
-
-
-@njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
-def solve_triangle(shape, tables, own, reduced):
-    """Fill `reduced` with S = -inverse(A) B if the stage Jacobian A is a lower triangle; return True if A is regular.
-
-    The table of A must end each row with the diagonal.
-    """
-    rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
-    put_outer(tables, own, reduced)
-    for j in range(count_of(tables, SLOPE_ROWS)):
-        row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
-        if row != column:
-            subtract_row(own[j], reduced, column, shape.reach, reduced, row)
-            continue
-        if not abs(own[j]) > 1e-300:
-            return False
-        if own[j] != 1.0:
-            scale = 1.0 / own[j]
-            for c in range(shape.reach):
-                reduced[row, c] *= scale
-    return True
 
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
@@ -318,15 +293,6 @@ def solve_offsets(shape, tables, own, gradient, first, lower, upper, order, offs
     stages = shape.stages
     for i in range(stages):
         offsets[i] = -gradient[first + stages + i]
-    if shape.triangular:
-        rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
-        for j in range(count_of(tables, SLOPE_ROWS)):
-            row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
-            if row != column:
-                offsets[row] -= own[j] * offsets[column]
-            else:
-                offsets[row] /= own[j]
-        return
     for c in range(stages):
         best = order[c]
         offsets[c], offsets[best] = offsets[best], offsets[c]
@@ -346,15 +312,6 @@ def solve_offsets(shape, tables, own, gradient, first, lower, upper, order, offs
 def solve_transposed(shape, tables, own, lower, upper, order, values):
     """Replace `values` (s,) by inverse(A') times `values`, where A is the Jacobian of the stage equations."""
     stages = shape.stages
-    if shape.triangular:
-        rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
-        for j in range(count_of(tables, SLOPE_ROWS) - 1, -1, -1):
-            row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
-            if row != column:
-                values[column] -= own[j] * values[row]
-            else:
-                values[row] /= own[j]
-        return
     for i in range(stages):
         values[i] /= upper[i, i]
         for j in range(i + 1, stages):

@@ -252,18 +252,19 @@ def measured_again(bounds, is_multiplier, known, x, g, distance, duals, vectors)
 
 
 @njit(error_model="numpy")
-def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted):
+def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted, is_new=True):
     """Factor the KKT matrix with the right-hand side and the diagonal in the work space.
 
     Return the excess of negative eigenvalues, see `factor_at`. If `is_wanted`, fill the step in the work space.
-    `weight_of_cost`, 0 or 1, multiplies the Hessian of the cost.
+    `weight_of_cost`, 0 or 1, multiplies the Hessian of the cost. If not `is_new`, the second derivatives are those of
+    the last call.
     """
     steps, h, nodes, parameters, _, sizes, _, _, _, _, _ = grid
     tables, factors, orders, entries, scaled, costless, inverses, counts, equations, _, _ = system
     chosen = scaled if weight_of_cost == 1.0 else costless
     return factor_at(
         problem[1], problem[2], x, sizes, vectors[SCALED], chosen, steps, h, nodes, parameters, tables, entries,
-        vectors[RIGHT], vectors[DIAGONAL], equations, factors, orders, inverses, counts, vectors[STEP], is_wanted,
+        vectors[RIGHT], vectors[DIAGONAL], equations, factors, orders, inverses, counts, vectors[STEP], is_wanted, is_new,
     )  # fmt: skip
 
 
@@ -647,10 +648,11 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
         at_once = least if before > 0.0 and least > SMALL_DELTA_W and not integers[WAS_SINGULAR] else 0.0
     delta_c, shift_c = 0.0, DUAL_SHIFT * max(mu, 1e-100) ** 0.25 if is_bounded else DUAL_SHIFT
     delta_w = max(damping, at_once)
-    right, step = vectors[RIGHT], vectors[STEP]
+    right, step, is_new = vectors[RIGHT], vectors[STEP], True
     while delta_w < 1e20:
         fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, right, vectors[DIAGONAL])
-        excess = factored(problem, grid, system, x, 1.0, vectors, True)
+        excess = factored(problem, grid, system, x, 1.0, vectors, True, is_new)
+        is_new = False
         integers[FACTORISATIONS] += 1
         if excess == 0:
             slope, of_rounding, longest, dual_length = measure_step(
@@ -669,7 +671,7 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
                     continue
             is_refined = False
             if careful:  # the step is measured again: it changes even if its residual does not fall
-                is_refined = refined(problem, grid, system, x, vectors, room)
+                is_refined, is_new = refined(problem, grid, system, x, vectors, room), True
                 slope, of_rounding, longest, dual_length = measure_step(
                     grid, bounds, x, right, step, distance, duals, mu, barriers[DUAL_STEP]
                 )

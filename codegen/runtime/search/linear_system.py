@@ -129,7 +129,7 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None, step=Non
     excess = factor_at(
         system.loop, system.address, unknowns, sizes, np.empty(sizes.size), factors, steps, h, nodes, parameters,
         system.tables, system.entries, right, diagonal, system.equations, system.factors, system.orders,
-        system.inverses, system.counts, NONE if step is None else step, step is not None,
+        system.inverses, system.counts, NONE if step is None else step, step is not None, True,
     )  # fmt: skip
     return None if excess == SINGULAR else excess
 
@@ -150,17 +150,17 @@ def solve_kkt(grid, system, gradient, step):
 @njit(cache=True, error_model="numpy", nogil=True)
 def factor_at(
     loop, address, unknowns, sizes, scaled, factors_of_entries, steps, h, nodes, parameters, tables, entries, right,
-    diagonal, equations, factors, orders, inverses, counts, step, is_wanted,
+    diagonal, equations, factors, orders, inverses, counts, step, is_wanted, is_new,
 ):  # fmt: skip
     """Factor the linear system at `address` with the second derivatives from `loop`; return the excess or SINGULAR.
 
     The excess is the number of negative eigenvalues minus the number of equations, see `factor_kkt`.
     `factors_of_entries` are the scaling factors of the second derivatives. If `is_wanted`, `step` (n,) is filled with
-    the solution for the right-hand side -`right` (n,). The other arguments come from a Grid and a System.
+    the solution for the right-hand side -`right` (n,). If not `is_new`, `entries` has these second derivatives already.
+    The other arguments come from a Grid and a System.
     """
-    fill_entries(
-        loop, unknowns, sizes, scaled, factors_of_entries, steps, h, nodes, parameters, counts, entries
-    )  # fmt: skip
+    if is_new:
+        fill_entries(loop, unknowns, sizes, scaled, factors_of_entries, steps, h, nodes, parameters, counts, entries)
     return call_system(
         address, 1, counts[0], steps, inverses, tables.ctypes.data, entries.ctypes.data, right.ctypes.data,
         diagonal.ctypes.data, equations, factors.ctypes.data, orders.ctypes.data, step.ctypes.data, is_wanted,

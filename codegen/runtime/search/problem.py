@@ -176,6 +176,10 @@ class ControlProblem:
         The default numbers of each table.
     observations : tuple of array
         The default measurements of each body: rows of time, values, standard deviations.
+    shooting : Shooting or None
+        Loops without stages, if the scheme is explicit.
+    with_stages : ControlProblem or None
+        The problem with stages, if this is the problem without stages that belongs to it.
     """
 
     structure: Structure
@@ -195,6 +199,8 @@ class ControlProblem:
     range_names: tuple[str, ...] = ()
     tables: Mapping[str, np.ndarray] = field(default_factory=dict)
     observations: tuple[np.ndarray, ...] = ()
+    shooting: Any = None
+    with_stages: Any = None
 
     def __reduce__(self):
         """Pickle the problem as the name of its module, which another process imports."""
@@ -204,6 +210,13 @@ class ControlProblem:
     def storage(self):
         """The Storage for arrays of finished searches."""
         return Storage()
+
+    @cached_property
+    def searched(self):
+        """The problem that a search solves: for an explicit scheme without stages, see `shooting`."""
+        from codegen.runtime.search.shooting import shooting_problem
+
+        return self if self.shooting is None else shooting_problem(self)
 
     @cached_property
     def mixed(self):
@@ -224,10 +237,12 @@ class ControlProblem:
         """Return the loops of the problem, beginning with the loops that take longest to compile."""
         of_data = self.data.loop if self.data else None
         loops = self.hessians, of_data, self.gradient, self.parts, self.inputs
+        if self.shooting is not None:
+            loops = self.shooting.hessians, *loops, self.shooting.gradient, self.shooting.stages
         return tuple(loop for loop in loops if loop is not None)
 
     def compile(self):
         """Compile the loops of the problem and the linear system of its shape."""
         for loop in self.kernels():
             loop.address  # noqa: B018
-        self.system  # noqa: B018
+        self.searched.system  # noqa: B018

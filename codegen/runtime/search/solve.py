@@ -19,7 +19,13 @@ from codegen.runtime.search.grid import NONE, plain_grid, with_pinned_values
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.runtime.search.messages import describe
 from codegen.runtime.search.point import evaluate, fill, lagrangian
-from codegen.runtime.search.scaling import scaled_grid
+from codegen.runtime.search.shooting import (
+    kept_unknowns,
+    scaled_shooting_grid,
+    shooting_grid,
+    whole_grid,
+    whole_unknowns,
+)
 from codegen.runtime.search.termination import final_status, is_solved, unscaled_unknowns
 
 # If the factors `forces` of the gradient at a solution exceed those at the guess by a larger ratio, the problem is
@@ -48,8 +54,35 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
 
     `scaled` is the grid with the scaling factors of the guess. A search may stall, for example from a symmetric guess
     through the middle of an obstacle. Searches from up to VARIED varied guesses then follow. The message names the
-    guess that has succeeded, or the number of guesses that have failed.
+    guess that has succeeded, or the number of guesses that have failed. For an explicit scheme, the search has no
+    stages, see `shooting`; `point` and `scaled` have them.
     """
+    if grid.problem.shooting is None:
+        return optimise_any(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
+    kept = unknowns[kept_unknowns(grid.problem.structure, grid.steps)]
+    status, message, point, iterations, scaled = optimise_any(
+        shooting_grid(grid), kept, tolerance, max_iterations, warm, scaling, log
+    )
+    return status, message, with_stages(grid, point), iterations, whole_grid(scaled)
+
+
+def with_stages(grid, point):
+    """Return the Point with stages of a Point without stages, all in the units of the problem of the `grid`."""
+    whole = evaluate(grid, whole_unknowns(grid, point.unknowns))
+    error = max(whole.residual, point.stationarity)
+    return whole._replace(cost=point.cost, stationarity=point.stationarity, error=error)
+
+
+def described(grid, guess, point, status):
+    """Return the final status and a message as `describe` does; `grid` may belong to a problem without stages."""
+    if grid.problem.with_stages is not None:
+        grid = whole_grid(grid)
+        point, guess = with_stages(plain_grid(grid), point), whole_unknowns(grid, guess)
+    return describe(grid, guess, point, status)
+
+
+def optimise_any(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
+    """Minimise from a guess, or from varied guesses if the search stalls; return the same as `optimise`."""
     outcome = optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
     status, message, point, iterations, scaled = outcome
     is_linear = grid.problem.structure.linear_quadratic
@@ -91,7 +124,7 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
     if grid.problem.variable_bounds is not None and not grid.bounds:
         grid = grid._replace(bounds=bounds_of(grid))
     if scaling == "auto":
-        grid = scaled_grid(grid, unknowns)
+        grid = scaled_shooting_grid(grid, unknowns)
     if s.forward and not warm:
         status, grid, point, iterations = search_forward(grid, unknowns, tolerance, max_iterations, scaling, log)
     else:
@@ -102,7 +135,7 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
         if not grid.sizes.size or status != "solved" or iterations >= max_iterations:
             break
         begin = np.where(grid.is_multiplier, 0.0, unscaled_unknowns(grid, point.unknowns))
-        finer = scaled_grid(plain_grid(grid), begin, is_solution=True)
+        finer = scaled_shooting_grid(plain_grid(grid), begin, is_solution=True)
         forces = finer.forces if finer.sizes.size else 1.0
         if not (forces > np.where(grid.is_multiplier, STEEPER, STEEPER_COST) * grid.forces).any():
             break
@@ -121,7 +154,7 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
         stationarity, plain = point.stationarity / grid.weight, plain_grid(grid)
         unscaled = evaluate(plain, with_pinned_values(plain, point.unknowns * grid.sizes))
         unscaled = unscaled._replace(stationarity=stationarity, error=max(unscaled.residual, stationarity))
-    status, message = describe(grid, unknowns, unscaled, status)
+    status, message = described(grid, unknowns, unscaled, status)
     cost = corrected_cost(grid, point) if status == "solved" else unscaled.cost
     return status, message, unscaled._replace(cost=cost), iterations, scaled
 
@@ -140,7 +173,7 @@ def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log):
     plain = plain_grid(grid)
     motion = forward_motion(plain, unknowns)
     if motion is not None:
-        motion_grid = scaled_grid(plain, motion) if scaling == "auto" else plain
+        motion_grid = scaled_shooting_grid(plain, motion) if scaling == "auto" else plain
         begin, remaining = scaled_unknowns(motion_grid, motion), max_iterations - total
         if status == "iteration limit":
             remaining = min(remaining, FROM_MOTION)  # the first search may still succeed

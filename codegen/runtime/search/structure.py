@@ -188,12 +188,9 @@ class Structure:
         if self.only_at_ends.min(initial=block) < inner:
             inner = block
         flags = self.backward, self.bordered, self.carried, self.constant
-        # For explicit schemes, stages depend on earlier stages only, and every equation contains its own stage.
-        _, rows, columns = self.stage_entries[0]
-        is_triangular = bool((columns <= rows).all()) and np.count_nonzero(columns == rows) == self.stages > 0
         return Shape(
             self.node, self.stride, self.condensed, int(inner), self.border.size, self.shared, self.root,
-            *map(int, flags), self.stages, -(-self.stage_reach.size // 4) * 4, int(is_triangular),
+            *map(int, flags), self.stages, -(-self.stage_reach.size // 4) * 4,
         )  # fmt: skip
 
     @cached_property

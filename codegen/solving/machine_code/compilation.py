@@ -92,7 +92,7 @@ def parts_of(module: Any) -> list[Part]:
     )
     kernels = [Part(kernel.function, partial(getattr, kernel, "address")) for kernel in module.problem.kernels()]
     if hasattr(module.problem, "structure"):
-        *system_parts, system = linear_system(module.problem.structure.shape)
+        *system_parts, system = linear_system(module.problem.searched.structure.shape)
         return [first, *system_parts, *others, *kernels, system]
     return [first, *kernels, *others]
 
@@ -158,7 +158,7 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     )  # fmt: skip
     yield point.measured_gradient, (int64, REALS, REALS, float64, *grid, MASK, REALS, REALS)
     yield linear_system.factor_at, (
-        int64, int64, *[REALS] * 4, *grid, INTEGERS, *[REALS] * 3, *factors, REALS, boolean,
+        int64, int64, *[REALS] * 4, *grid, INTEGERS, *[REALS] * 3, *factors, REALS, boolean, boolean,
     )  # fmt: skip
     yield linear_system.fill_entry_factors, (REALS, REALS, INTEGERS, INTEGERS, MASK, REALS, INTEGERS, TABLE)
     yield linear_system.solve_at, (int64, int64, INTEGERS, REALS, *factors, REALS)

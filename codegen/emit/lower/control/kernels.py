@@ -39,7 +39,10 @@ def named_elements(program: ControlProgram) -> list[tuple[str, str]]:
     return named
 
 
-def choices(program: ControlProgram, has_sensitivities: bool) -> tuple[Choice, ...]:
+_SHOOTING = "Fill stages and their multipliers in `unknowns`, and the gradient by all others; return Cd."
+
+
+def choices(program: ControlProgram, has_sensitivities: bool, is_shooting: bool) -> tuple[Choice, ...]:
     """Return the functions that choose the kernel of an interval by its time t; each phase has a length of 1 in t."""
     if not program.phases:
         return ()
@@ -50,6 +53,8 @@ def choices(program: ControlProgram, has_sensitivities: bool) -> tuple[Choice, .
     shares = [part for share in program.interval_elements for part in (share.element, share.cost)]
     if any(table.shape.outside == "error" for table in tables_of(shares, program.start, program.end)):
         kinds.append(("inputs", "Least and greatest `inputs` (RANGED, 2) with which tables are read on an interval."))
+    if is_shooting:
+        kinds.append(("shooting", _SHOOTING))
     if has_sensitivities:
         kinds.append(
             ("mixed", "Derivatives of an interval's share l: `slopes` (DATA,) by data, `mixed` by unknowns and data.")
@@ -62,7 +67,8 @@ def choices(program: ControlProgram, has_sensitivities: bool) -> tuple[Choice, .
     functions = []
     for kind, summary in kinds:
         names = [f"{stem}_{kind}" for stem in stems]
-        arguments = ("unknowns", "t", "h", "parameters", *(("slopes",) if kind == "mixed" else ()), kind)
+        filled = {"mixed": ("slopes", "mixed"), "shooting": ("gradient",)}.get(kind, (kind,))
+        arguments = ("unknowns", "t", "h", "parameters", *filled)
         branches = tuple(zip(conditions, names, strict=False))
         functions.append(Choice(f"interval_{kind}", summary, arguments, branches, names[-1]))
     return tuple(functions)
@@ -113,6 +119,23 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
                 decorators=INNER, straight_line=element.hessian_assignments,
             ),
         ]  # fmt: skip
+    for (stem, where), share in zip(named_elements(program), derivatives.shooting, strict=False):
+        every = program.element_symbols
+        dependent = {every[i] for i in share.dependent}
+        outputs = [Output(f"unknowns[{i}]", every[i], "") for i in share.dependent]
+        slopes = zip(every, share.gradient, strict=True)
+        outputs += [
+            Output(f"gradient[{i}]", value, f"dl/d{symbol}")
+            for i, (symbol, value) in enumerate(slopes)
+            if i not in share.dependent
+        ]
+        kernels.append(
+            kernel(
+                f"{stem}_shooting", _SHOOTING.replace(" by", where + " by"), (*arguments, "gradient"),
+                {s: code for s, code in symbol_codes(program, every).items() if s not in dependent}, outputs, share.cost,
+                decorators=INNER, straight_line=share.assignments,
+            )
+        )  # fmt: skip
     if program.sample is not None and derivatives.sample is not None:
         kernels += _sample_kernels(program, derivatives.sample, derivatives.element)
     is_curved = bool(derivatives.start.hessian or derivatives.end.hessian)

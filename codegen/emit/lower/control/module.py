@@ -84,6 +84,7 @@ def lower_control(
             *((("variable_bounds", "variable_bounds"),) if program.has_inequalities else ()),
             *((("phase_durations", "phase_durations"),) if program.phases else ()),
             *((("inputs", "input_loop"), ("ranges", "RANGES"), ("range_names", "RANGE_NAMES")) if ranged else ()),
+            *((("shooting", "Shooting(REDUCTION, shooting_gradient_loop, shooting_hessian_loop, stage_loop)"),) if derivatives.shooting else ()),
             *((("tables", "TABLES"),) if tables else ()),
             *((("observations", "OBSERVATIONS"),) if program.sample else ()),
         ),
@@ -92,6 +93,7 @@ def lower_control(
             ("SENSITIVE", int(by_data is not None)),
             ("RANGED", len(ranged)),
             ("SAMPLED", len(model.measurements)),
+            ("SHOOTING", int(bool(derivatives.shooting))),
             ("CURVED", int(layout.has_nonlinear_ends(derivatives))),
         ),
         arguments=arguments_of(model),
@@ -114,6 +116,6 @@ def lower_control(
         bounds=bounds(program),
         solution=layout.solution(program),
         coupling_kinds=(tuple(k.name for k in couplings),) if couplings else (),
-        choices=control_kernels.choices(program, by_data is not None),
+        choices=control_kernels.choices(program, by_data is not None, bool(derivatives.shooting)),
         sensitivities=(sensitivities.text_of(program),) if by_data else (),
     )
