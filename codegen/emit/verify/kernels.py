@@ -179,9 +179,9 @@ def _verify_shooting(text: Text, share: Share, near: Values) -> None:
         excess = share.call_gradient(both, points, found)
     size_of_terms = np.maximum(1.0, np.max([np.abs(value) + 0.0 * near[STEP] for value in expected], axis=0))
     names = [*(f"dl/d{symbol}" for symbol in share.unknowns), "Cd"]
-    for name, difference in zip(names, [*(a - b for a, b in zip(found, expected, strict=True)), excess], strict=True):
-        errors = np.abs(difference) / size_of_terms
-        if np.any(errors > _ROUNDING):
+    excesses = [*(a - b for a, b in zip(found, expected, strict=True)), excess]
+    for name, each in zip(names, excesses, strict=True):
+        if np.any(np.abs(each) / size_of_terms > _ROUNDING):
             raise VerificationError(
                 f"{name} of {share.name} without stages differs from its value at the stages",
                 "this is a defect of codegen, and nothing was written; please report it with the problem file",

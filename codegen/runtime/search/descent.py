@@ -264,7 +264,8 @@ def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted, is_ne
     chosen = scaled if weight_of_cost == 1.0 else costless
     return factor_at(
         problem[1], problem[2], x, sizes, vectors[SCALED], chosen, steps, h, nodes, parameters, tables, entries,
-        vectors[RIGHT], vectors[DIAGONAL], equations, factors, orders, inverses, counts, vectors[STEP], is_wanted, is_new,
+        vectors[RIGHT], vectors[DIAGONAL], equations, factors, orders, inverses, counts, vectors[STEP], is_wanted,
+        is_new,
     )  # fmt: skip
 
 

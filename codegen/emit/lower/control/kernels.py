@@ -119,9 +119,10 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
                 decorators=INNER, straight_line=element.hessian_assignments,
             ),
         ]  # fmt: skip
-    for (stem, where), share in zip(named_elements(program), derivatives.shooting, strict=False):
+    for (stem, _), share in zip(named_elements(program), derivatives.shooting, strict=False):
         every = program.element_symbols
         dependent = {every[i] for i in share.dependent}
+        codes = {symbol: code for symbol, code in symbol_codes(program, every).items() if symbol not in dependent}
         outputs = [Output(f"unknowns[{i}]", every[i], "") for i in share.dependent]
         slopes = zip(every, share.gradient, strict=True)
         outputs += [
@@ -131,8 +132,7 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
         ]
         kernels.append(
             kernel(
-                f"{stem}_shooting", _SHOOTING.replace(" by", where + " by"), (*arguments, "gradient"),
-                {s: code for s, code in symbol_codes(program, every).items() if s not in dependent}, outputs, share.cost,
+                f"{stem}_shooting", _SHOOTING, (*arguments, "gradient"), codes, outputs, share.cost,
                 decorators=INNER, straight_line=share.assignments,
             )
         )  # fmt: skip

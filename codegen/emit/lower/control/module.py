@@ -21,6 +21,9 @@ from codegen.emit.lower.tables import (
 )
 from codegen.symbolic.functions import tables_of
 
+_SHOOTING = "Shooting(REDUCTION, shooting_gradient_loop, shooting_hessian_loop, stage_loop)"
+"""The record of the loops that `templates/loops.txt` defines for explicit schemes."""
+
 
 def lower_control(
     program: ControlProgram, derivatives: ControlDerivatives, by_data: ControlSensitivities | None = None
@@ -84,7 +87,7 @@ def lower_control(
             *((("variable_bounds", "variable_bounds"),) if program.has_inequalities else ()),
             *((("phase_durations", "phase_durations"),) if program.phases else ()),
             *((("inputs", "input_loop"), ("ranges", "RANGES"), ("range_names", "RANGE_NAMES")) if ranged else ()),
-            *((("shooting", "Shooting(REDUCTION, shooting_gradient_loop, shooting_hessian_loop, stage_loop)"),) if derivatives.shooting else ()),
+            *((("shooting", _SHOOTING),) if derivatives.shooting else ()),
             *((("tables", "TABLES"),) if tables else ()),
             *((("observations", "OBSERVATIONS"),) if program.sample else ()),
         ),
