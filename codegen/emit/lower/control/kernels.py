@@ -119,21 +119,21 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
                 decorators=INNER, straight_line=element.hessian_assignments,
             ),
         ]  # fmt: skip
-    for (stem, _), share in zip(named_elements(program), derivatives.shooting, strict=False):
+    for (stem, _), explicit in zip(named_elements(program), derivatives.shooting, strict=False):
         every = program.element_symbols
-        dependent = {every[i] for i in share.dependent}
+        dependent = {every[i] for i in explicit.dependent}
         codes = {symbol: code for symbol, code in symbol_codes(program, every).items() if symbol not in dependent}
-        outputs = [Output(f"unknowns[{i}]", every[i], "") for i in share.dependent]
-        slopes = zip(every, share.gradient, strict=True)
+        outputs = [Output(f"unknowns[{i}]", every[i], "") for i in explicit.dependent]
+        slopes = zip(every, explicit.gradient, strict=True)
         outputs += [
             Output(f"gradient[{i}]", value, f"dl/d{symbol}")
             for i, (symbol, value) in enumerate(slopes)
-            if i not in share.dependent
+            if i not in explicit.dependent
         ]
         kernels.append(
             kernel(
-                f"{stem}_shooting", _SHOOTING, (*arguments, "gradient"), codes, outputs, share.cost,
-                decorators=INNER, straight_line=share.assignments,
+                f"{stem}_shooting", _SHOOTING, (*arguments, "gradient"), codes, outputs, explicit.cost,
+                decorators=INNER, straight_line=explicit.assignments,
             )
         )  # fmt: skip
     if program.sample is not None and derivatives.sample is not None:
