@@ -448,7 +448,7 @@ def general_form(
         dense = tuple((*index, values.get(index, sympy.S.Zero)) for index in indices)
         elements.append(replace(element, hessian=dense))
     general = replace(
-        special, elements=tuple(elements), condensed=len(program.slacks), stages=0, linear_quadratic=False
+        special, elements=tuple(elements), condensed=len(program.slacks), stages=0, linear_quadratic=False, shooting=()
     )
     return program, general
 
