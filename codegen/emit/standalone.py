@@ -116,6 +116,9 @@ _HEADER = """#
 
 def bundle(text: str) -> str:
     """Return the text of a standalone module, made from the text of an ordinary one."""
+    if "\nQUANTITIES = " in text:
+        # Sensitivities need the linear system with stages, and a standalone module has one linear system.
+        text = re.sub(r"^    shooting=Shooting\(.*\),\n", "", text, flags=re.MULTILINE)
     module = File("", text)
     files: dict[str, File] = {}
 
