@@ -116,6 +116,10 @@ def run(search, tolerance, max_iterations, log, until):
         if status != ROOM:
             break
         work.room_for_refinement()
+        # The next call writes its rows from the first row on.
+        count = int(work.integers[descent.ITERATIONS]) - before
+        log.extend(search, work.log[:count])
+        before, most = before + count, max(1, most - count)
     if status == GROSS:
         return status, False
     count = int(work.integers[descent.ITERATIONS]) - before
