@@ -108,6 +108,40 @@ class TestControlFigure:
         assert [text.get_text() for text in axes.get_yticklabels()] == [f"g{i} ≤ 0" for i in range(6)]
         np.testing.assert_array_equal(axes.lines[3].get_ydata(), [3, np.nan, np.nan])
 
+    def test_an_expression_is_drawn_between_its_bounds(self):
+        axes, t = Figure().add_subplot(), np.arange(3.0)
+        upper = Inequality("a*x <= 3", t, column(3, 1, 0), 0, "a*x", np.full(3, 3.0))
+        lower = Inequality("a*x >= -t", t, column(0, 3, 5), 0, "a*x", -t, is_lower=True)
+        panels.inequality(axes, [upper, lower])
+        curves = [line.get_ydata() for line in axes.lines if line.get_linestyle() == "-" and line.get_linewidth() < 2]
+        np.testing.assert_array_equal(curves, [[0, 2, 3], [0, 2, 3]])
+        dashed = [line.get_ydata() for line in axes.lines if line.get_linestyle() == "--"]
+        assert [list(values) for values in dashed] == [[3.0, 3.0], [-0.0, -1.0, -2.0]]
+        low, high = axes.get_ylim()
+        assert low < -2.0 < 3.0 < high
+        assert axes.get_ylabel() == "a·x"
+        assert axes.get_title(loc="left") == "a·x ≤ 3, a·x ≥ -t"
+
+    def test_a_bound_of_an_expression_far_away_is_named(self):
+        axes, t = Figure().add_subplot(), np.arange(3.0)
+        panels.inequality(axes, [Inequality("v <= 90", t, column(90, 89, 88), 0, "v", np.full(3, 90.0), unit="m/s")])
+        assert axes.get_title(loc="right") == "out of view: ≤ 90"
+        assert (axes.get_ylabel(), max(axes.get_ylim()) < 3.0) == ("$v$ (m/s)", True)
+
+    def test_a_figure_for_a_paper_shows_no_initial_guess(self, interpreted):
+        module = interpreted("bounded", BOUNDED)
+        result = replace(unsolved(module), status="solved")
+        pages = {style: figures.figure(module, result, style=style) for style in ("page", "paper", "talk")}
+        words = {style: {text.get_text() for text in page.legends[0].get_texts()} for style, page in pages.items()}
+        assert {style for style, own in words.items() if "initial guess" in own} == {"page", "talk"}
+
+    def test_the_drawing_for_a_paper_shows_the_optimum_alone(self, interpreted):
+        module = interpreted("pair", PAIR)
+        result = replace(unsolved(module), status="solved")
+        drawn = Scene(result.t, (Trail((result.q.T, np.zeros((2, 4)))),))
+        page = figures.figure(module, result, figures.Drawings(drawn, drawn), style="paper")
+        assert not {axes.get_title() for axes in page.axes} & {"initial guess", "optimum"}
+
     def test_iterations_with_a_barrier(self):
         axes = Figure().add_subplot()
         panels.iterations(axes, np.array([[1, 1e-1, 0, 0, 1, 0.1], [1, 1e-9, 1e-8, 0, 1, 1e-9]]))

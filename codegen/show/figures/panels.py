@@ -72,19 +72,57 @@ def quantity(axes: Axes, shown: Quantity, second: Quantity | None = None) -> Non
     _bounds(axes, shown)
 
 
-def inequality(axes: Axes, shown: Inequality) -> None:
-    """Draw the distance -g of a path inequality g <= 0 from equality over time; negative values are forbidden."""
-    single = shown.distance.shape[1] == 1
-    for values, colour in zip(shown.distance.T, body_colours(shown.distance.shape[1], BLUE), strict=True):
-        axes.plot(shown.t, values, color=colour, linewidth=1.5 if single else 1.2)
-    _highlight(axes, shown.t, shown.distance, shown.active())
-    highest = float(np.nanmax(shown.distance, initial=0.0))
-    axes.axhline(0.0, **_BOUND)
-    axes.set_ylabel("distance")
-    axes.set_title(relation(shown.name), loc="left", fontsize=letter_size(8.5))
-    if highest > 0.0:
-        axes.set_ylim(-0.12 * max(highest, 1e-3), 1.1 * max(highest, 1e-3))
-    axes.axhspan(axes.get_ylim()[0], 0.0, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+def inequality(axes: Axes, shown: Sequence[Inequality]) -> None:
+    """Draw an expression over time with its bounds, which are path inequalities; the sides beyond them are forbidden.
+
+    An inequality without a known bound stands alone, and is drawn as its distance from equality.
+    """
+    first = shown[0]
+    single = first.values.shape[1] == 1
+    for one in shown:
+        for values, colour in zip(one.values.T, body_colours(one.values.shape[1], BLUE), strict=True):
+            axes.plot(one.t, values, color=colour, linewidth=1.5 if single else 1.2)
+        _highlight(axes, one.t, one.values, one.active())
+    axes.set_title(", ".join(relation(one.name) for one in shown), loc="left", fontsize=letter_size(8.5))
+    if first.bound is None:
+        highest = float(np.nanmax(first.distance, initial=0.0))
+        axes.axhline(0.0, **_BOUND)
+        axes.set_ylabel("distance")
+        if highest > 0.0:
+            axes.set_ylim(-0.12 * max(highest, 1e-3), 1.1 * max(highest, 1e-3))
+        axes.axhspan(axes.get_ylim()[0], 0.0, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+        return
+    name = label(first.expression) if first.expression.isidentifier() else relation(first.expression, 24)
+    axes.set_ylabel(in_unit(name, first.unit))
+    widen_if_flat(axes, first.values)
+    low, high = axes.get_ylim()
+    least, most, far = low - 0.6 * (high - low), high + 0.6 * (high - low), []
+    drawn: list[tuple[Inequality, Vector]] = []
+    for one in shown:
+        assert one.bound is not None, "inequalities of one expression have bounds"
+        visible = one.bound[(one.bound >= least) & (one.bound <= most)]
+        if not visible.size:
+            nearest = float(one.bound.max() if one.is_lower else one.bound.min())
+            far.append(f"{'≥' if one.is_lower else '≤'} {nearest:.4g}")
+            continue
+        margin = 0.12 * (axes.get_ylim()[1] - axes.get_ylim()[0])
+        low, high = (
+            (min(low, float(visible.min()) - margin), high)
+            if one.is_lower
+            else (low, max(high, float(visible.max()) + margin))
+        )
+        drawn.append((one, one.bound))
+    axes.set_ylim(low, high)
+    for one, bound in drawn:
+        edge = low if one.is_lower else high
+        if np.ptp(bound) == 0.0:  # over the whole width
+            axes.axhline(float(bound[0]), **_BOUND)
+            axes.axhspan(*sorted((edge, float(bound[0]))), color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+        else:
+            axes.plot(one.t, bound, **_BOUND)
+            axes.fill_between(one.t, edge, np.clip(bound, low, high), color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+    if far:
+        axes.set_title(f"out of view: {', '.join(far)}", loc="right", fontsize=letter_size(7.5), color=GREY)
 
 
 def strip(axes: Axes, shown: Sequence[Inequality]) -> None:
