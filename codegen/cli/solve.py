@@ -7,6 +7,7 @@ import shutil
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -133,7 +134,7 @@ def solve(
     if out is not None:
         output.require_folder(out, "--out", may_be_made=True)
     wanted = requested(request, plot, animate, style.value)
-    outcome = with_options(outcome_of(request, working, following))
+    outcome = with_options(outcome_of(request, working, following, partial(working, "Solving")))
     if save is not None:
         output.save(outcome.result, outcome.record, save)
     wanted.save(outcome.module, outcome.result)

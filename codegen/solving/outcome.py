@@ -30,6 +30,7 @@ from codegen.solving.loading import GeneratedModule, Vector, is_control, machine
 from codegen.solving.machine_code import processes
 from codegen.solving.machine_code.compilation import seconds_of_machine_code
 from codegen.solving.machine_code.processes import Compilers
+from codegen.solving.progress import shown_from_call
 from codegen.solving.request import Request, with_observations, with_tables, with_values
 from codegen.solving.results import output
 from codegen.solving.results.between_nodes import excursions, poles, stages_beyond
@@ -89,12 +90,17 @@ class Outcome:
         return output.as_record(self.result, self.build_seconds, self.load_seconds)
 
 
-def outcome_of(request: Request, working: Working = nullcontext, following: Following = nullcontext) -> Outcome:
+def outcome_of(
+    request: Request,
+    working: Working = nullcontext,
+    following: Following = nullcontext,
+    solving: Callable[[], AbstractContextManager[Any]] = nullcontext,
+) -> Outcome:
     """Execute a request, and return the module and the result; see `codegen.solve`.
 
     Errors of the request are raised before slow operations. Names of parameters, tables and measurements can be checked
-    only after the build of the module. `working` and `following` display progress in a terminal. The table of drivers
-    states which drivers report their iterates.
+    only after the build of the module. `working` displays the progress of a build. `following` displays the iterates
+    of drivers that report them, and `solving` that another driver works.
     """
     with processes.compilers() as compilers:
         start = start_of(request.warm)
@@ -118,7 +124,7 @@ def outcome_of(request: Request, working: Working = nullcontext, following: Foll
                 why = f"as many in each of the {segments.number} segments between multiples of the delay"
                 notices = [*notices, f"codegen: note: {total} steps instead of {request.steps}, {why}"]
         is_watched = driver.takes(task_of(module).name, "watch")
-        with following() if is_watched else working("Solving") as watch:
+        with following() if is_watched else solving() as watch:
             shown = request.watch or (watch if is_watched else None)
             result = _solved(request, module, driver, steps, warm, points, shown)
         result = _with_notes(request, module, _with_error(request, module, driver, result))
@@ -143,12 +149,17 @@ def _built(request: Request, working: Working, compilers: Compilers) -> tuple[Pa
     """
     if request.is_built:
         return (Path(request.problem) if isinstance(request.problem, Path | str) else None), False, 0.0
-    build = partial(
-        compiler.build, request.source, request.settings, method=request.method, controls=request.controls,
-        out=request.out, sensitivities=request.sensitivities,
-        deriving=compilers.start if DRIVERS[request.driver].generated else lambda: None,
-    )  # fmt: skip
-    with working("Deriving"):
+    with shown_from_call(working, "Deriving") as show:
+
+        def deriving() -> None:
+            show()
+            if DRIVERS[request.driver].generated:
+                compilers.start()
+
+        build = partial(
+            compiler.build, request.source, request.settings, method=request.method, controls=request.controls,
+            out=request.out, sensitivities=request.sensitivities, deriving=deriving,
+        )  # fmt: skip
         if request.accuracy is not None and request.scheme is None:
             with suppress(SchemeError):
                 made = build(scheme=ACCURATE_SCHEME)
