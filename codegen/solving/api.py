@@ -107,4 +107,4 @@ def solve(*positional: Any, **options: Any) -> Result:  # noqa: D417  the argume
     except TypeError as error:  # a missing, surplus or repeated argument
         text = str(error).replace("Request.__init__()", "codegen.solve")
         raise ArgumentError(text, "give a problem, a driver if it is not newton, and options by name") from None
-    return outcome_of(request, building).result
+    return outcome_of(request, building).for_python
