@@ -64,7 +64,8 @@ class Inequality:
 
     `segment` is the number of the segment, from 1, if delays cut the motion into segments, else 0. If one side of the
     inequality is known, `expression` is the text of the other side, and `bound` (times,) the known side. The
-    expression is above its bound if `is_lower`.
+    expression is above its bound if `is_lower`. `spans` are the first and last times of the phases in which the
+    inequality holds.
     """
 
     name: str
@@ -75,6 +76,7 @@ class Inequality:
     bound: Vector | None = None
     is_lower: bool = False
     unit: str = ""
+    spans: tuple[tuple[float, float], ...] = ()
 
     @property
     def values(self) -> Matrix:
@@ -173,6 +175,7 @@ def _distances(module: ControlModule, result: Result) -> list[Inequality]:
     _, intervals = module.views(grid, result.unknowns)
     _, residuals = module.views(grid, module.evaluate(grid, result.unknowns).gradient)
     columns: dict[Meaning, list[tuple[Vector, Matrix]]] = {}
+    spans: dict[Meaning, list[tuple[float, float]]] = {}
     first = len(metadata.node)
     for phase, meanings in enumerate(metadata.slack_meanings):
         rows = slice(phase * result.steps, (phase + 1) * result.steps)
@@ -190,13 +193,14 @@ def _distances(module: ControlModule, result: Result) -> list[Inequality]:
             order = np.argsort(times, kind="stable")
             values = np.concatenate([values for _, values in points])
             columns.setdefault(meaning, []).append((times[order], values[order]))
+            spans.setdefault(meaning, []).append((float(result.t[rows.start]), float(result.t[rows.stop])))
     out = []
     for meaning, parts in columns.items():
         t, values = parts[0]
         for more, others in parts[1:]:  # NaN makes a gap between phases
             t = np.concatenate([t, t[-1:], more])
             values = np.concatenate([values, np.full_like(others[:1], np.nan), others])
-        out.append(Inequality(meaning.subject, t, values, meaning.segment))
+        out.append(Inequality(meaning.subject, t, values, meaning.segment, spans=tuple(spans[meaning])))
     return out
 
 
@@ -371,9 +375,12 @@ def inequalities_of_segments(module: ControlModule, result: Result) -> list[Ineq
         name = own.name.removesuffix(f" in segment {own.segment}")
         parts.setdefault(name, []).append((own.t + (own.segment - 1) * duration, own.distance))
     joined = [
-        Inequality(name, np.concatenate([t for t, _ in own]), np.concatenate([values for _, values in own]))
+        Inequality(
+            name, np.concatenate([t for t, _ in own]), np.concatenate([values for _, values in own]),
+            spans=((float(result.t[0]), float(result.t[-1])),),
+        )
         for name, own in parts.items()
-    ]
+    ]  # fmt: skip
     return [_with_bound(one, module, result) for one in joined]
 
 
