@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -265,12 +264,14 @@ def compile(
     """
     from codegen.solving.loading import load
     from codegen.solving.machine_code import processes
+    from codegen.solving.progress import building, shown_from_call
 
     source, values = source_of(problem, name, title), dict(arguments or {})
-    made = compiler.build(
-        source, values, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities, out=out,
-        time_limit=time_limit,
-    )  # fmt: skip
-    processes.require(made.path, load(made.path), made.written, nullcontext)
+    with shown_from_call(building, "Deriving") as deriving:
+        made = compiler.build(
+            source, values, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities, out=out,
+            time_limit=time_limit, deriving=deriving,
+        )  # fmt: skip
+    processes.require(made.path, load(made.path), made.written, building)
     choices = chosen(scheme, method, controls, sensitivities=sensitivities)
     return Solver(source, values, choices, None if out is None else Path(out), made)

@@ -65,7 +65,9 @@ def _described(error: Exception) -> tuple[int, str]:
         return 2, one_line(str(error))
     if hasattr(error, "format_message"):  # a usage error of typer, whose class differs between versions
         command = getattr(getattr(error, "ctx", None), "command_path", "codegen")
-        return 2, one_line(f"{error.format_message().rstrip('.')}; see {command} --help")
+        # typer takes the message of pydantic, whose prefix names an exception of Python.
+        message = error.format_message().replace(": Value error, ", ": ", 1).rstrip(".")
+        return 2, one_line(f"{message}; see {command} --help")
     if isinstance(error, OSError) and is_refusal(error):
         return 2, one_line(str(refused(error, error.filename or "the output")))
     if isinstance(error, MemoryError):

@@ -32,14 +32,15 @@ class Terminal:
     """
 
     def __init__(
-        self, *words: object, folder: Path, cache: Path | None = None, compiled: bool = False, everything: bool = False
-    ) -> None:
+        self, *words: object, folder: Path, cache: Path | None = None, compiled: bool = False, everything: bool = False,
+        program: tuple[str, ...] = ("-m", "codegen"),
+    ) -> None:  # fmt: skip
         where = str(cache or folder / "cache")
         environment = {**os.environ, "CODEGEN_CACHE_DIR": where, "TERM": "xterm", "COLUMNS": "120"}
         environment |= {"CODEGEN_STATE_DIR": str(folder / "state"), "NUMBA_DISABLE_JIT": "0" if compiled else "1"}
         self.terminal, inside = pty.openpty()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "codegen", *map(str, words)],
+            [sys.executable, *program, *map(str, words)],
             cwd=folder, env=environment, stdin=inside, stderr=inside, stdout=inside if everything else subprocess.PIPE,
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # which processes in the background ignore
         )  # fmt: skip

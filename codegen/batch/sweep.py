@@ -34,6 +34,7 @@ from codegen.errors import ArgumentError, ExtraError
 from codegen.machine import versions
 from codegen.problem.sources import ProblemFile, ProblemObject
 from codegen.solving.outcome import require_memory
+from codegen.solving.progress import building
 from codegen.solving.results.result import Run, component_units
 from codegen.solving.tasks import task_of
 
@@ -117,7 +118,7 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
         inspect.signature(sweep_request).bind(*positional, **options)
     except TypeError as error:
         raise ArgumentError(f"codegen.sweep: {error}", "give a problem, what varies, and options by name") from None
-    return outcome_of(sweep_request(*positional, **options)).dataset()
+    return outcome_of(sweep_request(*positional, **options), building).dataset()
 
 
 setattr(sweep, "__signature__", inspect.signature(sweep_request).replace(return_annotation="Dataset"))  # noqa: B010

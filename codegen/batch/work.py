@@ -44,6 +44,7 @@ from codegen.solving import compiler, loading
 from codegen.solving.drivers import DRIVERS
 from codegen.solving.machine_code import processes
 from codegen.solving.outcome import points_of
+from codegen.solving.progress import shown_from_call
 from codegen.solving.request import Request, require_apart_from_arrays, require_apart_from_delays
 from codegen.solving.results.result import Run
 from codegen.solving.results.sensitivities import UNSOLVED, require_sensitive
@@ -95,11 +96,11 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
         for number, key in enumerate(combinations, start=1):
             count = f" (module {number} of {len(combinations)})" if len(combinations) > 1 else ""
             try:
-                with working(f"Deriving{count}"):
+                with shown_from_call(working, f"Deriving{count}") as deriving:
                     arguments = {**request.arguments, **dict(zip(names, key, strict=True))}
                     build = compiler.build(
                         request.source, arguments, scheme=request.scheme, method=request.method,
-                        controls=request.controls, sensitivities=request.sensitivities,
+                        controls=request.controls, sensitivities=request.sensitivities, deriving=deriving,
                     )  # fmt: skip
                     module = loading.load(build.path)
             except CodegenError as error:

@@ -31,7 +31,7 @@ def check(
 ) -> None:
     """Check the derivation and the generated code. Exit status 1 if a check fails."""
     from codegen.emit import naming
-    from codegen.evidence.checks.base import findings_table, verdict
+    from codegen.evidence.checks.base import findings_table, not_applicable, verdict
     from codegen.problem.sources import parse_arguments
     from codegen.solving import compiler
     from codegen.solving.loading import load
@@ -62,7 +62,11 @@ def check(
     failed = [finding for finding in findings if not finding.passed]
     screen = console()
     screen.print(f"[bold {'red' if failed else 'green'}]{verdict(findings)}[/]")
-    screen.print(findings_table(findings))
+    table = findings_table(findings)
+    if table.row_count:
+        screen.print(table)
+    if line := not_applicable(findings):
+        screen.print(line, style="dim")
     if failed:
         text = f"codegen: {len(failed)} of {len(findings)} checks failed, first {failed[0].check}"
         typer.echo(one_line(text), err=True)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from codegen.discretise.model.pairwise import PairwiseModel
     from codegen.show.figures.shapes import Frame
     from codegen.solving.loading import GeneratedModule
-    from codegen.solving.outcome import Outcome
     from codegen.solving.request import Request
     from codegen.solving.results.result import Result
 
@@ -133,7 +132,7 @@ def solve(
     if out is not None:
         output.require_folder(out, "--out", may_be_made=True)
     wanted = requested(request, plot, animate, style.value)
-    outcome = with_options(outcome_of(request, working, following))
+    outcome = outcome_of(request, working, following, partial(working, "Solving")).for_command_line
     if save is not None:
         output.save(outcome.result, outcome.record, save)
     wanted.save(outcome.module, outcome.result)
@@ -174,21 +173,6 @@ def _pairs(items: Sequence[str], option: str, what: str, example: str) -> dict[s
             raise ArgumentError(f"{option} gives {name} twice", "give it once")
         pairs[name] = text.strip()
     return pairs
-
-
-def with_options(outcome: Outcome) -> Outcome:
-    """Return the outcome with messages that name command-line options instead of arguments of `codegen.solve`."""
-
-    def replaced(message: str) -> str:
-        message = re.sub(r"\b(guesses|scaling)='?(\w+)'?", r"--\1 \2", message)
-        message = message.replace("another scheme", "another --scheme")
-        argument = r"\braise (max_iterations|time_limit)\b"
-        return re.sub(argument, lambda match: f"raise --{match[1].replace('_', '-')}", message)
-
-    result = outcome.result
-    levels = tuple(replace(level, message=replaced(level.message)) for level in result.levels)
-    notes = tuple(replaced(note) for note in result.notes)
-    return replace(outcome, result=replace(result, message=replaced(result.message), levels=levels, notes=notes))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ import difflib
 import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
@@ -30,6 +29,7 @@ from codegen.runtime.search.iterates import Search, on_grid, search_on
 from codegen.solving import compiler, loading
 from codegen.solving.loading import ControlModule, Grid, Vector
 from codegen.solving.machine_code import processes
+from codegen.solving.progress import building, shown_from_call
 from codegen.solving.request import SCALINGS, Request, as_number, parameter_arguments
 from codegen.solving.results.result import component_names
 
@@ -157,12 +157,14 @@ def module_of(problem: Any, arguments: Mapping[str, object], scheme: str | None,
     if request.is_built:
         path, is_new = Path(problem), False
     else:
-        build = compiler.build(
-            request.source, request.arguments, scheme=request.scheme, method=request.method, controls=request.controls
-        )
+        with shown_from_call(building, "Deriving") as deriving:
+            build = compiler.build(
+                request.source, request.arguments, scheme=request.scheme, method=request.method,
+                controls=request.controls, deriving=deriving,
+            )  # fmt: skip
         path, is_new = build.path, build.written
     module: Any = loading.load(path)
-    processes.require(path, module, is_new, nullcontext)
+    processes.require(path, module, is_new, building)
     return module  # type: ignore[no-any-return]
 
 

@@ -67,7 +67,9 @@ _TRANSPOSED = (5, 6, 7, 8)
 _UNITS = {"micron": "µm", "microns": "µm", "um": "µm", "\\u00b5m": "µm", "inch": "in", "": "mm"}
 _PRINT = (1.0, 72.0, 96.0, 100.0, 150.0, 200.0, 240.0, 300.0, 600.0, 1200.0)
 """Resolutions, in dots per inch, that programs write by default; they do not mean a measured pixel size."""
-_OME_SIZE = r'PhysicalSize{}="([0-9.eE+-]+)"'
+_OME_SIZE, _OME_UNIT = r'PhysicalSize{}="([0-9.eE+-]+)"', r'PhysicalSize{}Unit="([^"]+)"'
+_METRES = {"pm": 1e-12, "Å": 1e-10, "nm": 1e-9, "µm": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+"""Units of length that can be converted into each other, in metres."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,7 @@ def read_image(source: Path | str | bytes, limits: Limits | None = None, name: s
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise ImageError(f"{name} is damaged or no image ({reason})", "give a whole PNG, JPEG or TIFF file") from error
     # The resolution of PNG and JPEG files refers to a print.
-    spacing = _tiff_spacing(data) if header.kind == "TIFF" else None
+    spacing = _tiff_spacing(name, data) if header.kind == "TIFF" else None
     if spacing is not None and orientation in _TRANSPOSED:
         spacing = Spacing(spacing.y, spacing.x, spacing.unit)
     upright = _ORIENTATIONS.get(orientation, _ORIENTATIONS[1])(pixels)
@@ -407,16 +409,26 @@ def _decode_tiff(name: str, data: bytes, header: _Header) -> tuple[Pixels, bytes
         return pixels, page.iccprofile, int(page.tags.valueof(274, 1) or 1)
 
 
-def _tiff_spacing(data: bytes) -> Spacing | None:
-    """Return the size of a pixel in a TIFF file; None if it is missing or not plausible."""
-    spacing = None
+def _tiff_spacing(name: str, data: bytes) -> Spacing | None:
+    """Return the size of a pixel in a TIFF file, in the unit of its width; None if it is missing or not plausible.
+
+    Raise ImageError if the units of width and height cannot be converted into each other.
+    """
+    spacing, units = None, set[str]()
     try:
         with tifffile().TiffFile(io.BytesIO(data)) as file:
             if file.is_ome and file.ome_metadata:
                 x, y = (re.search(_OME_SIZE.format(axis), file.ome_metadata) for axis in "XY")
-                unit = re.search(r'PhysicalSizeXUnit="([^"]*)"', file.ome_metadata)
+                stated = [re.search(_OME_UNIT.format(axis), file.ome_metadata) for axis in "XY"]
+                names = [_UNITS.get(unit[1], unit[1]) for unit in stated if unit is not None] or ["µm"]
                 if x is not None and y is not None:
-                    spacing = Spacing(float(x[1]), float(y[1]), unit_name(unit[1] if unit else "µm"))
+                    across, down = names[0], names[-1]
+                    if across == down:
+                        spacing = Spacing(float(x[1]), float(y[1]), unit_name(across))
+                    elif {across, down} <= set(_METRES):
+                        spacing = Spacing(float(x[1]), float(y[1]) * _METRES[down] / _METRES[across], across)
+                    else:
+                        units = {across, down}
             else:
                 tags = file.pages[0].tags
                 width, height = (rational(tags.valueof(tag)) for tag in (282, 283))
@@ -434,4 +446,10 @@ def _tiff_spacing(data: bytes) -> Spacing | None:
                         spacing = Spacing(25.4 / width, 25.4 / height, "mm")
     except Exception:  # the pixels are readable: errors in metadata are no reason to refuse the image
         return None
+    if units:
+        raise ImageError(
+            f"{name}: the OME metadata give width and height of a pixel in {' and '.join(sorted(units))}, which cannot "
+            "be converted",
+            "save it with one unit of length for both",
+        )
     return spacing if spacing is not None and spacing.is_plausible else None

@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.errors import LandmarkError, RegistrationError
+from codegen.errors import ArgumentError, LandmarkError, RegistrationError
 from codegen.registration.alignment import Kind
 from codegen.registration.grid import Extent
 from codegen.registration.linear import Freedom, Linear, chosen_alignment
@@ -95,7 +95,7 @@ def register(
     start : Registration, optional
         An earlier registration with the same number of landmarks, for a warm start.
     quick : bool
-        With `steps`: give up after the first attempts (sigma zero), or keep the strength of a `start` of equal sigma.
+        Give up after the first attempts (sigma zero), or keep the strength of a `start` of equal sigma. Needs `steps`.
     progress : function of str, optional
         Receives a line of text after each solve; if sigma is positive, there are up to 20 solves.
 
@@ -109,7 +109,7 @@ def register(
     LandmarkError
         If the landmarks cannot be used.
     ArgumentError
-        For an unknown alignment or loss.
+        For an unknown alignment or loss, and for `quick` without `steps`.
     RegistrationError
         If no solution is found, or no solution with residuals as small as sigma.
 
@@ -119,6 +119,8 @@ def register(
     is the correction for the degrees of freedom of the fit. `Matching` documents the cost, and
     `Registration.matching.strength` is the strength of roughness.
     """
+    if quick and steps is None:
+        raise ArgumentError("register(quick=True) has no number of steps", "give one, as in steps=16")
     if align == "auto":
         align = chosen_alignment(pairs, shape, fixed_shape=fixed_shape, scheme=scheme, margin=margin).kind
     if sigma == "auto":

@@ -100,10 +100,11 @@ def solve(*positional: Any, **options: Any) -> Result:  # noqa: D417  the argume
     """
     require_options(options)
     from codegen.solving.outcome import outcome_of
+    from codegen.solving.progress import building
 
     try:
         request = Request(*positional, **options)
     except TypeError as error:  # a missing, surplus or repeated argument
         text = str(error).replace("Request.__init__()", "codegen.solve")
         raise ArgumentError(text, "give a problem, a driver if it is not newton, and options by name") from None
-    return outcome_of(request).result
+    return outcome_of(request, building).for_python

@@ -30,7 +30,8 @@ from codegen.solving.loading import GeneratedModule, Vector, is_control, machine
 from codegen.solving.machine_code import processes
 from codegen.solving.machine_code.compilation import seconds_of_machine_code
 from codegen.solving.machine_code.processes import Compilers
-from codegen.solving.request import Request, with_observations, with_tables, with_values
+from codegen.solving.progress import shown_from_call
+from codegen.solving.request import Option, Request, with_observations, with_tables, with_values
 from codegen.solving.results import output
 from codegen.solving.results.between_nodes import excursions, poles, stages_beyond
 from codegen.solving.results.display import Background
@@ -60,6 +61,9 @@ _ZERO = 1e-10
 """Controls and costs below this magnitude are considered to be zero."""
 _OF_TARGETS = (Kind.END_CONDITION, Kind.INNER_CONDITION, Kind.COUPLING, Kind.INTEGRAL)
 """Kinds of multipliers of conditions that a motion shall reach."""
+LIMITS = {"iteration limit": "max_iterations", "newton failed": "max_iterations", "time limit": "time_limit"}
+"""The option that limits a search, by the status of a search that ended there; messages advise to raise the option."""
+_ADVICE = "what may help, in this order"
 _IDLE = "all controls are zero, and so is the cost: the free motion meets all conditions; is an end missing?"
 _ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relative error of the cost"}
 
@@ -74,7 +78,7 @@ class Outcome:
     """The module and the result of a request, with the time for building and loading, and lines for the user.
 
     `build_seconds` is the time for derivation and compilation, and `load_seconds` the time for reading the module and
-    its machine code.
+    its machine code. `untried` are options that may help after a failed search, in the order in which to try them.
     """
 
     module: GeneratedModule
@@ -82,6 +86,29 @@ class Outcome:
     build_seconds: float
     load_seconds: float
     notices: list[str]
+    untried: tuple[Option, ...] = ()
+
+    @property
+    def for_python(self) -> Result:
+        """The result with a note that names the untried options as arguments."""
+        return self._advised([option.in_python for option in self.untried])
+
+    @property
+    def for_command_line(self) -> Outcome:
+        """The outcome with a note and messages that name options as on the command line."""
+
+        def named(status: str, message: str) -> str:
+            name = LIMITS.get(status, "")
+            return message.replace(f"raise {name}", f"raise --{name.replace('_', '-')}") if name else message
+
+        result = self._advised([option.on_command_line for option in self.untried])
+        levels = tuple(replace(level, message=named(level.status, level.message)) for level in result.levels)
+        return replace(self, result=replace(result, message=named(result.status, result.message), levels=levels))
+
+    def _advised(self, options: list[str]) -> Result:
+        if not options:
+            return self.result
+        return replace(self.result, notes=(*self.result.notes, f"{_ADVICE}: {', '.join(options)}"))
 
     @property
     def record(self) -> dict[str, Any]:
@@ -89,12 +116,17 @@ class Outcome:
         return output.as_record(self.result, self.build_seconds, self.load_seconds)
 
 
-def outcome_of(request: Request, working: Working = nullcontext, following: Following = nullcontext) -> Outcome:
+def outcome_of(
+    request: Request,
+    working: Working = nullcontext,
+    following: Following = nullcontext,
+    solving: Callable[[], AbstractContextManager[Any]] = nullcontext,
+) -> Outcome:
     """Execute a request, and return the module and the result; see `codegen.solve`.
 
     Errors of the request are raised before slow operations. Names of parameters, tables and measurements can be checked
-    only after the build of the module. `working` and `following` display progress in a terminal. The table of drivers
-    states which drivers report their iterates.
+    only after the build of the module. `working` displays the progress of a build. `following` displays the iterates
+    of drivers that report them, and `solving` that another driver works.
     """
     with processes.compilers() as compilers:
         start = start_of(request.warm)
@@ -118,7 +150,7 @@ def outcome_of(request: Request, working: Working = nullcontext, following: Foll
                 why = f"as many in each of the {segments.number} segments between multiples of the delay"
                 notices = [*notices, f"codegen: note: {total} steps instead of {request.steps}, {why}"]
         is_watched = driver.takes(task_of(module).name, "watch")
-        with following() if is_watched else working("Solving") as watch:
+        with following() if is_watched else solving() as watch:
             shown = request.watch or (watch if is_watched else None)
             result = _solved(request, module, driver, steps, warm, points, shown)
         result = _with_notes(request, module, _with_error(request, module, driver, result))
@@ -129,9 +161,10 @@ def outcome_of(request: Request, working: Working = nullcontext, following: Foll
         if not request.is_built:
             background = replace(background, source=request.source, arguments=request.settings)
         result = replace(put_together(result, module.metadata), parameters=values, background=background)
+        untried = _untried(request, module, result)
         if result.compiled:
-            return Outcome(module, result, build_seconds + result.seconds_code, load_seconds, notices)
-        return Outcome(module, result, build_seconds, load_seconds + result.seconds_code, notices)
+            return Outcome(module, result, build_seconds + result.seconds_code, load_seconds, notices, untried)
+        return Outcome(module, result, build_seconds, load_seconds + result.seconds_code, notices, untried)
 
 
 def _built(request: Request, working: Working, compilers: Compilers) -> tuple[Path | None, bool, float]:
@@ -143,12 +176,17 @@ def _built(request: Request, working: Working, compilers: Compilers) -> tuple[Pa
     """
     if request.is_built:
         return (Path(request.problem) if isinstance(request.problem, Path | str) else None), False, 0.0
-    build = partial(
-        compiler.build, request.source, request.settings, method=request.method, controls=request.controls,
-        out=request.out, sensitivities=request.sensitivities,
-        deriving=compilers.start if DRIVERS[request.driver].generated else lambda: None,
-    )  # fmt: skip
-    with working("Deriving"):
+    with shown_from_call(working, "Deriving") as show:
+
+        def deriving() -> None:
+            show()
+            if DRIVERS[request.driver].generated:
+                compilers.start()
+
+        build = partial(
+            compiler.build, request.source, request.settings, method=request.method, controls=request.controls,
+            out=request.out, sensitivities=request.sensitivities, deriving=deriving,
+        )  # fmt: skip
         if request.accuracy is not None and request.scheme is None:
             with suppress(SchemeError):
                 made = build(scheme=ACCURATE_SCHEME)
@@ -269,18 +307,9 @@ def require_memory(numbers: int, steps: int) -> None:
 
 
 def _with_notes(request: Request, module: GeneratedModule, result: Result) -> Result:
-    """Return the result with notes on the motion between nodes, on zero controls, and on remedies for a failure."""
-    if not is_control(module) or result.unknowns is None:
+    """Return a solution with notes on the motion between nodes and on zero controls."""
+    if not is_control(module) or result.unknowns is None or not result.solved:
         return result
-    if not result.solved:
-        untried = [
-            *(["guesses=10"] if request.guesses == 1 and request.warm is None else []),
-            *(["another scheme"] if request.scheme is None and not request.is_built else []),
-            *(["scaling='none'"] if request.scaling == "auto" else []),
-        ]
-        if result.status not in _SEARCHES or not untried:
-            return result
-        return replace(result, notes=(*result.notes, f"what may help, in this order: {', '.join(untried)}"))
     solution = module, result.unknowns, result.steps, result.grid
     gross = [excursion.note for excursion in excursions(*solution) if excursion.is_gross]
     beyond = [stage.note for stage in stages_beyond(*solution)]
@@ -289,6 +318,17 @@ def _with_notes(request: Request, module: GeneratedModule, result: Result) -> Re
     has_target = bool(module.metadata.end) or not kinds.isdisjoint(_OF_TARGETS)
     idle = [_IDLE] if sizes and max(sizes) <= _ZERO and not has_target else []
     return replace(result, notes=(*result.notes, *idle, *gross, *beyond, *(pole.note for pole in poles(*solution))))
+
+
+def _untried(request: Request, module: GeneratedModule, result: Result) -> tuple[Option, ...]:
+    """Return the options that may help after a failed search, in the order in which to try them."""
+    if not is_control(module) or result.unknowns is None or result.status not in _SEARCHES:
+        return ()
+    return (
+        *([Option("guesses", 10)] if request.guesses == 1 and request.warm is None else []),
+        *([Option("scheme")] if request.scheme is None and not request.is_built else []),
+        *([Option("scaling", "none")] if request.scaling == "auto" else []),
+    )
 
 
 def _with_error(request: Request, module: GeneratedModule, driver: Driver, result: Result) -> Result:

@@ -13,7 +13,7 @@ from command_lines import ORBIT, PENDULUM, assert_refused, contents, run
 from codegen.discretise import schemes
 from codegen.discretise.particles import CONNECT_METHODS
 from codegen.evidence import checks
-from codegen.evidence.checks.base import does_not_apply
+from codegen.evidence.checks.base import does_not_apply, not_measured
 from codegen.solving import api, drivers
 from codegen.solving.results import output
 from codegen.solving.results.result import STATUSES
@@ -216,9 +216,26 @@ class TestCheckAndShow:
         monkeypatch.setattr(checks, "run", lambda *_, **__: [does_not_apply("optimum", "it has bounds")])
         result = run("check", PENDULUM)
         assert result.exit_code == 0
-        assert result.stdout.startswith("0 checks passed, 0 failed, 1 do not apply\n")
-        assert result.stdout.count("passed") == 1
-        assert result.stdout.count("apply") == 2
+        assert result.stdout == "0 checks passed, 0 failed, 1 do not apply\nnot applicable: optimum\n"
+
+    def test_what_does_not_apply_is_one_line(self, folder, findings, monkeypatch):
+        found = [
+            checks.Finding("layout", "sizes", True, "every kernel fills its arrays, and no more " * 3),
+            *(does_not_apply(name, "a long reason") for name in ("tables", "switches", "tables")),
+            not_measured("optimum", "all else", "there is no solution"),
+        ]
+        monkeypatch.setattr(checks, "run", lambda *_, **__: found)
+        monkeypatch.setenv("COLUMNS", "80")
+        lines = run("check", PENDULUM).stdout.splitlines()
+        assert lines[0] == "1 check passed, 0 failed, 3 do not apply, 1 not measured"
+        assert lines[-1] == "not applicable: tables, switches"
+        assert "a long reason" not in "".join(lines)
+        assert max(map(len, lines)) == 80
+        # The detail has more than half of the width.
+        assert min(line.index("every kernel") for line in lines if "every kernel" in line) <= 40
+        assert any(
+            line.split() == ["not", "optimum:", "all", "else", "there", "is", "no", "solution"] for line in lines
+        )
 
     @pytest.mark.parametrize("command", ["check", "show"])
     def test_malformed_file(self, folder, command):

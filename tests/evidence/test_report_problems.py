@@ -265,7 +265,7 @@ def test_two_problems_from_end_to_end(tmp_path, inline, monkeypatch):
             assert run["difference"] < 1e-9
             lines = [store.get(building.MODULES, f"{name}; {form}")["lines"] for form in (label.split(",")[0], label)]
             assert lines[0] < lines[1]
-        assert f"{name}: what is left out" in text
+        assert f"{name}: parts that its modules do not need" in text
     assert {name for name, _ in store.rows("effort: drivers")} == {"newton", "slsqp", "trust-constr", "fsolve"}
 
     def refuse(*_arguments, **_options):

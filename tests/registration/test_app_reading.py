@@ -75,6 +75,13 @@ def test_the_spacing_of_tiff_files_is_read_where_it_means_something():
     sizes = {"axes": "YX", "PhysicalSizeX": 0.5, "PhysicalSizeXUnit": "nm", "PhysicalSizeY": 0.25}
     found = spacing(ome=True, metadata=sizes)
     assert (found.x, found.y, found.unit) == (0.5, 0.25, "nm")
+    found = spacing(ome=True, metadata=sizes | {"PhysicalSizeYUnit": "pm", "PhysicalSizeY": 250.0})
+    assert (found.x, found.y, found.unit) == (0.5, pytest.approx(0.25), "nm")
+    mixed = {"PhysicalSizeX": 25.4, "PhysicalSizeXUnit": "mm", "PhysicalSizeYUnit": "inch"}
+    found = spacing(ome=True, metadata=sizes | mixed)
+    assert (found.x, found.y, found.unit) == (25.4, pytest.approx(6.35), "mm")
+    with pytest.raises(ImageError, match="in nm and reference frame, which cannot be converted; save it with one unit"):
+        spacing(ome=True, metadata=sizes | {"PhysicalSizeYUnit": "reference frame"})
     found = spacing(resolution=(100.0, 50.0), resolutionunit=3)
     assert (found.x, found.y, found.unit) == (0.1, 0.2, "mm")
     assert spacing() is None

@@ -7,7 +7,7 @@ import pytest
 from registered_images import SHAPE
 from scipy.integrate import solve_ivp
 
-from codegen.errors import LandmarkError, RegistrationError
+from codegen.errors import ArgumentError, LandmarkError, RegistrationError
 from codegen.registration import register
 from codegen.registration.grid import coarse_grid
 from codegen.registration.matching import Matching
@@ -170,3 +170,9 @@ def test_landmarks_that_may_miss_do_not_meet_half_way(sigma):
     penalised = flow.module.penalised
     assert penalised(flow.case, exact.cost, exact.q[-1]) == 0.5 * exact.cost
     assert penalised(loose.case, solution.cost, solution.q[-1]) < 0.5 * exact.cost
+
+
+def test_a_quick_registration_without_steps_is_refused():
+    pairs = LandmarkPairs([[10.0, 20.0], [80.0, 90.0]], [[12.0, 24.0], [90.0, 70.0]])
+    with pytest.raises(ArgumentError, match=r"quick=True\) has no number of steps; give one, as in steps=16"):
+        register(pairs, SHAPE, quick=True)

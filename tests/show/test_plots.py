@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 import pytest
 from invented_results import BOUNDED, PAIR, column, invented, overlaps, picture, unsolved
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from codegen.drawing import Arrow, Mass, Scene, Trail
@@ -107,6 +108,58 @@ class TestControlFigure:
         panels.strip(axes, shown)
         assert [text.get_text() for text in axes.get_yticklabels()] == [f"g{i} ≤ 0" for i in range(6)]
         np.testing.assert_array_equal(axes.lines[3].get_ydata(), [3, np.nan, np.nan])
+
+    def test_an_expression_is_drawn_between_its_bounds(self):
+        axes, t = Figure().add_subplot(), np.arange(3.0)
+        upper = Inequality("a*x <= 3", t, column(3, 1, 0), 0, "a*x", np.full(3, 3.0))
+        lower = Inequality("a*x >= -t", t, column(0, 3, 5), 0, "a*x", -t, is_lower=True)
+        panels.inequality(axes, [upper, lower])
+        curves = [line.get_ydata() for line in axes.lines if line.get_linestyle() == "-" and line.get_linewidth() < 2]
+        np.testing.assert_array_equal(curves, [[0, 2, 3], [0, 2, 3]])
+        (changing,) = [line.get_ydata() for line in axes.lines if line.get_linestyle() == "--"]
+        np.testing.assert_array_equal(changing, -t)
+        (constant,) = [lines for lines in axes.collections if isinstance(lines, LineCollection)]
+        np.testing.assert_array_equal(constant.get_segments(), [[[0.0, 3.0], [2.0, 3.0]]])
+        low, high = axes.get_ylim()
+        assert low < -2.0 < 3.0 < high
+        assert axes.get_ylabel() == "a·x"
+        assert axes.get_title(loc="left") == "a·x ≤ 3, a·x ≥ -t"
+
+    def test_a_bound_of_an_expression_far_away_is_named(self):
+        axes, t = Figure().add_subplot(), np.arange(3.0)
+        panels.inequality(axes, [Inequality("v <= 90", t, column(90, 89, 88), 0, "v", np.full(3, 90.0), unit="m/s")])
+        assert axes.get_title(loc="left") == "out of view: v ≤ 90"
+        assert (axes.get_ylabel(), max(axes.get_ylim()) < 3.0) == ("$v$ (m/s)", True)
+
+    def test_bounds_of_one_phase_end_with_the_phase(self):
+        axes, t = Figure().add_subplot(), np.array([0.25, 0.75])
+        first = Inequality("x <= 2", t, column(1, 2), 0, "x", np.full(2, 2.0), spans=((0.0, 1.0),))
+        second = replace(first, name="x <= 3", t=t + 1.0, bound=np.full(2, 3.0), spans=((1.0, 2.0),))
+        panels.inequality(axes, [first, second])
+        lines = [one.get_segments()[0].tolist() for one in axes.collections if isinstance(one, LineCollection)]
+        assert lines == [[[0.0, 2.0], [1.0, 2.0]], [[1.0, 3.0], [2.0, 3.0]]]
+        assert axes.get_title(loc="left") == "x ≤ 2, x ≤ 3"
+
+    def test_an_expression_that_stays_at_its_bound_is_a_straight_line(self):
+        axes, t = Figure().add_subplot(), np.arange(3.0)
+        panels.inequality(axes, [Inequality("a*a <= 1", t, column(1e-9, 2e-8, 0), 0, "a*a", np.ones(3))])
+        low, high = axes.get_ylim()
+        assert low < 0.8
+        assert high > 1.1
+
+    def test_a_figure_for_a_paper_shows_no_initial_guess(self, interpreted):
+        module = interpreted("bounded", BOUNDED)
+        result = replace(unsolved(module), status="solved")
+        pages = {style: figures.figure(module, result, style=style) for style in ("page", "paper", "talk")}
+        words = {style: {text.get_text() for text in page.legends[0].get_texts()} for style, page in pages.items()}
+        assert {style for style, own in words.items() if "initial guess" in own} == {"page", "talk"}
+
+    def test_the_drawing_for_a_paper_shows_the_optimum_alone(self, interpreted):
+        module = interpreted("pair", PAIR)
+        result = replace(unsolved(module), status="solved")
+        drawn = Scene(result.t, (Trail((result.q.T, np.zeros((2, 4)))),))
+        page = figures.figure(module, result, figures.Drawings(drawn, drawn), style="paper")
+        assert not {axes.get_title() for axes in page.axes} & {"initial guess", "optimum"}
 
     def test_iterations_with_a_barrier(self):
         axes = Figure().add_subplot()

@@ -9,7 +9,7 @@ import pytest
 from invented_results import BOUNDED, PAIR, column, unsolved
 
 from codegen.show import figures
-from codegen.show.figures.quantities import Quantity, first_guess, inequalities, quantities
+from codegen.show.figures.quantities import Quantity, by_expression, first_guess, inequalities, quantities
 
 
 class TestQuantities:
@@ -45,6 +45,30 @@ class TestQuantities:
         (shown,) = inequalities(module, replace(result, unknowns=violated))
         assert shown.distance[1, 0] == pytest.approx(3.0 - 4.375)
         assert shown.active()[:, 0].tolist() == [False, True, False, False]
+
+    def test_values_and_bounds_of_constrained_expressions(self, interpreted):
+        path = "[f + x <= k, f + x >= -k/2 + t, 2*x <= f + 9, sqrt(k) >= dx]"
+        text = BOUNDED.replace("[f + x <= 3]", path).replace('"f")', '"f")\n    k, t = parameter("k", 3), time()')
+        module = interpreted(
+            "limits", text.replace("coordinate", "coordinate, parameter, time\nfrom sympy import sqrt", 1)
+        )
+        result = replace(unsolved(module), parameters={"k": 4.0})
+        shown = inequalities(module, result)
+        assert [[one.name for one in group] for group in by_expression(shown)] == [
+            ["f + x <= k", "f + x >= -k/2 + t"], ["2*x <= f + 9"], ["sqrt(k) >= dx"],
+        ]  # fmt: skip
+        upper, lower, both, speed = shown
+        assert [one.expression for one in shown] == ["f + x", "f + x", "", "dx"]
+        assert [one.is_lower for one in shown] == [False, True, False, False]
+        np.testing.assert_allclose(upper.bound, 4.0)
+        np.testing.assert_allclose(lower.bound, lower.t - 2.0)
+        np.testing.assert_allclose(speed.bound, 2.0)
+        assert both.bound is None
+        # The guess is the motion x = t/2 with f = 0; its distances belong to the default k = 3.
+        upper, lower, _, speed = inequalities(module, unsolved(module))
+        for one in (upper, lower):
+            np.testing.assert_allclose(one.values[:, 0], [0.125, 0.375, 0.625, 0.875])
+        np.testing.assert_allclose(speed.values[:, 0], 0.5)
 
     def test_bodies(self, interpreted):
         module = interpreted("pair", PAIR)

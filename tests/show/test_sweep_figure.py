@@ -65,6 +65,38 @@ def test_units_of_a_sweep_stand_on_its_axes():
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("$m$ (kg)", "$r$ at the start (m)")
 
 
+UNITS = '{"m": "kg", "r": "m", "u": "N", "t": "s", "cost": "J"}'
+
+
+def test_trajectories_and_the_cost_of_a_sweep_have_units():
+    data = made({"m": X})
+    data.attrs["units"] = UNITS
+    cost, *curves, _ = sweep_figure(data).axes
+    assert (cost.get_xlabel(), cost.get_ylabel()) == ("$m$ (kg)", "cost (J)")
+    assert [axes.get_xlabel() for axes in curves] == ["time (s)", "time (s)"]
+    assert [axes.get_ylabel() for axes in curves] == ["$r$ (m)", "$u$ (N)"]
+
+
+def test_lines_and_samples_of_a_sweep_have_units():
+    data = made({"m": X, "k": Y[:2]})
+    data.attrs["units"] = UNITS.replace('"r"', '"k": "N/m", "r"')
+    assert [text.get_text() for text in sweep_figure(data).axes[0].get_legend().get_texts()][:2] == [
+        "$k$ = 0 N/m", "$k$ = 0.25 N/m",
+    ]  # fmt: skip
+    samples = made({"m": X}, dims=("case",))
+    samples.attrs["units"] = UNITS
+    labels = [(axes.get_xlabel(), axes.get_ylabel()) for axes in sweep_figure(samples).axes]
+    assert labels == [
+        ("cost (J)", "cases"), ("$m$ (kg)", "cost (J)"), ("time (s)", "$r$ (m)"), ("time (s)", "$u$ (N)"),
+    ]  # fmt: skip
+
+
+def test_final_states_of_a_sweep_have_units():
+    data = made({"m": X}, cost=np.full(X.shape, np.nan))
+    data.attrs["units"] = UNITS
+    assert sweep_figure(data).axes[0].get_ylabel() == "$r$ at the end (m)"
+
+
 def test_values_that_do_not_grow_are_drawn_in_order():
     axes = sweep_figure(made({"m": X[::-1]})).axes[0]
     np.testing.assert_allclose(axes.lines[0].get_xdata(), X)

@@ -39,6 +39,8 @@ def test_unknown_columns_are_refused(push):
         result["p_y"]
     with pytest.raises(ArgumentError, match="no column 'theta'; use one of x, p_x, f"):
         result["theta"]
+    with pytest.raises(ArgumentError, match="no column 'dx', because it has momenta in place of velocities; use p_x"):
+        result["dx"]
     with pytest.raises(AttributeError, match="'Result' object has no attribute 'theta'"):
         result.theta  # noqa: B018
     assert not hasattr(result, "_repr_png_")

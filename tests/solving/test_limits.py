@@ -11,14 +11,14 @@ from typer.testing import CliRunner
 
 from codegen import terminal
 from codegen.cli import main
-from codegen.cli.solve import with_options
 from codegen.errors import ArgumentError
 from codegen.runtime.search import descent, restoration, solution
 from codegen.runtime.search import solution as iteration_log
 from codegen.runtime.search.bounds import with_violations
 from codegen.runtime.search.messages import row_text
 from codegen.solving import api, drivers
-from codegen.solving.outcome import LEAST_TIME, Outcome
+from codegen.solving.outcome import LEAST_TIME, Outcome, outcome_of
+from codegen.solving.request import Option, Request
 from codegen.solving.results import output
 
 
@@ -236,8 +236,19 @@ def test_messages_name_the_option_that_was_given(monkeypatch, interpreted, words
 def test_results_name_arguments_where_functions_are_called(interpreted):
     result = api.solve(interpreted("cart_pole"), steps=10, max_iterations=2, doublings=1)
     assert all("raise max_iterations" in text for text in (result.message, result.levels[0].message))
-    named = with_options(Outcome(None, result, 0.0, 0.0, [])).result
+    named = Outcome(None, result, 0.0, 0.0, []).for_command_line.result
     assert all("raise --max-iterations" in text for text in (named.message, named.levels[0].message))
+
+
+def test_options_that_may_help_have_the_form_of_the_caller(interpreted):
+    outcome = outcome_of(Request(interpreted("cart_pole"), steps=10, max_iterations=2))
+    assert outcome.untried == (Option("guesses", 10), Option("scaling", "none"))
+    assert outcome.result.notes == ()
+    assert outcome.for_python.notes == ("what may help, in this order: guesses=10, scaling='none'",)
+    assert outcome.for_command_line.result.notes == ("what may help, in this order: --guesses 10, --scaling none",)
+    assert (Option("scheme").in_python, Option("scheme").on_command_line) == ("another scheme", "another --scheme")
+    others = {"guesses": 2, "scaling": "none"}
+    assert outcome_of(Request(interpreted("cart_pole"), steps=10, max_iterations=2, **others)).untried == ()
 
 
 @pytest.mark.parametrize("driver", ["newton", "slsqp"])

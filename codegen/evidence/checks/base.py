@@ -1,7 +1,7 @@
 """The interface of a check, and the numerical tools that checks share.
 
 A check reads a `Context`: the author's model, the derived program, and the generated module on disk. It yields
-findings, which `findings_table` shows.
+findings, which `findings_table` and `not_applicable` show.
 
 The numerical tools evaluate expressions in high precision at random points where all expressions have finite values.
 Derivatives are differences of undifferentiated expressions in 120-digit arithmetic. They do not depend on sympy's
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 _LEAST_STEPS = 8
+DOES_NOT_APPLY = "does not apply"
+"""The outcome of a check that does not apply to a problem."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ class Finding:
         if not self.measured:
             return "not measured"
         if not self.applies:
-            return "does not apply"
+            return DOES_NOT_APPLY
         return "passed" if self.passed else "FAILED"
 
 
@@ -114,26 +116,35 @@ def verdict(findings: Sequence[Finding]) -> str:
     outcomes = [finding.outcome for finding in findings]
     passed, unmeasured = outcomes.count("passed"), outcomes.count("not measured")
     text = f"{passed} {'check' if passed == 1 else 'checks'} passed, {outcomes.count('FAILED')} failed, "
-    text += f"{outcomes.count('does not apply')} do not apply"
+    text += f"{outcomes.count(DOES_NOT_APPLY)} do not apply"
     return text + (f", {unmeasured} not measured" if unmeasured else "")
 
 
 def findings_table(findings: Sequence[Finding]) -> Table:
-    """Return a table of all findings for the terminal."""
+    """Return a table for the terminal, as wide as the terminal, of all findings of checks that apply."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
 
     styles = {"passed": "green", "FAILED": "bold red"}
-    table = Table(box=box.SIMPLE_HEAD)
-    for heading in ("check", "subject", "", "detail"):
-        table.add_column(heading)
+    table = Table(box=box.SIMPLE_HEAD, expand=True, pad_edge=False)
+    table.add_column("", max_width=len("measured"))
+    table.add_column("check", ratio=2)
+    table.add_column("detail", ratio=3)
     for finding in findings:
         outcome = finding.outcome
+        if outcome == DOES_NOT_APPLY:
+            continue
         detail = finding.detail if finding.applies else finding.detail.removeprefix(f"{outcome}: ")
         styled = f"[{styles.get(outcome, 'dim')}]{outcome}[/]"
-        table.add_row(escape(finding.check), escape(finding.subject), styled, escape(detail))
+        table.add_row(styled, f"[cyan]{escape(finding.check)}:[/] {escape(finding.subject)}", escape(detail))
     return table
+
+
+def not_applicable(findings: Sequence[Finding]) -> str:
+    """Return one line of text with the names of all checks that do not apply, or ""."""
+    names = dict.fromkeys(finding.check for finding in findings if finding.outcome == DOES_NOT_APPLY)
+    return f"not applicable: {', '.join(names)}" if names else ""
 
 
 @dataclass(frozen=True)
@@ -192,7 +203,7 @@ class Check:
 
 def does_not_apply(check: str, reason: str) -> Finding:
     """Return the finding of a check that does not apply to a problem."""
-    return Finding(check, "the whole problem", True, f"does not apply: {reason}", applies=False)
+    return Finding(check, "the whole problem", True, f"{DOES_NOT_APPLY}: {reason}", applies=False)
 
 
 def not_measured(check: str, subject: str, reason: str) -> Finding:

@@ -157,7 +157,7 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
                 *drift.section(store, problem, chosen.variants, f"{name}: energy in the long run"),
                 *(chosen.extra.sections(store, problem) if chosen.extra else []),
                 modules.modules(store, chosen.variants, f"{name}: modules", chosen.omitted),
-                *modules.omissions(store, problem, chosen.variants, f"{name}: what is left out"),
+                *modules.omissions(store, problem, chosen.variants, f"{name}: parts that its modules do not need"),
             ]
     title = "Problems, measured" if len(selection) > 1 else _title_of(selection[0].problem)
     introduction = (
@@ -196,7 +196,7 @@ def summary(selection: Sequence[Chosen], store: Store) -> Section:
     """Return the section with a row for each problem, and with the number of schemes for each verdict on orders."""
     rows = tuple(_row(chosen, store) for chosen in selection)
     head = ("problem", "task", "schemes", "best order measured", "default N", "error at default N", "solve time there",
-            "status there", "lines", "parts left out")  # fmt: skip
+            "status there", "lines", "parts not needed")  # fmt: skip
     text = (
         "Errors are relative: of the trajectory for simulations, of the cost for optimal control. Default N is the "
         "ladder's number of steps that is next to the problem's own; error, time, status and lines are of the default "

@@ -101,7 +101,7 @@ def modules(store: Store, variants: Sequence[Variant], title: str, omitted: Sequ
             f"{_operations(values, 0)} → {_operations(values, 1)}", str(len(values["left out"])),
         ))  # fmt: skip
     head = ("module", "derive [s]", "compile [s]", "load [s]", "lines", "of these kernels", "KiB",
-            "operations, before → after sharing", "parts left out")  # fmt: skip
+            "operations, before → after sharing", "parts not needed")  # fmt: skip
     texts = []
     if refused:
         texts.append("Schemes that do not apply: " + "; ".join(refused) + ".")
@@ -125,8 +125,8 @@ def omissions(store: Store, problem: Path, variants: Sequence[Variant], title: s
     for variant in _shown(store, variants):
         plain, general = store.get(MODULES, variant.case) or {}, replace(variant, general=True)
         rows = tuple((part, reason) for part, _, reason in (line.partition(": ") for line in plain["left out"]))
-        caption = f"Left out of {variant.label}, because the problem does not need it."
-        tables.append(Table(caption, ("what", "why"), rows, "words"))
+        caption = f"Parts of the general solver that {variant.label} does not contain."
+        tables.append(Table(caption, ("part", "why the problem does not need it"), rows, "words"))
         other, run = store.get(MODULES, general.case), store.get(section_of(problem, "general form"), general.label)
         if other is None or other["status"] != "built" or run is None:
             continue
@@ -147,13 +147,13 @@ def omissions(store: Store, problem: Path, variants: Sequence[Variant], title: s
             ratio = number(b / a) if a and b is not None and math.isfinite(b) else "–"
             cells.append((name, *("–" if value is None else written(value) for value in (a, b)), ratio))
         caption = (
-            f"{variant.label}: the module as it is, and the form that leaves nothing out. Deriving and compiling "
-            "are processor time."
+            f"{variant.label}: the module as it is, and the general form, which contains all parts. Deriving and "
+            "compiling are processor time."
         )
         tables.append(Table(caption, ("", "as emitted", "general form", "ratio"), tuple(cells)))
         if run.get("difference") is None:
             reason = run.get("general status") or run.get("message")
-            answers.append(f"That of {variant.label} does not give the answer: {reason}.")
+            answers.append(f"The general form of {variant.label} does not give the answer: {reason}.")
         else:
             answers.append(
                 f"The answer of {variant.label} differs by {number(run['difference'], 2)}, relatively, after "
@@ -172,4 +172,8 @@ def omissions(store: Store, problem: Path, variants: Sequence[Variant], title: s
         text = "There is no general form of particles."
     if answers:
         text = f"In the general form {_FORMS[survey['task']]} {' '.join(answers)}"
-    return [Section(title, (text,), tuple(tables))]
+    introduction = (
+        "A module contains only the code that its problem needs. The tables list the parts of the general solver that "
+        "are missing in the modules, and why."
+    )
+    return [Section(title, (introduction, text), tuple(tables))]

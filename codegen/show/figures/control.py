@@ -33,7 +33,13 @@ from codegen.show.figures.picture import (
     new_figure,
     present_style,
 )
-from codegen.show.figures.quantities import Inequality, Quantity, inequalities_of_segments, quantities_of_segments
+from codegen.show.figures.quantities import (
+    Inequality,
+    Quantity,
+    by_expression,
+    inequalities_of_segments,
+    quantities_of_segments,
+)
 from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solving.results.estimates import Fit
 from codegen.solving.results.result import Result, Sensitivities
@@ -209,20 +215,23 @@ def control_figure(
 
     Each state has a row with its momentum and multiplier. Controls, path inequalities and iterations follow, or stand
     to the right of the drawing of a single body if they fit. The drawing of several bodies shows the initial guess and
-    the optimum. The panels `chosen` by names of quantities and conditions replace all others. Raises ArgumentError for
-    an unknown name.
+    the optimum, or the optimum alone in a style without initial guess. The panels `chosen` by names of quantities and
+    conditions replace all others. Raises ArgumentError for an unknown name.
     """
     groups, conditions = quantities_of_segments(module, result), inequalities_of_segments(module, result)
     style = present_style()
     if not style.has_details:
         groups["multiplier"] = []
+    if chosen is not None or not style.has_guess:
+        groups = {kind: [replace(one, guess=None) for one in group] for kind, group in groups.items()}
     samples, bodies = measured(module, result), int(module.metadata.bodies)
     states = _state_rows(groups, samples, bands(module, result) if samples else {})
     others = [_panel(control) for control in groups["control"][:_MOST_ROWS]]
-    if len(conditions) > _MOST_INEQUALITIES:
+    constrained = by_expression(conditions)
+    if len(constrained) > _MOST_INEQUALITIES:
         others.append(Panel("", partial(panels.strip, shown=conditions)))
     else:
-        others += [Panel("", partial(panels.inequality, shown=one)) for one in conditions]
+        others += [Panel("", partial(panels.inequality, shown=group)) for group in constrained]
     if result.grid is not None:
         others.append(Panel("", partial(panels.lengths, t=result.t)))
     if result.log is not None and len(result.log) > 1 and style.has_details:
@@ -235,10 +244,9 @@ def control_figure(
         others.append(Panel("", lambda axes: tornado(axes, bars), over_time=False))
     others.sort(key=lambda panel: not panel.over_time)
     if chosen is not None:
-        groups = {kind: [replace(one, guess=None) for one in group] for kind, group in groups.items()}
         states, others, drawings = _chosen_rows(chosen, groups, conditions, samples), [], None
         groups = {kind: [one for one in group if one.name in chosen] for kind, group in groups.items()}
-        conditions = [one for one in conditions if one.name in chosen]
+        conditions = [one for one in conditions if one.name in chosen or one.expression in chosen]
     width = WIDE if len(states[0]) > 4 else WIDTH if len(states[0]) > 1 or chosen is None else _COLUMN
     band_height, part = _drawing_size(drawings, width)
     columns = math.ceil(len(others) / _MOST_BESIDE)
@@ -305,7 +313,10 @@ def _chosen_rows(
         for one in group:
             panel = _state_panel(one, samples, {}) if kind == "state" else _panel(one)
             drawn.setdefault(one.name, replace(panel, kind=""))
-    drawn |= {one.name: Panel("", partial(panels.inequality, shown=one)) for one in conditions}
+    for constrained in by_expression(conditions):
+        panel = Panel("", partial(panels.inequality, shown=constrained))
+        for name in (name for one in constrained for name in (one.name, one.expression) if name):
+            drawn.setdefault(name, panel)
     names = [chosen] if isinstance(chosen, str) else list(chosen)
     if unknown := [name for name in names if name not in drawn] or ([] if names else ["(none)"]):
         raise ArgumentError(f"there is no panel {unknown[0]}", f"choose from {', '.join(drawn)}")
@@ -397,7 +408,7 @@ def _drawing_size(drawings: Drawings | None, width: float) -> tuple[float, float
     """Return the height of the drawing in inches, and the fraction of the figure's width that the drawing needs."""
     if drawings is None:
         return 0.0, 0.0
-    if shapes.bodies_of(drawings.solution) > 1:
+    if _has_two_scenes(drawings):
         left, right, bottom, top = shapes.extent([drawings.solution, drawings.guess])
         return min(5.6, max(2.4, (top - bottom) / (right - left) * (width / 2 - 0.6))) + 0.8, 1.0
     left, right, bottom, top = shapes.extent([drawings.solution])
@@ -409,8 +420,8 @@ def _drawing_size(drawings: Drawings | None, width: float) -> tuple[float, float
 
 
 def _draw(figure: FigureBase, drawings: Drawings, outcome: str) -> None:
-    """Draw the solution; for several bodies also the initial guess. `outcome` is the solution's title."""
-    if shapes.bodies_of(drawings.solution) == 1:
+    """Draw the solution, and the initial guess if `_has_two_scenes`. `outcome` is the solution's title."""
+    if not _has_two_scenes(drawings):
         axes = figure.add_subplot()
         shapes.course(axes, drawings.solution, shapes.extent([drawings.solution]))
         if present_style().is_slide:
@@ -421,3 +432,8 @@ def _draw(figure: FigureBase, drawings: Drawings, outcome: str) -> None:
     for axes, (name, scene) in zip(figure.subplots(1, 2), scenes.items(), strict=True):
         shapes.course(axes, scene, room)
         axes.set_title(name, fontsize=letter_size(11))
+
+
+def _has_two_scenes(drawings: Drawings) -> bool:
+    """Return True if the initial guess is drawn next to the solution, as for several bodies."""
+    return shapes.bodies_of(drawings.solution) > 1 and present_style().has_guess

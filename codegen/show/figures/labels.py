@@ -69,8 +69,13 @@ def quantity(name: str, data: Dataset | None = None) -> str:
     """
     end, dot, own = name.partition(".")
     text = f"{label(own)} at the {end}" if dot else label(name)
-    unit = json.loads(data.attrs.get("units", "{}")).get(own or name, "") if data is not None else ""
-    return in_unit(text, unit)
+    return in_unit(text, unit_in(data, name) if data is not None else "")
+
+
+def unit_in(data: Dataset, name: str) -> str:
+    """Return the unit in a sweep's data of a quantity such as `m`, `start.r`, `cost`, `t` or `duration`, or ""."""
+    own = name.rpartition(".")[2]
+    return str(json.loads(data.attrs.get("units", "{}")).get("t" if own == "duration" else own, ""))
 
 
 def statuses(data: Dataset) -> NDArray[np.str_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,6 +33,10 @@ from codegen.solving.loading import Matrix, Vector
 KINDS = {"state": BLUE, "momentum": GREEN, "multiplier": PINK, "control": RED}
 """Colours of the kinds of quantities for a single body."""
 
+_FLAT = 1e-3
+"""Relative range of a constrained expression below which it is drawn as constant."""
+_LETTERS = 52
+"""Number of letters on a line of the title of a panel."""
 _DOTTED = (0, (1, 1.5))
 _DASHED = (0, (5, 3))
 _ACTIVE: Look = {"color": AMBER, "linewidth": 5.5, "alpha": 0.75, "zorder": 1.5}
@@ -72,19 +77,61 @@ def quantity(axes: Axes, shown: Quantity, second: Quantity | None = None) -> Non
     _bounds(axes, shown)
 
 
-def inequality(axes: Axes, shown: Inequality) -> None:
-    """Draw the distance -g of a path inequality g <= 0 from equality over time; negative values are forbidden."""
-    single = shown.distance.shape[1] == 1
-    for values, colour in zip(shown.distance.T, body_colours(shown.distance.shape[1], BLUE), strict=True):
-        axes.plot(shown.t, values, color=colour, linewidth=1.5 if single else 1.2)
-    _highlight(axes, shown.t, shown.distance, shown.active())
-    highest = float(np.nanmax(shown.distance, initial=0.0))
-    axes.axhline(0.0, **_BOUND)
-    axes.set_ylabel("distance")
-    axes.set_title(relation(shown.name), loc="left", fontsize=letter_size(8.5))
-    if highest > 0.0:
-        axes.set_ylim(-0.12 * max(highest, 1e-3), 1.1 * max(highest, 1e-3))
-    axes.axhspan(axes.get_ylim()[0], 0.0, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+def inequality(axes: Axes, shown: Sequence[Inequality]) -> None:
+    """Draw an expression over time with its bounds, which are path inequalities; the sides beyond them are forbidden.
+
+    An inequality without a known bound stands alone, and is drawn as its distance from equality.
+    """
+    first = shown[0]
+    single = first.values.shape[1] == 1
+    for one in shown:
+        for values, colour in zip(one.values.T, body_colours(one.values.shape[1], BLUE), strict=True):
+            axes.plot(one.t, values, color=colour, linewidth=1.5 if single else 1.2)
+        _highlight(axes, one.t, one.values, one.active())
+    if first.bound is None:
+        highest = float(np.nanmax(first.distance, initial=0.0))
+        axes.axhline(0.0, **_BOUND)
+        axes.set_ylabel("distance")
+        axes.set_title(relation(first.name), loc="left", fontsize=letter_size(8.5))
+        if highest > 0.0:
+            axes.set_ylim(-0.12 * max(highest, 1e-3), 1.1 * max(highest, 1e-3))
+        axes.axhspan(axes.get_ylim()[0], 0.0, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+        return
+    name = label(first.expression) if first.expression.isidentifier() else relation(first.expression, 24)
+    axes.set_ylabel(in_unit(name, first.unit))
+    # Errors of values that stay at a bound must not fill the axis.
+    finite = np.concatenate([one.values[np.isfinite(one.values)] for one in shown])
+    low, high = axes.get_ylim()
+    if finite.size and np.ptp(finite) < _FLAT * (size := float(np.abs(finite).max()) or 1.0):
+        low, high = float(finite.mean()) - 0.25 * size, float(finite.mean()) + 0.25 * size
+    margin, least, most = 0.12 * (high - low), low - 0.6 * (high - low), high + 0.6 * (high - low)
+    drawn: list[tuple[Inequality, Vector]] = []
+    far = []
+    for one in shown:
+        assert one.bound is not None, "inequalities of one expression have bounds"
+        visible = one.bound[(one.bound >= least) & (one.bound <= most)]
+        if not visible.size:
+            far.append(relation(one.name))
+            continue
+        if one.is_lower:
+            low = min(low, float(visible.min()) - margin)
+        else:
+            high = max(high, float(visible.max()) + margin)
+        drawn.append((one, one.bound))
+    axes.set_ylim(low, high)
+    for one, bound in drawn:
+        edge = low if one.is_lower else high
+        if np.ptp(bound) == 0.0:
+            level = float(bound[0])
+            for span in one.spans or ((float(one.t[0]), float(one.t[-1])),):
+                axes.hlines(level, *span, **_BOUND)
+                axes.fill_between(span, edge, level, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+        else:
+            axes.plot(one.t, bound, **_BOUND)
+            axes.fill_between(one.t, edge, np.clip(bound, low, high), color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+    lines = [", ".join(relation(one.name) for one, _ in drawn), f"out of view: {', '.join(far)}" if far else ""]
+    wrapped = [part for line in lines for part in textwrap.wrap(line, _LETTERS)]
+    axes.set_title("\n".join(wrapped), loc="left", fontsize=letter_size(8.5))
 
 
 def strip(axes: Axes, shown: Sequence[Inequality]) -> None:

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
-from codegen.show.figures.labels import heading, label, quantity, statuses
+from codegen.show.figures.labels import heading, in_unit, label, quantity, statuses, unit_in
 from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, Look, body_map, new_figure
 from codegen.show.figures.sweep import is_wide
 
@@ -182,7 +182,7 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
         axes.plot([], [], "-o", color=DARK, markersize=size, linewidth=1.0, label="front")
         colours = shades.to_rgba(varied[front])
         axes.scatter(one[front], other[front], s=size**2, c=colours, zorder=2.5, linewidths=0.0)
-        figure.colorbar(shades, ax=axes, label=quantity(name), aspect=30).outline.set_visible(False)
+        figure.colorbar(shades, ax=axes, label=quantity(name, data), aspect=30).outline.set_visible(False)
     if not solved.all():
         # Draw failed cases at the edge of the panel, along the axis of a varied objective.
         x, y = one[~solved], other[~solved]
@@ -206,6 +206,8 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
             text = f"{label(own)} {_WORDS[word]}"
         else:
             text = word if word in ("cost", "duration") else label(word)
+        # The unit of a derivative is not in the data.
+        text = text if word == "d_cost" else in_unit(text, unit_in(data, objective.name))
         text += " (larger is better)" if objective.is_large else ""
         (axes.set_xlabel if is_first else axes.set_ylabel)(text)
         if is_wide(values):

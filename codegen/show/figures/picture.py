@@ -56,7 +56,8 @@ class Style:
     """A style: size and line width relative to a page, letters in points, dots per inch, and contents.
 
     Without `has_title` only figures of failed solves have a title. Without `has_details` the figure of an optimum omits
-    multipliers and iterations. A slide has an aspect ratio of 16:9, with the drawing at the left.
+    multipliers and iterations, and without `has_guess` the initial guess. A slide has an aspect ratio of 16:9, with the
+    drawing at the left.
     """
 
     size: float
@@ -65,6 +66,7 @@ class Style:
     resolution: float = 150.0
     has_title: bool = True
     has_details: bool = True
+    has_guess: bool = True
     is_slide: bool = False
 
     def settings(self) -> dict[Any, Any]:
@@ -76,7 +78,7 @@ class Style:
 
 STYLES = {
     "page": Style(1.0, 9.5, 1.0),
-    "paper": Style(7.1 / 12.0, 7.5, 0.7, 300.0, has_title=False, has_details=False),
+    "paper": Style(7.1 / 12.0, 7.5, 0.7, 300.0, has_title=False, has_details=False, has_guess=False),
     "talk": Style(13.3 / 12.0, 15.0, 1.7, has_details=False, is_slide=True),
 }
 """Styles by use: a page on a screen, both columns of a journal page (180 mm), and slides."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,13 +62,28 @@ class Quantity:
 class Inequality:
     """A path inequality g <= 0 as its distance -g from equality, shape (times, bodies), at its own times `t`.
 
-    `segment` is the number of the segment, from 1, if delays cut the motion into segments, else 0.
+    `segment` is the number of the segment, from 1, if delays cut the motion into segments, else 0. If one side of the
+    inequality is known, `expression` is the text of the other side, and `bound` (times,) the known side. The
+    expression is above its bound if `is_lower`. `spans` are the first and last times of the phases in which the
+    inequality holds.
     """
 
     name: str
     t: Vector
     distance: Matrix
     segment: int = 0
+    expression: str = ""
+    bound: Vector | None = None
+    is_lower: bool = False
+    unit: str = ""
+    spans: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def values(self) -> Matrix:
+        """The values (times, bodies) of the expression, or the distance if no bound is known."""
+        if self.bound is None:
+            return self.distance
+        return self.bound[:, None] + (self.distance if self.is_lower else -self.distance)
 
     def active(self) -> np.ndarray:
         """Return a mask of the times and bodies at which the inequality holds with equality."""
@@ -145,6 +162,11 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
 
 def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
     """Return the path inequalities of a result at the points of the discretisation, one for each condition."""
+    return [_with_bound(one, module, result) for one in _distances(module, result)]
+
+
+def _distances(module: ControlModule, result: Result) -> list[Inequality]:
+    """Return the path inequalities of a result as distances, without bounds."""
     metadata = module.metadata
     names = vars(module)  # only some modules have slacks
     if result.unknowns is None or "SLACKS" not in names:
@@ -153,6 +175,7 @@ def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
     _, intervals = module.views(grid, result.unknowns)
     _, residuals = module.views(grid, module.evaluate(grid, result.unknowns).gradient)
     columns: dict[Meaning, list[tuple[Vector, Matrix]]] = {}
+    spans: dict[Meaning, list[tuple[float, float]]] = {}
     first = len(metadata.node)
     for phase, meanings in enumerate(metadata.slack_meanings):
         rows = slice(phase * result.steps, (phase + 1) * result.steps)
@@ -170,14 +193,89 @@ def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
             order = np.argsort(times, kind="stable")
             values = np.concatenate([values for _, values in points])
             columns.setdefault(meaning, []).append((times[order], values[order]))
+            spans.setdefault(meaning, []).append((float(result.t[rows.start]), float(result.t[rows.stop])))
     out = []
     for meaning, parts in columns.items():
         t, values = parts[0]
         for more, others in parts[1:]:  # NaN makes a gap between phases
             t = np.concatenate([t, t[-1:], more])
             values = np.concatenate([values, np.full_like(others[:1], np.nan), others])
-        out.append(Inequality(meaning.subject, t, values, meaning.segment))
+        out.append(Inequality(meaning.subject, t, values, meaning.segment, spans=tuple(spans[meaning])))
     return out
+
+
+def by_expression(shown: Sequence[Inequality]) -> list[list[Inequality]]:
+    """Return the inequalities in groups, in which lower and upper bounds of the same expression are together."""
+    groups: dict[str, list[Inequality]] = {}
+    for one in shown:
+        groups.setdefault(one.name if one.bound is None else one.expression, []).append(one)
+    return list(groups.values())
+
+
+def _with_bound(shown: Inequality, module: ControlModule, result: Result) -> Inequality:
+    """Return the inequality with its expression and bound if one side depends on constants and the time alone.
+
+    The name of an inequality is its relation in Python's notation, unless the author named it.
+    """
+    try:
+        tree = ast.parse(shown.name, mode="eval").body
+    except SyntaxError:  # a name in the author's words
+        return shown
+    if not isinstance(tree, ast.Compare) or len(tree.ops) != 1 or not isinstance(tree.ops[0], (ast.LtE, ast.GtE)):
+        return shown
+    left, right, is_lower = tree.left, tree.comparators[0], isinstance(tree.ops[0], ast.GtE)
+    metadata = module.metadata
+    free = {name: result.summary[name] for name in metadata.free_parameters if name in result.summary}
+    symbols: dict[str, float | Vector] = {
+        "pi": np.pi,
+        "E": np.e,
+        "t": shown.t,
+        **metadata.parameters,
+        **result.parameters,
+        **free,
+    }
+    for expression, limit, is_above in ((left, right, is_lower), (right, left, not is_lower)):
+        bound = _value(limit, symbols)
+        if bound is not None and _value(expression, symbols) is None:
+            text = str(ast.get_source_segment(shown.name, expression))
+            return replace(
+                shown, expression=text, bound=np.broadcast_to(bound, shown.t.shape).astype(float),
+                is_lower=is_above, unit=result.units.get(text, ""),
+            )  # fmt: skip
+    return shown
+
+
+_FUNCTIONS: dict[str, Callable[..., Vector]] = {
+    "sqrt": np.sqrt, "sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp, "log": np.log, "Abs": np.abs,
+    "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh,
+}  # fmt: skip
+"""Functions that may occur in bounds, by the name that sympy prints."""
+_OPERATORS: dict[type[ast.operator], Callable[..., Vector]] = {
+    ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.true_divide, ast.Pow: np.power,
+}  # fmt: skip
+
+
+def _value(node: ast.expr, symbols: Mapping[str, float | Vector]) -> Vector | None:
+    """Return the value of an expression, or None if another symbol, function or operation occurs."""
+    apply: Callable[..., Vector]
+    match node:
+        case ast.Constant(value=int() | float() as number):
+            return np.array(float(number))
+        case ast.Name(id=name):
+            return np.asarray(symbols[name], dtype=np.float64) if name in symbols else None
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            apply, operands = np.negative, [operand]
+        case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _OPERATORS:
+            apply, operands = _OPERATORS[type(operator)], [left, right]
+        case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in _FUNCTIONS:
+            apply, operands = _FUNCTIONS[name], [argument]
+        case _:
+            return None
+    values = [value for operand in operands if (value := _value(operand, symbols)) is not None]
+    if len(values) < len(operands):
+        return None
+    with np.errstate(all="ignore"):
+        return np.asarray(apply(*values), dtype=np.float64)
 
 
 def _finite(table: Matrix) -> Matrix:
@@ -273,13 +371,17 @@ def inequalities_of_segments(module: ControlModule, result: Result) -> list[Ineq
     if cut is None:
         return inequalities(module, result)
     duration, parts = float(cut.t[-1] - cut.t[0]), dict[str, list[tuple[Vector, Matrix]]]()
-    for own in inequalities(module, cut):
+    for own in _distances(module, cut):
         name = own.name.removesuffix(f" in segment {own.segment}")
         parts.setdefault(name, []).append((own.t + (own.segment - 1) * duration, own.distance))
-    return [
-        Inequality(name, np.concatenate([t for t, _ in own]), np.concatenate([values for _, values in own]))
+    joined = [
+        Inequality(
+            name, np.concatenate([t for t, _ in own]), np.concatenate([values for _, values in own]),
+            spans=((float(result.t[0]), float(result.t[-1])),),
+        )
         for name, own in parts.items()
-    ]
+    ]  # fmt: skip
+    return [_with_bound(one, module, result) for one in joined]
 
 
 def first_guess_of_segments(module: ControlModule, result: Result) -> Result:

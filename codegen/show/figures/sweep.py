@@ -28,7 +28,7 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import Locator, LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
-from codegen.show.figures.labels import heading, label, quantity, statuses
+from codegen.show.figures.labels import heading, in_unit, label, quantity, statuses, unit_in
 from codegen.show.figures.panels import KINDS
 from codegen.show.figures.picture import (
     AMBER,
@@ -148,13 +148,13 @@ def graded(
         t, values, cases = _curves(data, group, MOST_TRAJECTORIES)
         for times, row, case in zip(t, values, cases):
             axes.plot(times, row, color=shades.to_rgba(places[case]), linewidth=0.9)
-        _over_time(axes, "time", group)
+        _over_time(axes, in_unit("time", unit_in(data, "t")), group, data)
     return shades
 
 
-def _over_time(axes: Axes, what: str, group: tuple[str, str]) -> None:
+def _over_time(axes: Axes, what: str, group: tuple[str, str], data: Dataset) -> None:
     axes.set_xlabel(what)
-    axes.set_ylabel(label(group[1]))
+    axes.set_ylabel(quantity(group[1], data))
     axes.margins(x=0)
 
 
@@ -173,7 +173,8 @@ def fan(axes: Axes, data: Dataset, group: tuple[str, str], linear: Prediction | 
         edges = np.nanquantile(values[:, seen], (low, high), axis=0)
         axes.fill_between(times[seen], *edges, color=colour, alpha=strength, linewidth=0)
     axes.plot(times[seen], np.nanmedian(values[:, seen], axis=0), color=colour)
-    _over_time(axes, "time" if same else "time in parts of the duration", group)
+    what = in_unit("time", unit_in(data, "t")) if same else "time divided by the duration"
+    _over_time(axes, what, group, data)
     handles: list[Artist] = [Patch(color=colour, alpha=a, label=f"{100 * (h - low):.0f} %") for low, h, a in BANDS]
     if linear is not None and f"d_{group[0]}" in data:
         index = data[_COLUMNS[group[0]][0]].values.tolist().index(group[1])
@@ -250,13 +251,13 @@ def _has_cost(data: Dataset) -> bool:
 def measures_of(data: Dataset) -> dict[str, Numbers]:
     """Return the number of each case to draw, by its label: the cost, or without a cost the final states."""
     if _has_cost(data):
-        return {"cost": data["cost"].values}
+        return {in_unit("cost", unit_in(data, "cost")): data["cost"].values}
     names = [str(name) for name in data["coordinate"].values][:_MOST_MEASURES]
     # Find the last finite values of q: arrays with fewer steps end in NaN.
     q = data["q"].transpose(..., "node", "coordinate").values
     number = np.maximum(1, np.isfinite(q[..., 0]).sum(axis=-1)) - 1
     ends = np.moveaxis(np.asarray(np.take_along_axis(q, number[..., None, None], axis=-2)[..., 0, :]), -1, 0)
-    return {f"{label(name)} at the end": ends[i] for i, name in enumerate(names)}
+    return {quantity(f"end.{name}", data): ends[i] for i, name in enumerate(names)}
 
 
 def is_failed(data: Dataset) -> NDArray[np.bool_]:
@@ -367,7 +368,7 @@ def sweep_figure(data: Dataset) -> Figure:
     middle = {dim: data.sizes[dim] // 2 for dim in dims if dim not in drawn and data.sizes[dim] > 1}
     data = data.isel({dim: 0 for dim in dims if dim not in drawn} | middle)
     figure = _lines(data, drawn) if second <= MOST_LINES else _maps(data, drawn)
-    at = ", ".join(f"{quantity(dim)} = {_named(whole, dim)[k]}" for dim, k in middle.items())
+    at = ", ".join(_equation(whole, dim, k) for dim, k in middle.items())
     heading(figure, whole, (f"; drawn are those at {at}" if at else "") + no_room(data, second == 1))
     return figure
 
@@ -433,7 +434,6 @@ def _measure(
     if is_wide(rows):
         axes.set_yscale("log")
     marker = "o" if is_of_words else "." if x.size <= 60 else ""
-    values = [] if by is None else _named(data, by)
     # Find groups of coinciding lines.
     is_log = axes.get_yscale() == "log"
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -459,7 +459,7 @@ def _measure(
             dashes = (_DASH * (number - turn)) % (_DASH * number), (_DASH, _DASH * (number - 1))
             looks[line] = {"linestyle": dashes, "markevery": (turn, number)} if number > 1 else {}
     for i, (row, colour) in enumerate(zip(rows, body_colours(len(rows), BLUE))):
-        name = f"{quantity(by)} = {values[i]}" if by is not None and len(rows) > 1 else None
+        name = _equation(data, by, i) if by is not None and len(rows) > 1 else None
         look = {**looks[i], **({"linestyle": "none"} if is_of_words else {})}
         axes.plot(x, row, marker, **{"linestyle": "-", **look}, color=colour, markersize=5, label=name)
     if len(same) < len(rows):
@@ -479,9 +479,11 @@ def _measure(
     axes.margins(x=0.02, y=0.05 + _FOOT * len(failed) * failed.any())
 
 
-def _named(data: Dataset, dim: str) -> list[str]:
+def _equation(data: Dataset, dim: str, index: int) -> str:
+    """Return a varied quantity with one of its values, such as `m = 2 kg`."""
     places, order, words = _axis_places(data, dim)
-    return words or [f"{value:.6g}" for value in places[np.argsort(order)]]
+    value = words[index] if words else f"{places[np.argsort(order)][index]:.6g}"
+    return f"{quantity(dim)} = {value} {unit_in(data, dim)}".rstrip()
 
 
 def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
@@ -508,7 +510,7 @@ def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
         shades = _map(axes, part, dims, (x, y), values, norm)
         drawn.setdefault(name, (shades, []))[1].append(axes)
         if k is not None:
-            axes.set_title(f"{quantity(dims[2])} = {_named(data, dims[2])[k]}")
+            axes.set_title(_equation(data, dims[2], k))
     for name, (shades, panels_of) in drawn.items():
         figure.colorbar(shades, ax=panels_of, label=name).outline.set_visible(False)
     marks = {name: mark for axes in grid.ravel() for mark, name in zip(*axes.get_legend_handles_labels())}

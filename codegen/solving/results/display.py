@@ -14,6 +14,7 @@ import numpy as np
 
 from codegen.deferred import Deferred
 from codegen.errors import ArgumentError, ExtraError
+from codegen.runtime.record import Form
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -65,6 +66,15 @@ class Display:
             if name in names:
                 return cast("Vector", getattr(result, key)[:, names.index(name)])
         columns = [column for names in result.names.values() for column in names]
+        metadata = None if result.background is None else result.background.module.metadata
+        if metadata is not None and metadata.form == Form.LAGRANGIAN and name in metadata.rates:
+            momentum = f"p_{metadata.coordinates[metadata.rates.index(name)]}"
+            if momentum in columns:
+                raise ArgumentError(
+                    f"the result of {result.problem} has no column {name!r}, because it has momenta in place of "
+                    "velocities",
+                    f"use {momentum}",
+                )
         close = difflib.get_close_matches(str(name), columns, 1)
         remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(columns)}"
         raise ArgumentError(f"the result of {result.problem} has no column {name!r}", remedy)
