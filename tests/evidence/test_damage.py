@@ -118,6 +118,22 @@ def test_jacobian_of_a_step(prepared, damaged):
     assert "d residual 0/dp_k1" in next(f for f in found if f.subject == "step_jacobian").detail
 
 
+@pytest.mark.parametrize("entry", ["dl/dx2_k", "dl/dmu_x1_k"])
+def test_gradient_without_stages(prepared, damaged, entry):
+    context = prepared("van_der_pol", {}, scheme="rk4")
+    line = line_with(context, entry, "interval_shooting")
+    (failure,) = failures("derivatives", damaged(context, line, negated(line)))
+    assert failure.subject == "interval_shooting"
+    assert entry in failure.detail
+
+
+def test_stage_of_an_explicit_scheme(prepared, damaged):
+    context = prepared("van_der_pol", {}, scheme="rk4")
+    line = re.search(r"    x2_stage3 = .*", text_from(context, "interval_shooting"))[0]
+    (failure,) = failures("derivatives", damaged(context, line, line + " + 1e-6"))
+    assert failure.subject == "interval_shooting"
+
+
 def test_elimination(prepared, damaged):
     context = prepared("pendulum")
     damage = damaged(context, "interval[0] = q_k1", "interval[0] = q_k1 + 1e-6")

@@ -101,7 +101,7 @@ def minimise_on(search, unknowns, tolerance, max_iterations, warm, log, is_facto
     if status == "gross":
         # A full Newton step to satisfy the equations could lead to a distant optimum. Begin at a nearly feasible point.
         begun = iterate
-        status, iterate = restored(search, begun, NEARBY.nearby, FROM_ANYWHERE, log)
+        status, iterate = restored(search, begun, NEARBY.nearby, FROM_ANYWHERE, log, is_optional=True)
         if status == "restored":
             limit = min(max_iterations // 2, NEARBY_ITERATIONS)
             status, iterate, total = leave_saddles(search, iterate, NEARBY, tolerance, limit, log)

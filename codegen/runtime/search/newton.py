@@ -132,13 +132,14 @@ def run(search, tolerance, max_iterations, log, until):
     return status, is_late
 
 
-def restored(search, iterate, reduction, pairs, log):
+def restored(search, iterate, reduction, pairs, log, is_optional=False):
     """Lower the constraint violation from an iterate; return (status, iterate) with the status "restored" on success.
 
     The iterate has no multipliers, and its duals are on the central path. The violation falls to at most `reduction`
-    times its first value. `pairs` (k, 2) are the pairs (violation, objective) of the filter.
+    times its first value. `pairs` (k, 2) are the pairs (violation, objective) of the filter. See `restore` for
+    `is_optional`.
     """
-    status, feasible = restore(search, iterate, reduction, pairs, log.is_late)
+    status, feasible = restore(search, iterate, reduction, pairs, log.is_late, is_optional)
     if search.is_bounded:
         feasible = feasible._replace(mu=iterate.mu, duals=central_duals(iterate.mu, feasible.distance))
         feasible = feasible._replace(point=measured_point(search, feasible))

@@ -15,6 +15,7 @@ from codegen.runtime.search.linear_system import factor_kkt, is_factored
 from codegen.runtime.search.point import evaluate
 
 RESTORATION_STEPS = 200  # largest number of steps of a restoration
+BETWEEN_LOOKS = 20  # steps after which the progress of an optional restoration is measured
 FIRST_DAMPING = 1e-2  # damping of the first step, relative to the squared slope of the residuals
 FEASIBILITY_STEPS = 1000  # largest number of steps of the search for the least violation
 STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # largest slope at the least violation, relative to the residual
@@ -24,20 +25,27 @@ HOLDING, NONE_HELD = 1e16, slice(0)  # the curvature that holds unknowns fixed; 
 LARGEST_DUAL = 0.1  # at the start; with 1e3, not 2 but 15 of 30 searches for the space shuttle from noise fail
 
 
-def restore(search, iterate, reduction, pairs, is_late):
+def restore(search, iterate, reduction, pairs, is_late, is_optional=False):
     """Lower the constraint violation; return ("restored", iterate) or (another status, the last iterate).
 
     The filter accepts a restored iterate. Its violation is at most `reduction` times the first violation. `pairs` (k,
     2) are the pairs (violation, objective) of the filter. `is_late` is a function that returns True once the time limit
     has passed. With bounds, the iterate has the duals of the restoration's barrier, and the weight of this barrier if
-    it is not restored.
+    it is not restored. If the restoration `is_optional`, it ends as soon as its steps would not suffice at the present
+    rate.
     """
     grid, damping = search.grid, 0.0
     largest = LARGEST_DAMPING * max(1.0, WEIGHT * iterate.point.residual**2)
     first, current = iterate.point.violation, restoration_start(search, iterate)
-    for _ in range(RESTORATION_STEPS):
+    before = first
+    for number in range(RESTORATION_STEPS):
         if is_late():
             return "time limit", current
+        if is_optional and number and number % BETWEEN_LOOKS == 0:
+            now, looks = current.point.violation, (RESTORATION_STEPS - number) / BETWEEN_LOOKS
+            if not now * min(1.0, now / before) ** looks <= reduction * first:
+                return "stalled", current
+            before = now
         point = current.point
         residual_slope = residual_gradient(grid, point)
         damping = damping or first_damping(grid, point, residual_slope)
@@ -117,8 +125,9 @@ def first_damping(grid, point, residual_slope):
 
     Without damping, the step would go far in these directions, away from the iterate with a low cost.
     """
-    squares = 2.0 * sum_of_squares(grid, point)
-    return max(1e-12, FIRST_DAMPING * (residual_slope @ residual_slope) / squares) if squares > 0.0 else 1e-4
+    with np.errstate(over="ignore", invalid="ignore"):  # residuals of a motion that diverges may be huge
+        squares = 2.0 * sum_of_squares(grid, point)
+        return max(1e-12, FIRST_DAMPING * (residual_slope @ residual_slope) / squares) if squares > 0.0 else 1e-4
 
 
 def restoration_error(search, current, residual_slope):
