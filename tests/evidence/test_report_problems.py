@@ -88,7 +88,7 @@ def inline(monkeypatch):
         yield Inline()
 
     monkeypatch.setattr(building, "load", load)
-    monkeypatch.setattr(compilation, "parts_of", lambda module: [])  # nor are their linear systems, which are not called
+    monkeypatch.setattr(compilation, "parts_of", lambda module: [])  # nor are linear systems
     monkeypatch.setattr(gallery, "workers", workers)
 
 
