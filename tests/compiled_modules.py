@@ -1,11 +1,14 @@
-"""Generated modules with machine code, for tests that solve at size."""
+"""Generated modules with machine code, for tests that solve at size, and machine code that all tests share."""
 
 import fcntl
 import os
 import subprocess
 import sys
+from functools import lru_cache
 from pathlib import Path
 
+from codegen.runtime.kept_code import code_folder
+from codegen.runtime.kkt import specialised
 from codegen.solving.compiler import cache_folder
 from codegen.solving.loading import GeneratedModule, load
 from codegen.solving.machine_code.compilation import has_machine_code
@@ -24,3 +27,44 @@ def compiled(path: Path) -> GeneratedModule:
             command = [sys.executable, "-m", "codegen.solving.machine_code.compilation", "0/1"]
             subprocess.run(command, input=os.fsencode(path.absolute()), check=True, capture_output=True)
     return module
+
+
+SEARCH = """
+from types import SimpleNamespace
+from codegen.runtime.search import solution
+from codegen.solving.machine_code.compilation import link_runtime, search_functions
+functions = list(search_functions(SimpleNamespace(variable_bounds=(), data=())))
+link_runtime()
+for function, signature in functions:
+    function.compile(signature)
+"""
+SYSTEM = """
+from codegen.runtime.kkt.specialised import compiled_any_shape
+from codegen.runtime.search import solution
+from codegen.solving.machine_code.compilation import link_runtime
+link_runtime()
+compiled_any_shape()
+"""
+compiled_any_shape = specialised.compiled_any_shape
+
+
+@lru_cache(maxsize=1)
+def compiled_once():
+    """The linear system of interpreted problems; it and the search are compiled by the first process that wants it.
+
+    Compiled as builds do it, in processes that link functions into their callers, this takes a third of the time.
+    """
+    kept = code_folder(specialised.__file__)
+    if kept is None:  # numba is switched off
+        return compiled_any_shape()
+    cache_folder().mkdir(parents=True, exist_ok=True)
+    with (cache_folder() / "search.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not any(Path(kept).glob("specialised.compiled_any_shape.*.nbc")):
+            commands = [[sys.executable, "-c", program] for program in (SYSTEM, SEARCH)]
+            processes = [subprocess.Popen(command, cwd=Path(__file__).parent.parent) for command in commands]
+            assert [process.wait() for process in processes] == [0, 0]
+    return compiled_any_shape()
+
+
+specialised.compiled_any_shape = compiled_once

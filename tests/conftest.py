@@ -6,6 +6,7 @@ import fcntl
 import gc
 import os
 from collections.abc import Iterator
+from functools import lru_cache
 
 # Threads of linear algebra wait for each other in busy loops: two workers with two each take several times as long.
 # CODEGEN_TEST_THREADS=2 tries them all the same: no result may depend on it.
@@ -19,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer.testing
 from compiled_modules import compiled
 from hypothesis import HealthCheck, settings
 from interpreted import Interpreted, all_uncompiled
@@ -35,6 +37,9 @@ from codegen.solving.loading import GeneratedModule
 # Machines are shared: a slow draw says nothing about the code, and timings are never a verdict.
 settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("shared")
+
+# CliRunner makes the parsers of all commands anew in every call, which takes longer than most calls here.
+typer.testing._get_command = lru_cache(typer.testing._get_command)
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
 

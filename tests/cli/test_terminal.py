@@ -47,6 +47,16 @@ def problem() -> Simulate:
     spring = Pairwise((i, j), self_term=i.p[0] ** 2 / 2, pair_term=(i.q[0] - j.q[0]) ** 2 / 2)
     return Simulate(hamiltonian=spring, start={i.q[0]: [0.0, 1.5], i.p[0]: [0.0, 0.0]}, duration=1)
 '''
+DROP = '''"""Drop a mass."""
+
+from codegen import Simulate, coordinate
+
+
+def problem() -> Simulate:
+    x, dx = coordinate("x")
+    return Simulate(lagrangian=dx**2 / 2 - x, duration=1, start={x: 0, dx: 1}, steps=5)
+'''
+"""For commands that solve a problem by many schemes on many grids."""
 POINTS = "x0,y0,x1,y1\n0.1,0.2,0.22,0.15\n-0.4,0.1,-0.37,0.2\n0.3,-0.5,0.22,-0.46\n"
 FEW = ("--set", "kernel=gauss", "--set", "landmarks=points.csv")
 KINDS = {
@@ -72,8 +82,8 @@ REFUSED = {("analyse", "particles"), ("analyse", "connect")}
 """Modified equations are not derived for pairs."""
 OTHERS = {
     "new": ("pendulum",),
-    "report": (PENDULUM, "--quick", "--limit", "0.1", "--out", "report"),
-    "stress": (PENDULUM, "--out", "stress"),
+    "report": ("drop.py", "--quick", "--limit", "0.1", "--out", "report"),
+    "stress": ("drop.py", "--out", "stress"),
     "warp": ("image.png", "--landmarks", "image.csv", "--out", "warped.png", "--json"),
     "distances": ("specimens.csv", "--out", "distances.csv", "--workers", "1", "--json"),
     "app": ("--no-browser", "--port"),
@@ -86,6 +96,7 @@ def folder(tmp_path):
     """A folder with all files that the commands here read."""
     (tmp_path / "push.py").write_text(CONTROL)
     (tmp_path / "springs.py").write_text(SPRINGS)
+    (tmp_path / "drop.py").write_text(DROP)
     (tmp_path / "points.csv").write_text(POINTS)
     corners = np.array([[1.0, 1.0], [6.0, 1.0], [1.0, 5.0], [6.0, 5.0]])
     moved = [corners, corners + 0.2 * np.eye(4, 2), corners - 0.3 * np.eye(4, 2)]

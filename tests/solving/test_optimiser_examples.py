@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 
 import pytest
+from compiled_modules import compiled
 from conftest import PROBLEMS
 
 from codegen.solving.compiler import build
 from codegen.solving.drivers.shared import quiet_single_thread
-from codegen.solving.loading import load
 
 PAGE = PROBLEMS.parent / "docs" / "guide" / "optimisers.md"
 EXAMPLES = {
@@ -21,15 +21,16 @@ EXAMPLES = {
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_examples_find_the_optimum_of_the_generated_solver(name, capsys, monkeypatch):
+def test_examples_find_the_optimum_of_the_generated_solver(name, capsys, folder):
     if name == "cyipopt":
         pytest.importorskip("cyipopt")
-    monkeypatch.chdir(PROBLEMS.parent)
+    (folder / "problems").symlink_to(PROBLEMS)
+    problem, arguments = EXAMPLES[name]
+    module = compiled(build(f"problems/{problem}.py").path)
     section = PAGE.read_text(encoding="utf-8").partition(f"## {name}\n")[2].partition("\n## ")[0]
     (block,) = re.findall(r"^```python\n(.*?)^```$", section, re.MULTILINE | re.DOTALL)
     with quiet_single_thread():
         exec(block, {})
-    problem, arguments = EXAMPLES[name]
-    expected = load(build(PROBLEMS / f"{problem}.py").path).solve(20, **arguments)
+    expected = module.solve(20, **arguments)
     assert expected.status == "solved"
     assert float(capsys.readouterr().out.split()[0]) == pytest.approx(expected.cost, rel=1e-6)
