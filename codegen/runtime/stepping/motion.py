@@ -47,9 +47,9 @@ class Solution(NamedTuple):
     t : array (M,)
         Times.
     q, p : array (M, coordinates)
-        Positions and momenta.
-    energy : array (M,)
-        The Hamiltonian.
+        Positions and momenta. For first-order dynamics `q` has the states, and `p` has no columns.
+    energy : array (M,) or None
+        The Hamiltonian; None for first-order dynamics.
     residual : float
         Max-norm of the equations of the scheme, evaluated again for the step to each stored state. With `every` 1 these
         are all steps. A last state that was stored because the next step failed is left out. NaN if no step was made.
@@ -63,7 +63,7 @@ class Solution(NamedTuple):
     t: np.ndarray
     q: np.ndarray
     p: np.ndarray
-    energy: np.ndarray
+    energy: np.ndarray | None
     residual: float
     iterations: int
 
@@ -77,7 +77,8 @@ def checked_step_grid(problem, steps, duration, parameters, start, tables=None):
     numbers = table_numbers(problem, tables) if problem.tables else ()
     parameters, start = np.array([*parameters, *numbers], dtype=float), np.array(start, dtype=float)
     if start.shape != (problem.state,):
-        raise ValueError(f"start has shape {start.shape}, expected ({problem.state},): first positions, then momenta")
+        names = ", ".join(problem.metadata.node)
+        raise ValueError(f"start has shape {start.shape}, expected ({problem.state},): {names}")
     require_finite(parameters, start)
     return Grid(steps, duration / steps, parameters, start, TOLERANCE, MOST, problem)
 
@@ -129,14 +130,17 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     before = path if every == 1 else np.empty((path.shape[0] - 1, size))
     accuracy, memory = (grid.tolerance, grid.max_iterations), memory_for(problem.scheme)
     made, rows, iterations, outcome = problem.follow(start, steps, h, parameters, *accuracy, every, path, before)
-    t, energy = h * np.minimum(every * np.arange(rows), made), np.empty(rows)
-    energies(problem.energy.address, path, t, parameters, energy)
+    t, energy = h * np.minimum(every * np.arange(rows), made), None
+    if problem.energy is not None:
+        energy = np.empty(rows)
+        energies(problem.energy.address, path, t, parameters, energy)
     measured = rows if outcome == 0 else 1 + made // every
     residual = largest_residual(problem.scheme, memory, before, path, measured, made, h, parameters, *accuracy, every)
     status, message = describe(grid, made, iterations, outcome)
     if outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], made * h))
-    q, p = path[:rows, : size // 2].copy(), path[:rows, size // 2 :].copy()
+    positions = len(problem.metadata.coordinates)
+    q, p = path[:rows, :positions].copy(), path[:rows, positions:].copy()
     return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations)
 
 

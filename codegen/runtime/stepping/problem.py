@@ -29,8 +29,8 @@ class StepProblem:
     equations : Kernel
         Fills the residual (stages + state,) of the equations of the scheme. Its arguments are (state, interval, t,
         lengths, parameters).
-    energy : Value
-        The Hamiltonian of (state, t, parameters).
+    energy : Value or None
+        The Hamiltonian of (state, t, parameters); None for first-order dynamics.
     explicit : Kernel or None
         Fills the interval of an explicit scheme.
     all_steps : Kernel or None
@@ -57,7 +57,7 @@ class StepProblem:
     state: int
     stages: int
     equations: Kernel
-    energy: Value
+    energy: Value | None = None
     unknowns: int = 0
     explicit: Kernel | None = None
     all_steps: Kernel | None = None
@@ -75,7 +75,7 @@ class StepProblem:
 
     def __reduce__(self):
         """Pickle the problem as the name of its module; another process imports the module."""
-        return problem_of, (self.energy.__module__,)
+        return problem_of, (self.equations.__module__,)
 
     @cached_property
     def scheme(self):
