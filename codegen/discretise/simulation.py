@@ -53,6 +53,8 @@ from codegen.symbolic.zeros import identically_zero
 
 _EXPANSION_LIMIT = 200
 """Greatest number of operations, and of terms, of sums that are expanded to test linearity."""
+_PIVOT_LIMIT = 20
+"""Greatest number of operations of the coefficient of an unknown for which an equation is solved."""
 _GROWTH_LIMIT = 150
 """Greatest number of operations that substitutions add to the equations; more make a numerical solution cheaper."""
 
@@ -189,10 +191,13 @@ class _System:
         return self.equations[i].symbols & self.open if i in self.equations else frozenset()
 
     def _solution(self, i: int, y: Symbol) -> tuple[Expr, Expr] | None:
-        """Return the coefficient of y in equation i and the solution; None if y is not linear, or cancels."""
+        """Return the coefficient of y in equation i and the solution; None if y is not linear, or cancels.
+
+        None, too, for a long coefficient: a numerical solution with exchange of rows is cheaper and more accurate.
+        """
         equation = self.equations[i].expression
         coefficient = linear_in(equation, y, self.open)
-        if coefficient is None or identically_zero(coefficient):
+        if coefficient is None or expressions.longer_than(_PIVOT_LIMIT, [coefficient]) or identically_zero(coefficient):
             return None
         rest = equation.xreplace({y: S.Zero})
         return coefficient, rest if coefficient == -1 else -rest / coefficient

@@ -8,7 +8,7 @@ import numpy as np
 
 from codegen.runtime.kernels import Kernel, Value, problem_of
 from codegen.runtime.record import SimulationRecord
-from codegen.runtime.stepping.steps import Scheme, follow, memory_for
+from codegen.runtime.stepping.steps import EQUAL, Scheme, follow, memory_for
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +90,16 @@ class StepProblem:
             *self.fractions.shape, len(self.ranges), self.fractions.ctypes.data, self.ranges.ctypes.data,
         )  # fmt: skip
 
-    def follow(self, start, steps, h, parameters, tolerance, most, every, path, before):
+    def follow(self, start, steps, h, parameters, tolerance, most, every, path, before, spans=EQUAL):
         """Make all steps from the state `start` (state,).
 
         Arguments and results are as in `steps.follow`.
         """
-        if self.all_steps is None or self.all_steps.is_interpreted:
-            accuracy = tolerance, most
+        scheme = self.scheme if spans.shape[0] == 0 else self.scheme._replace(is_constant=0)
+        if self.all_steps is None or self.all_steps.is_interpreted or spans.shape[0] > 0:
+            states = path, before
             return follow(
-                self.scheme, memory_for(self.scheme), start, steps, h, parameters, *accuracy, every, path, before
+                scheme, memory_for(scheme), start, steps, h, parameters, tolerance, most, every, *states, spans
             )
         outcome, numbers = np.empty(4), np.array([steps, h, every], dtype=float)
         states = start.copy(), start.copy(), np.empty(self.stages + self.state)
