@@ -14,7 +14,7 @@ from interpreted import of_problem
 from scipy.integrate import solve_ivp
 from sympy import exp
 
-from codegen import Simulate, load, parameter, solve, states, time
+from codegen import Simulate, parameter, solve, states, time
 from codegen import compile as compile_problem
 from codegen.discretise import schemes
 from codegen.errors import ArgumentError
@@ -93,7 +93,7 @@ def graded(problem: Any, times: int, **accuracy: float) -> Any:
 @pytest.mark.parametrize(("scheme", "error"), [("radau-5", 1e-5), ("sdirk-4", 3e-4)])
 def test_hires_ends_at_the_published_values(scheme: str, error: float) -> None:
     fractions = graded(hires, 2, rtol=1e-4, atol=1e-8)
-    module = load(compile_problem(hires(), scheme=scheme).path)
+    module = compile_problem(hires(), scheme=scheme).module
     assert relative_error(module.solve(grid=fractions), HIRES) <= error
 
 
