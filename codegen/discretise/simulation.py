@@ -53,8 +53,8 @@ from codegen.symbolic.zeros import identically_zero
 
 _EXPANSION_LIMIT = 200
 """Greatest number of operations, and of terms, of sums that are expanded to test linearity."""
-_PIVOT_LIMIT = 60
-"""Greatest number of operations of the coefficient of an unknown for which an equation is solved."""
+_PIVOT_LIMIT = 20
+"""Greatest number of operations of a coefficient with roots by which an equation is divided."""
 _GROWTH_LIMIT = 150
 """Greatest number of operations that substitutions add to the equations; more make a numerical solution cheaper."""
 
@@ -193,15 +193,15 @@ class _System:
     def _solution(self, i: int, y: Symbol) -> tuple[Expr, Expr] | None:
         """Return the coefficient of y in equation i and the solution; None if y is not linear, or cancels.
 
-        None, too, for a long coefficient: a numerical solution with exchange of rows is cheaper and more accurate.
-        With roots such as sqrt(6) the limit is lower, since sympy takes minutes for the signs of their polynomials.
+        None, too, for a long coefficient with roots such as sqrt(6): sympy takes minutes for the signs of their
+        polynomials, and a numerical solution with exchange of rows is cheap.
         """
         equation = self.equations[i].expression
         coefficient = linear_in(equation, y, self.open)
         if coefficient is None:
             return None
         has_roots = any(power.base.is_Integer and not power.exp.is_Integer for power in coefficient.atoms(sympy.Pow))
-        if expressions.longer_than(_PIVOT_LIMIT // 3 if has_roots else _PIVOT_LIMIT, [coefficient]):
+        if has_roots and expressions.longer_than(_PIVOT_LIMIT, [coefficient]):
             return None
         if identically_zero(coefficient):
             return None
