@@ -165,3 +165,16 @@ def test_results_have_states_alone(tmp_path: Any) -> None:
     np.testing.assert_allclose(fsolved.q[-1], result.q[-1], rtol=1e-6)
     with pytest.raises(ArgumentError, match="needs a Lagrangian or a Hamiltonian"):
         solve(hires(), method="variational")
+
+
+def test_all_checks_hold_and_sweeps_store_states() -> None:
+    solver = compile_problem(van_der_pol(), scheme="radau-3")
+    findings = solver.check(steps=2000)
+    assert len(findings) > 20
+    assert not [finding for finding in findings if not finding.passed]
+    data = solver.sweep({"mu": [10.0, 20.0]}, steps=400)
+    assert "p" not in data
+    assert "energy" not in data
+    assert (data["status"] == "solved").all()
+    exact = solve_ivp(lambda _, x: [x[1], 20 * ((1 - x[0] ** 2) * x[1] - x[0])], (0, 2), [2, 0], rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(data["q"].sel(mu=20.0)[-1], exact.y[:, -1], rtol=1e-3)
