@@ -226,13 +226,16 @@ def draw(rows: Sequence[Row], path: Path) -> None:
 
     names = list(dict.fromkeys(row.problem for row in rows))
     figure, axes = plt.subplots(2, 2, figsize=(11, 8.5), layout="constrained", squeeze=False)
+    programs = list(dict.fromkeys(row.program for row in rows))
     for panel, name in zip(axes.ravel(), names, strict=False):
-        for program in dict.fromkeys(row.program for row in rows):
+        for number, program in enumerate(programs):
             chosen = [r for r in rows if (r.problem, r.program) == (name, program) and r.grid != "equal"]
             points = [(r.seconds, r.error) for r in chosen if 0.0 < r.error < 10.0]
             if points:
-                look = {"color": "black", "linestyle": "--"} if program.startswith("scipy") else {}
-                panel.loglog(*zip(*points, strict=True), "o-", markersize=4, linewidth=1.2, label=program, **look)
+                is_peer = program.startswith("scipy")
+                look: dict[str, Any] = {"color": "black" if is_peer else f"C{number}"}
+                look["linestyle"] = "--" if is_peer else "-"
+                panel.loglog(*zip(*points, strict=True), marker="o", markersize=4, linewidth=1.2, label=program, **look)
         panel.set_title(name, loc="left")
         panel.set_xlabel("seconds")
         panel.set_ylabel("largest relative error at the end")
@@ -240,7 +243,9 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         panel.grid(color="0.9")
     for panel in axes.ravel()[len(names) :]:
         panel.remove()
-    axes[0, 0].legend(fontsize=8)
+    curves = {str(line.get_label()): line for panel in axes.ravel() for line in panel.get_lines()}
+    figure.legend([curves[p] for p in programs if p in curves], [p for p in programs if p in curves],
+                  loc="outside lower center", ncols=len(programs))  # fmt: skip
     figure.savefig(path, dpi=120)
 
 
