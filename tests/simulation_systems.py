@@ -127,6 +127,12 @@ def falling_root() -> Model:
     return normalise(Simulate(hamiltonian=p**2 / 2 + sympy.sqrt(q), duration=10, start={q: 1, p: 0}), name="root")
 
 
+def escape() -> Model:
+    """A particle that escapes to infinity: q'' = q^2. A midpoint step h > 1 from (1, 0) has no real solution."""
+    q, p = canonical_pair("q", "p")
+    return normalise(Simulate(hamiltonian=p**2 / 2 - q**3 / 3, duration=10, start={q: 1, p: 0}), name="escape")
+
+
 def _double_pendulum_hamiltonian(q: Any, p: Any, t: Any) -> Any:
     m, g = 2, 9
     c = mpmath.cos(q[0] - q[1])

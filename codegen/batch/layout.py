@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
-from codegen.runtime.record import Task
+from codegen.runtime.record import Form, Task
 from codegen.solving.drivers import DRIVERS
 from codegen.solving.loading import GeneratedModule, Matrix, few_steps
 from codegen.solving.results.motions import particle_names
@@ -92,7 +92,9 @@ def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: i
     rows: dict[str, str | int] = {"t": "node", "q": "node", "p": "node"}
     columns = {name: names[name] for name in ("q", "p", "u") if names[name]}
     if task.name == "simulate":
-        return Shapes({**rows, "energy": "node"}, columns, 1, 0, every, metadata.steps)
+        if metadata.form != Form.FIRST_ORDER:
+            rows["energy"] = "node"
+        return Shapes(rows, columns, 1, 0, every, metadata.steps)
     grid = module.make_grid(few_steps(module, 4))
     arrays = module.unpack(grid, module.initial_guess(grid))
     nodes, bodies = len(arrays[0]), metadata.bodies

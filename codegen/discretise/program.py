@@ -362,7 +362,7 @@ class ControlProgram:
 
 @dataclass(frozen=True)
 class StepProgram:
-    """An initial value problem: one step from the left node (q_k, p_k) to the right node (q_k1, p_k1).
+    """An initial value problem: one step from the left node (q_k, p_k), or x_k, to the right node.
 
     `equations` are the scheme's equations in textbook form, expressions that must vanish, in the symbols of the left
     node, inner stages and the right node. `summary` has the formulas behind them. The solution has three parts:
@@ -370,8 +370,8 @@ class StepProgram:
     An explicit scheme leaves no unknowns; `linear` is True if one linear solve suffices. For a large mass matrix,
     `guess` and `energy` may contain symbols of `state_assignments`, which depend on the left node alone. `velocities`
     replace positions as unknowns: each has the two positions of its divided difference and the time between them.
-    `guess` is the initial guess of Newton's method. `energy` is the Hamiltonian at the left node. `start` is the
-    initial (q, p) in terms of the parameters and the symbols of `start_values`.
+    `guess` is the initial guess of Newton's method. `energy` is the Hamiltonian at the left node, or None for
+    first-order dynamics. `start` is the initial state in terms of the parameters and the symbols of `start_values`.
 
     For a composition this is one step of its base scheme with the `lengths` as symbols. `fractions` has a row for each
     step of the base: its lengths as fractions of the whole step. Otherwise the only length is h, without fractions.
@@ -394,7 +394,7 @@ class StepProgram:
     linear: bool
     equations: tuple[tuple[str, Expr], ...]
     summary: tuple[tuple[str, Expr], ...]
-    energy: Expr
+    energy: Expr | None
     start_values: tuple[BoundaryValue, ...]
     start: tuple[Expr, ...]
     lengths: tuple[Symbol, ...]

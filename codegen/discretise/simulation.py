@@ -5,8 +5,9 @@ p_k1 = D2 Ld + f+. They are solved for the velocity (q_k1 - q_k)/h instead of q_
 positions would lose digits. Inner points of a Galerkin variational integrator are replaced by velocities in the same
 way. Source: Marsden and West (2001), section 1.5.3.
 
-Hamiltonian method: the equations of a one-step method, inner stages included. A composition is one step of its base
-scheme, which the generated module repeats with other lengths: the code does not grow with their number.
+Hamiltonian method, and first-order dynamics: the equations of a one-step method, inner stages included. A composition
+is one step of its base scheme, which the generated module repeats with other lengths: the code does not grow with their
+number.
 
 Explicit elimination leaves to Newton's method only the unknowns without a symbolic solution. Equation i belongs to
 unknown i: for a consistent scheme the coefficient of the unknown is 1 + O(h), or an entry of the mass matrix, and does
@@ -52,6 +53,8 @@ from codegen.symbolic.zeros import identically_zero
 
 _EXPANSION_LIMIT = 200
 """Greatest number of operations, and of terms, of sums that are expanded to test linearity."""
+_PIVOT_LIMIT = 20
+"""Greatest number of operations of a coefficient with roots by which an equation is divided."""
 _GROWTH_LIMIT = 150
 """Greatest number of operations that substitutions add to the equations; more make a numerical solution cheaper."""
 
@@ -188,10 +191,19 @@ class _System:
         return self.equations[i].symbols & self.open if i in self.equations else frozenset()
 
     def _solution(self, i: int, y: Symbol) -> tuple[Expr, Expr] | None:
-        """Return the coefficient of y in equation i and the solution; None if y is not linear, or cancels."""
+        """Return the coefficient of y in equation i and the solution; None if y is not linear, or cancels.
+
+        None, too, for a long coefficient with roots such as sqrt(6): sympy takes minutes for the signs of their
+        polynomials, and a numerical solution with exchange of rows is cheap.
+        """
         equation = self.equations[i].expression
         coefficient = linear_in(equation, y, self.open)
-        if coefficient is None or identically_zero(coefficient):
+        if coefficient is None:
+            return None
+        has_roots = any(power.base.is_Integer and not power.exp.is_Integer for power in coefficient.atoms(sympy.Pow))
+        if has_roots and expressions.longer_than(_PIVOT_LIMIT, [coefficient]):
+            return None
+        if identically_zero(coefficient):
             return None
         rest = equation.xreplace({y: S.Zero})
         return coefficient, rest if coefficient == -1 else -rest / coefficient
@@ -355,9 +367,10 @@ class _Step:
 
 
 def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
-    """Return the program of an initial value problem, by the "variational" or the "hamiltonian" method.
+    """Return the program of an initial value problem, by the "variational", "hamiltonian" or "one-step" method.
 
-    Raises SchemeError when the scheme belongs to the other method, and the errors of the Legendre transforms.
+    First-order dynamics have no momenta and no energy. Raises SchemeError when the scheme belongs to another method,
+    and the errors of the Legendre transforms.
     """
     model, start_values = with_symbolic_boundaries(model)
     stepwise = phase_functions(model) if method == "variational" else None
@@ -370,7 +383,9 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         step = _variational_step(legendre.lagrangian_form(model), part, left, right, velocities)
     else:
         step = _one_step(phase, part, left, right, lengths)
-    kinds = [*((Kind.COORDINATE, q) for q in phase.coordinates), *((Kind.MOMENTUM, p) for p in phase.rates)]
+    is_mechanical = phase.form != "first-order"
+    kind = Kind.COORDINATE if is_mechanical else Kind.STATE
+    kinds = [*((kind, q) for q in phase.coordinates), *((Kind.MOMENTUM, p) for p in phase.rates)]
     solution = step.solution
     return StepProgram(
         model=model,
@@ -390,7 +405,7 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         linear=solution.linear,
         equations=step.equations,
         summary=step.summary,
-        energy=_at(phase, stepwise.energy if stepwise else phase.function, left),
+        energy=_at(phase, stepwise.energy if stepwise else phase.function, left) if is_mechanical else None,
         state_assignments=tuple((w, _at(phase, value, left)) for w, value in stepwise.assignments) if stepwise else (),
         start_values=start_values,
         start=tuple(value for value in (*phase.start.positions, *phase.start.rates) if value is not None),
@@ -503,7 +518,9 @@ def _mean_velocities(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
 
 
 def rates_of_change(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
-    """Return the time derivatives of (q, p) at the left node: the forced Hamiltonian vector field."""
+    """Return the time derivatives of the state at the left node: of (q, p), or of x in first-order dynamics."""
+    if phase.form == "first-order":
+        return [_at(phase, rate, left) for rate in phase.dynamics]
     velocity = [diff(phase.function, p) for p in phase.rates]
     slope = [f - diff(phase.function, q) for q, f in zip(phase.coordinates, phase.force, strict=True)]
     return [_at(phase, value, left) for value in (*velocity, *slope)]

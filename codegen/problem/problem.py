@@ -129,21 +129,21 @@ class Problem(AuthorObject):
 @refusing
 @dataclass(frozen=True)
 class Simulate(Problem):
-    """Simulate the motion from a complete initial state: all coordinates, and all velocities or all momenta.
+    """Simulate the motion from a complete initial state, step by step.
 
-    A Simulate has a Lagrangian or a Hamiltonian. For first-order dynamics, holonomic constraints and delays, use a
-    Control without controls and cost, whose time steps are solved together.
+    For holonomic constraints and delays, use a Control without controls and cost, whose time steps are solved together.
 
     Parameters
     ----------
-    lagrangian, hamiltonian : expression
-        Exactly one of these arguments defines the motion: the Lagrangian L(q, dq, t) or the Hamiltonian H(q, p, t).
+    lagrangian, hamiltonian, dynamics : expression, expression, dict
+        Exactly one of these arguments defines the motion: the Lagrangian L(q, dq, t), the Hamiltonian H(q, p, t), or
+        the time derivative of each state, x' = f(x, t).
     force : dict
         Generalised forces by coordinates.
     duration : expression
         Duration T of the motion.
     start : dict
-        Values at t = 0 of all coordinates, and of all velocities or all momenta.
+        Values at t = 0 of all coordinates and all velocities (or all momenta), or of all states.
     steps : int
         Default number N of time steps.
     drawing : sequence of Item

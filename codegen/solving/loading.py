@@ -151,13 +151,13 @@ class SimulateSolution(Protocol):
     t: Vector
     q: Matrix
     p: Matrix
-    energy: Vector
+    energy: Vector | None
     residual: float
     iterations: int
 
 
 class SimulateModule(Protocol):
-    """The functions of a generated module for a simulation."""
+    """The functions of a generated module for a simulation; a module for first-order dynamics has no `energy`."""
 
     metadata: Any
 

@@ -183,10 +183,12 @@ def test_periodic(as_mapping: bool) -> None:
     assert model.periodic == (((q, shift), (dq, S.Zero)) if as_mapping else ((dq, S.Zero), (q, S.Zero)))
 
 
-def test_states_cannot_be_simulated_yet() -> None:
-    (x,) = states("x")
-    with pytest.raises(CodegenError, match="simulate takes a Lagrangian or a Hamiltonian"):
-        normalise(Simulate(dynamics={x: -x}, duration=1, start={x: 1}))
+def test_states_are_simulated_from_a_complete_start() -> None:
+    x, y = states("x y")
+    model = normalise(Simulate(dynamics={x: -y, y: x}, duration=1, start={x: 1, y: 0}))
+    assert (model.form, [str(rate) for rate in model.dynamics]) == ("first-order", ["-y", "x"])
+    with pytest.raises(CodegenError, match="start lacks y"):
+        normalise(Simulate(dynamics={x: -y, y: x}, duration=1, start={x: 1}))
 
 
 def test_models_are_equal_when_their_problems_read_alike() -> None:

@@ -11,7 +11,19 @@ import numpy as np
 import pytest
 from interpreted import without_compilation
 from scipy.integrate import solve_ivp
-from simulation_systems import SYSTEMS, H, T, compiled, falling_root, kepler, model_of, module_of, pendulum, text_of
+from simulation_systems import (
+    SYSTEMS,
+    H,
+    T,
+    compiled,
+    escape,
+    falling_root,
+    kepler,
+    model_of,
+    module_of,
+    pendulum,
+    text_of,
+)
 from textbook_stages import TABLES, composed_of_midpoint, higher_order_step
 from textbook_steps import TEXTBOOK, textbook_step
 
@@ -262,9 +274,22 @@ def test_residual_of_a_path_is_measured_outside_the_solver() -> None:
 # ---- Failures ----
 
 
-def test_newton_failure_is_reported(build: Callable[..., Any]) -> None:
-    solution = build(pendulum, "hamiltonian", "midpoint").solve(50, duration=50 * 6.0)
-    assert solution.status == "newton failed"
+def test_long_steps_are_solved_by_continuation_in_their_length(build: Callable[..., Any]) -> None:
+    """Newton's method fails from an explicit Euler step, 6 long; every step of the path solves the midpoint rule."""
+    h = 6.0
+    solution = build(pendulum, "hamiltonian", "midpoint").solve(50, duration=50 * h)
+    assert (solution.status, solution.steps) == ("solved", 50)
+    q, p = solution.q[:, 0], solution.p[:, 0]
+    np.testing.assert_allclose(q[1:], q[:-1] + h * (p[:-1] + p[1:]) / 2, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(p[1:], p[:-1] - h * np.sin((q[:-1] + q[1:]) / 2), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(("h", "steps"), [(1.01, 0), (0.6, 2)])
+def test_newton_failure_is_reported(h: float, steps: int) -> None:
+    """With m = q + h p/2 + h^2 m^2/4 for the midpoint m, a step exists if h^2 (q + h p/2) <= 1."""
+    solution = without_compilation(text_of(escape(), "midpoint", "hamiltonian")).solve(50, duration=50 * h)
+    assert (solution.status, solution.steps) == ("newton failed", steps)
+    assert h**2 * (solution.q[-1, 0] + h * solution.p[-1, 0] / 2) > 1.0
     assert f"step {solution.steps + 1} of 50" in solution.message
     assert "use more steps" in solution.message
     assert solution.q.shape[0] == solution.t.size == solution.energy.size == solution.steps + 1

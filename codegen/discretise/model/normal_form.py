@@ -40,9 +40,6 @@ def normalise(problem: Problem, declared: Sequence[Quantity] = (), name: str = "
             f"problem() returned {type(problem).__name__}", "return codegen.Simulate(...) or codegen.Control(...)"
         )
     form = form_of(problem)
-    if form == "dynamics" and isinstance(problem, Simulate):
-        remedy = "simulate takes a Lagrangian or a Hamiltonian, a Control(...) without cost takes dynamics"
-        raise ExpressionError("the simulation is given by dynamics", remedy)
     entries = written_entries(problem, form)
     used = used_quantities(entries)
     drawing = scope.checked_drawing(problem)

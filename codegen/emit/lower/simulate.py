@@ -52,20 +52,25 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
             [Output(f"residual[{i}]", value, names[i]) for i, value in enumerate(straight.values)],
             decorators=KERNEL, straight_line=straight.assignments,
         ),
-        kernel(
-            "energy", "Return the Hamiltonian at `state` (STATE,).",
-            ("state", "t", "parameters"), codes, (), program.energy,
-            decorators=VALUE, straight_line=needed(program.state_assignments, (program.energy,)),
-        ),
     ]  # fmt: skip
+    if program.energy is not None:
+        kernels.append(
+            kernel(
+                "energy", "Return the Hamiltonian at `state` (STATE,).",
+                ("state", "t", "parameters"), codes, (), program.energy,
+                decorators=VALUE, straight_line=needed(program.state_assignments, (program.energy,)),
+            )
+        )  # fmt: skip
     if ranged:
         arguments, entry = ("state", "interval", *_ARGUMENTS[1:]), "inputs[2*{0} + {1}]"
         kernels.append(inputs_kernel("step_inputs", "in a step", arguments, inside, ranged, equations, entry, KERNEL))
     solver = _solver(program, derivatives)
     of_steps = ("predict", "residual", "jacobian", "complete") if program.unknowns and not program.fractions else ()
-    every = ("energy", "initial_state", "make_grid", "metadata", "path_residual", "problem", "solve", "step")
+    every: tuple[str, ...] = ("initial_state", "make_grid", "metadata", "path_residual", "problem", "solve", "step")
     fields = {"metadata": "metadata", "state": "STATE", "stages": "STAGES"}
-    fields |= {"equations": "step_equations", "energy": "energy"}
+    fields |= {"equations": "step_equations"}
+    if program.energy is not None:
+        fields, every = {**fields, "energy": "energy"}, ("energy", *every)
     if program.unknowns:
         fields |= {
             "unknowns": "UNKNOWNS", "predict": "predict_step", "residual": "step_residual",
@@ -221,7 +226,8 @@ def _record(
     model, solver = program.model, _solver(program, derivatives)
     out = []
     if solver is StepSolver.EXPLICIT:
-        out.append(f"Newton's method: the scheme is explicit for this {model.form.capitalize()}")
+        system = "system" if model.form == "first-order" else model.form.capitalize()
+        out.append(f"Newton's method: the scheme is explicit for this {system}")
     if solver in (StepSolver.LINEAR, StepSolver.CONSTANT):
         out.append("Newton's iteration: the equations of a step are linear, one linear solve is exact")
     if solver is StepSolver.CONSTANT:
@@ -232,15 +238,16 @@ def _record(
     if program.unknowns and eliminated:
         names = ", ".join(symbol.name for symbol in program.unknowns)
         out.append(f"{', '.join(eliminated)} among the unknowns: explicit, given {names}")
-    cyclic = [str(q) for q in model.coordinates if not any(e.has(q) for e in (model.function, *model.force))]
-    if cyclic:
-        out.append(f"derivatives of the {model.form.capitalize()} by {', '.join(cyclic)}: cyclic")
-    idle = [str(q) for q, f in zip(model.coordinates, model.force, strict=True) if f == 0]
-    if len(idle) == len(model.coordinates):
-        out.append("forces: there are none")
-    elif idle:
-        out.append(f"forces on {', '.join(idle)}: there are none")
-    if not any(e.has(model.time) for e in (model.function, *model.force)):
+    if model.form != "first-order":
+        cyclic = [str(q) for q in model.coordinates if not any(e.has(q) for e in (model.function, *model.force))]
+        if cyclic:
+            out.append(f"derivatives of the {model.form.capitalize()} by {', '.join(cyclic)}: cyclic")
+        idle = [str(q) for q, f in zip(model.coordinates, model.force, strict=True) if f == 0]
+        if len(idle) == len(model.coordinates):
+            out.append("forces: there are none")
+        elif idle:
+            out.append(f"forces on {', '.join(idle)}: there are none")
+    if not any(e.has(model.time) for e in (model.function, *model.force, *model.dynamics)):
         out.append("time in the kernels: nothing depends on it explicitly")
     return SimulationRecord(
         **record_fields(model),
@@ -261,5 +268,5 @@ def _record(
         node=tuple(u.name for u in program.state),
         stages=tuple(s.name for s in program.stage_symbols),
         unknowns=tuple(s.name for s in program.unknowns),
-        conservative=not any(model.force) and not model.function.has(model.time),
+        conservative=model.form != "first-order" and not any(model.force) and not model.function.has(model.time),
     )

@@ -272,7 +272,8 @@ def verify_step(program: StepProgram, text: Text) -> None:
     kernels = _StepKernels(program, text)
     written, values = zip(*program.equations, strict=True)
     kernels.compare("step_equations", interval, (), list(values), [f"the equation {name}" for name in written])
-    kernels.compare("energy", [], program.state_assignments, [program.energy], ["the energy"])
+    if program.energy is not None:
+        kernels.compare("energy", [], program.state_assignments, [program.energy], ["the energy"])
     named = [f"the {symbol} of a step" for symbol in interval]
     if not program.unknowns:
         kernels.compare("explicit_step", [], program.before, list(interval), named)

@@ -123,7 +123,7 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     interval = [*program.stage_symbols, *program.right_symbols]
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     equations = function_of([*base, *interval], [value for _, value in program.equations])
-    energy = function_of(base, [program.energy], program.state_assignments)
+    energy = None if program.energy is None else function_of(base, [program.energy], program.state_assignments)
     residuals, heights, closed = Agreement(), Agreement(), Agreement()
     names = [name for name, _ in program.equations]
     module, emitted, after = context.module, np.empty(len(interval)), np.empty(len(program.equations))
@@ -134,7 +134,8 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
         numbers = [mpmath.mpf(point[symbol]) for symbol in base]
         with mpmath.workdps(DIGITS):
             residuals.compare(names, emitted, equations(*numbers, *map(mpmath.mpf, drawn)))
-            heights.compare(["H"], [module.energy(arguments[0], arguments[1], arguments[3])], energy(*numbers))
+            if energy is not None:
+                heights.compare(["H"], [module.energy(arguments[0], arguments[1], arguments[3])], energy(*numbers))
 
         # A long step may have no solution, for example where bodies happen to be close; a short step has one.
         errors = [mpmath.inf] * len(names)
@@ -154,7 +155,8 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
                 [f"{name} after a step" for name in names], [1 + r for r in errors], [mpmath.mpf(1)] * len(names)
             )
     yield residuals.finding("step_equations", "the scheme's equations")
-    yield heights.finding("energy", "the Hamiltonian")
+    if energy is not None:
+        yield heights.finding("energy", "the Hamiltonian")
     yield closed.finding("one step", "the scheme's equations")
     if not program.unknowns:
         return

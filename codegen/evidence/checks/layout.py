@@ -461,7 +461,8 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
     base = (at(program.left_symbols), point[program.model.time], step_lengths(point, program), data)
     size, whole = len(program.unknowns), len(interval)
     yield from _run(module, "step_equations", (base[0], at(interval), *base[1:]), residual=(whole,))
-    yield from _run(module, "energy", (base[0], base[1], base[3]))
+    if program.energy is not None:
+        yield from _run(module, "energy", (base[0], base[1], base[3]))
     if not size:
         yield from _run(module, "explicit_step", base, interval=(whole,))
         return

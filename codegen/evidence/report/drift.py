@@ -63,6 +63,8 @@ def drift_values(module: SimulateModule, steps: int) -> Values:
         return {"status": solution.status, "defect": defect}
     shape = (len(solution.t), -1)
     states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
+    assert solution.energy is not None, "a mechanical system has an energy"
+    assert first.energy is not None, "a mechanical system has an energy"
     errors = solution.energy - solution.energy[0]
     trend = trend_of(solution.t, errors)
     # The energy error by rounding alone: half a unit in the last place of every component, in each of the steps.

@@ -390,6 +390,8 @@ def _portrait(workshop: Workshop, variant: Variant, h: float, start: tuple[float
     module = workshop.simulation(variant)
     short = module.solve(steps, duration=h * steps, start=start)
     long = module.solve(LONG, duration=h * LONG, start=start, every=LONG // 1000)
+    assert short.energy is not None, "a pendulum has an energy"
+    assert long.energy is not None, "a pendulum has an energy"
     half = long.t.size // 2
     return {
         "q": short.q[:, 0],

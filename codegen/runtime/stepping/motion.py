@@ -9,7 +9,7 @@ import numpy as np
 
 from codegen.runtime.search.grid import checked_count, checked_times, checked_tolerance
 from codegen.runtime.stepping.problem import StepProblem
-from codegen.runtime.stepping.steps import LEFT_TABLE, energies, largest_residual, make_step, memory_for
+from codegen.runtime.stepping.steps import EQUAL, LEFT_TABLE, energies, largest_residual, make_step, memory_for
 from codegen.runtime.tabulated import table_numbers
 
 TOLERANCE, MOST = 1e-13, 50  # defaults of Newton's method: relative size of the last correction, number of iterations
@@ -22,7 +22,10 @@ FAILURES = {
 
 
 class Grid(NamedTuple):
-    """N steps of length h, parameters, the initial state (state,), the accuracy of implicit steps, and the problem."""
+    """N steps of mean length h, parameters, the initial state (state,), the accuracy of implicit steps, the problem.
+
+    `spans` (N, 2) are the time at the start and the length of each step; without rows all steps have the length h.
+    """
 
     steps: int
     h: float
@@ -31,6 +34,7 @@ class Grid(NamedTuple):
     tolerance: float
     max_iterations: int
     problem: StepProblem
+    spans: np.ndarray = EQUAL
 
 
 class Solution(NamedTuple):
@@ -47,9 +51,9 @@ class Solution(NamedTuple):
     t : array (M,)
         Times.
     q, p : array (M, coordinates)
-        Positions and momenta.
-    energy : array (M,)
-        The Hamiltonian.
+        Positions and momenta. For first-order dynamics `q` has the states, and `p` has no columns.
+    energy : array (M,) or None
+        The Hamiltonian; None for first-order dynamics.
     residual : float
         Max-norm of the equations of the scheme, evaluated again for the step to each stored state. With `every` 1 these
         are all steps. A last state that was stored because the next step failed is left out. NaN if no step was made.
@@ -63,23 +67,38 @@ class Solution(NamedTuple):
     t: np.ndarray
     q: np.ndarray
     p: np.ndarray
-    energy: np.ndarray
+    energy: np.ndarray | None
     residual: float
     iterations: int
 
 
-def checked_step_grid(problem, steps, duration, parameters, start, tables=None):
+def checked_step_grid(problem, steps, duration, parameters, start, tables=None, grid=None):
     """Return a Grid; ValueError if a number is not finite or not positive, or a shape does not fit.
 
-    `tables` maps names of tables to new numbers, with as many breakpoints as before.
+    `tables` maps names of tables to new numbers, with as many breakpoints as before. `grid` (N,) are the lengths of N
+    steps relative to the duration, or None for equal steps.
     """
-    steps, duration = checked_times(steps, duration)
+    steps, duration = checked_times(steps if grid is None else len(grid), duration)
     numbers = table_numbers(problem, tables) if problem.tables else ()
     parameters, start = np.array([*parameters, *numbers], dtype=float), np.array(start, dtype=float)
     if start.shape != (problem.state,):
-        raise ValueError(f"start has shape {start.shape}, expected ({problem.state},): first positions, then momenta")
+        order = "first positions, then momenta" if problem.energy is not None else "all states"
+        raise ValueError(f"start has shape {start.shape}, expected ({problem.state},): {order}")
     require_finite(parameters, start)
-    return Grid(steps, duration / steps, parameters, start, TOLERANCE, MOST, problem)
+    spans = EQUAL if grid is None else checked_spans(grid, duration)
+    return Grid(steps, duration / steps, parameters, start, TOLERANCE, MOST, problem, spans)
+
+
+def checked_spans(fractions, duration):
+    """Return the time at the start and the length (N, 2) of steps that are fractions (N,) of the duration.
+
+    Raise ValueError unless the fractions are positive numbers whose sum is one.
+    """
+    fractions = np.array(fractions, dtype=float)
+    if fractions.ndim != 1 or not (fractions > 0.0).all() or not abs(fractions.sum() - 1.0) <= 1e-6:
+        raise ValueError(f"grid must hold positive fractions whose sum is one, got {fractions!r}")
+    ends = np.cumsum(fractions)
+    return duration / ends[-1] * np.column_stack([ends - fractions, fractions])
 
 
 def require_finite(parameters, start):
@@ -128,15 +147,20 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     path = np.empty((1 - (-steps // every), size))
     before = path if every == 1 else np.empty((path.shape[0] - 1, size))
     accuracy, memory = (grid.tolerance, grid.max_iterations), memory_for(problem.scheme)
-    made, rows, iterations, outcome = problem.follow(start, steps, h, parameters, *accuracy, every, path, before)
-    t, energy = h * np.minimum(every * np.arange(rows), made), np.empty(rows)
-    energies(problem.energy.address, path, t, parameters, energy)
+    spans, states = grid.spans, (path, before)
+    made, rows, iterations, outcome = problem.follow(start, steps, h, parameters, *accuracy, every, *states, spans)
+    t, energy = times_at(grid, np.minimum(every * np.arange(rows), made)), None
+    if problem.energy is not None:
+        energy = np.empty(rows)
+        energies(problem.energy.address, path, t, parameters, energy)
     measured = rows if outcome == 0 else 1 + made // every
-    residual = largest_residual(problem.scheme, memory, before, path, measured, made, h, parameters, *accuracy, every)
+    scheme = problem.scheme if len(spans) == 0 else problem.scheme._replace(is_constant=0)
+    residual = largest_residual(scheme, memory, before, path, measured, made, h, parameters, *accuracy, every, spans)
     status, message = describe(grid, made, iterations, outcome)
     if outcome == LEFT_TABLE:
-        message = message.format(range_left(grid, path[rows - 1], made * h))
-    q, p = path[:rows, : size // 2].copy(), path[:rows, size // 2 :].copy()
+        message = message.format(range_left(grid, path[rows - 1], times_at(grid, made)))
+    positions = size if energy is None else size // 2
+    q, p = path[:rows, :positions].copy(), path[:rows, positions:].copy()
     return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations)
 
 
@@ -149,16 +173,30 @@ def describe(grid, steps, iterations, outcome, failures=FAILURES):
         effort = f" with {iterations / steps:.2f} iterations each" if iterations else ""
         return "solved", f"all {steps} steps were made{effort}"
     status, remedy = failures[outcome]
-    where = f"step {steps + 1} of {grid.steps}, from t = {steps * grid.h:g} to {(steps + 1) * grid.h:g}"
+    where = f"step {steps + 1} of {grid.steps}, from t = {times_at(grid, steps):g} to {times_at(grid, steps + 1):g}"
     return status, f"{status} in {where}: {remedy}"
 
 
 def path_residual(grid, path):
     """Return the max-norm of the equations of the scheme along consecutive states `path` (M, size)."""
     path, accuracy = np.array(path, dtype=float), (grid.tolerance, grid.max_iterations)
-    count, scheme = path.shape[0], grid.problem.scheme
+    count, scheme, h = path.shape[0], grid.problem.scheme, grid.h
+    if len(grid.spans):
+        scheme = scheme._replace(is_constant=0)
     memory = memory_for(scheme)
-    return largest_residual(scheme, memory, path, path, count, count, grid.h, grid.parameters, *accuracy, 1)
+    return largest_residual(scheme, memory, path, path, count, count, h, grid.parameters, *accuracy, 1, grid.spans)
+
+
+def times_at(grid, numbers):
+    """Return the times of nodes by their numbers, a number or an array."""
+    if len(grid.spans) == 0:
+        return grid.h * numbers
+    return np.append(grid.spans[:, 0], grid.h * grid.steps)[numbers]
+
+
+def length_at(grid, t):
+    """Return the length of the step that starts at time t."""
+    return grid.spans[np.abs(grid.spans[:, 0] - t).argmin(), 1] if len(grid.spans) else grid.h
 
 
 def step(grid, state, t=0.0):
@@ -189,7 +227,7 @@ def first_outside(grid, path):
     scheme from each state.
     """
     for k in range(len(path) - 1 if grid.problem.inputs else 0):
-        message = range_left(grid, path[k], k * grid.h)
+        message = range_left(grid, path[k], times_at(grid, k))
         if message:
             return k + 1, message
     return 0, ""
@@ -203,8 +241,8 @@ def _made(grid, state, t):
     problem, interval = grid.problem, np.empty(grid.problem.stages + grid.problem.state)
     inputs, accuracy = np.empty((len(problem.ranges), 2)), (grid.tolerance, grid.max_iterations)
     outcome = make_step(
-        problem.scheme, memory_for(problem.scheme), state, float(t), grid.h, grid.parameters, *accuracy, interval,
-        inputs,
+        problem.scheme, memory_for(problem.scheme), state, float(t), length_at(grid, t), grid.parameters, *accuracy,
+        interval, inputs,
     )  # fmt: skip
     return outcome, interval, inputs
 
@@ -212,7 +250,7 @@ def _made(grid, state, t):
 def predict(grid, state, t=0.0):
     """Return an initial guess (unknowns,) of the unknowns of a step from `state` (size,)."""
     unknowns = np.empty(grid.problem.unknowns)
-    grid.problem.predict(np.array(state, dtype=float), t, lengths(grid), grid.parameters, unknowns)
+    grid.problem.predict(np.array(state, dtype=float), t, lengths(grid, t), grid.parameters, unknowns)
     return unknowns
 
 
@@ -222,7 +260,7 @@ def residual(grid, unknowns, state, t=0.0):
     Quantities that follow explicitly from the unknowns are eliminated from these equations.
     """
     values, unknowns = np.empty(grid.problem.unknowns), np.array(unknowns, dtype=float)
-    grid.problem.residual(unknowns, np.array(state, dtype=float), t, lengths(grid), grid.parameters, values)
+    grid.problem.residual(unknowns, np.array(state, dtype=float), t, lengths(grid, t), grid.parameters, values)
     return values
 
 
@@ -230,7 +268,7 @@ def jacobian(grid, unknowns, state, t=0.0):
     """Return the Jacobian (unknowns, unknowns) of `residual` with respect to the unknowns."""
     count, unknowns = grid.problem.unknowns, np.array(unknowns, dtype=float)
     values, matrix = np.empty(count), np.empty((count, count))
-    grid.problem.jacobian(unknowns, np.array(state, dtype=float), t, lengths(grid), grid.parameters, values, matrix)
+    grid.problem.jacobian(unknowns, np.array(state, dtype=float), t, lengths(grid, t), grid.parameters, values, matrix)
     return matrix
 
 
@@ -238,10 +276,10 @@ def complete(grid, unknowns, state, t=0.0):
     """Return the state (size,) at the end of a step from `state`, for `unknowns` that solve its equations."""
     problem, unknowns = grid.problem, np.array(unknowns, dtype=float)
     interval = np.empty(problem.stages + problem.state)
-    problem.complete(unknowns, np.array(state, dtype=float), t, lengths(grid), grid.parameters, interval)
+    problem.complete(unknowns, np.array(state, dtype=float), t, lengths(grid, t), grid.parameters, interval)
     return interval[problem.stages :]
 
 
-def lengths(grid):
-    """Return the lengths (lengths,) of the first part of a step, in units of time."""
-    return grid.h * grid.problem.fractions[0]
+def lengths(grid, t):
+    """Return the lengths (lengths,) of the first part of the step that starts at time t, in units of time."""
+    return length_at(grid, t) * grid.problem.fractions[0]

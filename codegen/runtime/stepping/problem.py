@@ -8,7 +8,7 @@ import numpy as np
 
 from codegen.runtime.kernels import Kernel, Value, problem_of
 from codegen.runtime.record import SimulationRecord
-from codegen.runtime.stepping.steps import Scheme, follow, memory_for
+from codegen.runtime.stepping.steps import EQUAL, Scheme, follow, memory_for
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +29,8 @@ class StepProblem:
     equations : Kernel
         Fills the residual (stages + state,) of the equations of the scheme. Its arguments are (state, interval, t,
         lengths, parameters).
-    energy : Value
-        The Hamiltonian of (state, t, parameters).
+    energy : Value or None
+        The Hamiltonian of (state, t, parameters); None for first-order dynamics.
     explicit : Kernel or None
         Fills the interval of an explicit scheme.
     all_steps : Kernel or None
@@ -57,7 +57,7 @@ class StepProblem:
     state: int
     stages: int
     equations: Kernel
-    energy: Value
+    energy: Value | None = None
     unknowns: int = 0
     explicit: Kernel | None = None
     all_steps: Kernel | None = None
@@ -75,7 +75,7 @@ class StepProblem:
 
     def __reduce__(self):
         """Pickle the problem as the name of its module; another process imports the module."""
-        return problem_of, (self.energy.__module__,)
+        return problem_of, (self.equations.__module__,)
 
     @cached_property
     def scheme(self):
@@ -90,15 +90,16 @@ class StepProblem:
             *self.fractions.shape, len(self.ranges), self.fractions.ctypes.data, self.ranges.ctypes.data,
         )  # fmt: skip
 
-    def follow(self, start, steps, h, parameters, tolerance, most, every, path, before):
+    def follow(self, start, steps, h, parameters, tolerance, most, every, path, before, spans=EQUAL):
         """Make all steps from the state `start` (state,).
 
         Arguments and results are as in `steps.follow`.
         """
-        if self.all_steps is None or self.all_steps.is_interpreted:
-            accuracy = tolerance, most
+        scheme = self.scheme if spans.shape[0] == 0 else self.scheme._replace(is_constant=0)
+        if self.all_steps is None or self.all_steps.is_interpreted or spans.shape[0] > 0:
+            states = path, before
             return follow(
-                self.scheme, memory_for(self.scheme), start, steps, h, parameters, *accuracy, every, path, before
+                scheme, memory_for(scheme), start, steps, h, parameters, tolerance, most, every, *states, spans
             )
         outcome, numbers = np.empty(4), np.array([steps, h, every], dtype=float)
         states = start.copy(), start.copy(), np.empty(self.stages + self.state)

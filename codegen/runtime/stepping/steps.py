@@ -1,6 +1,9 @@
 """Steps of an initial value problem, in compiled code that calls the kernels of the problem by address.
 
-Implicit steps are solved by Newton's method. Its first correction is exact if the equations are linear.
+Implicit steps are solved by Newton's method. Its first correction is exact if the equations are linear. Where Newton's
+method fails, the length of the step grows from zero, and each solution is the initial guess of the next.
+
+Source: Allgower and Georg (2003), Introduction to numerical continuation methods, chapter 2.
 """
 
 from typing import Any, NamedTuple
@@ -15,7 +18,11 @@ from codegen.runtime.kernels import ONLY_COMPILED
 NON_FINITE, SINGULAR, NOT_CONVERGED, LEFT_TABLE = -1, -2, -3, -4  # outcomes of a failed step
 LEAST = 1e-300  # smaller numbers are close to underflow and have no relative size
 ROUNDING = 1e-8  # corrections below this, relative to all unknowns, are rounding errors if they no longer shrink
+FIRST_GROWTH, LEAST_GROWTH = 0.125, 1e-5  # of the length of a step in a continuation, relative to the full length
+MOST_LENGTHS, FEW = 200, 12  # numbers of lengths in a continuation, and of iterations for each of them
 TABLE_MARGIN = 1e-8  # an input may exceed the range of a table by this rounding error, relative to the range
+
+EQUAL = np.empty((0, 2))  # the spans of equal steps
 
 INLINED: Any = njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)
 
@@ -63,6 +70,10 @@ class Work(NamedTuple):
         Work space of Newton's method.
     sizes, last : int
         Magnitudes of the unknowns, and the last corrections, for the convergence test.
+    shorter : int
+        Lengths (lengths,) of a part of a step that is shortened for a continuation.
+    reached, earlier : int
+        The unknowns that solve the equations for the last two lengths of a continuation.
     """
 
     lengths: int
@@ -76,12 +87,16 @@ class Work(NamedTuple):
     pivots: int
     sizes: int
     last: int
+    shorter: int
+    reached: int
+    earlier: int
 
 
 def memory_for(scheme):
     """Return zeroed memory for the work arrays of a step."""
     count = scheme.unknowns
-    size = scheme.parts * scheme.lengths + 4 * (scheme.stages + scheme.state) + 2 * scheme.inputs + count * (count + 5)
+    lengths = (scheme.parts + 1) * scheme.lengths
+    size = lengths + 4 * (scheme.stages + scheme.state) + 2 * scheme.inputs + count * (count + 7)
     return np.zeros(size)
 
 
@@ -100,10 +115,15 @@ def work_in(scheme, memory, h, parameters_at):
     unknowns = seen + 16 * scheme.inputs
     row = 8 * count
     residual, sizes, last, pivots = unknowns + row, unknowns + 2 * row, unknowns + 3 * row, unknowns + 4 * row
-    work = Work(lengths, now, begin, interval, seen, unknowns, residual, unknowns + 5 * row, pivots, sizes, last)
-    fractions = carray(reals_at(scheme.fractions), (scheme.parts * scheme.lengths,))
+    jacobian_at = unknowns + 5 * row
+    reached = jacobian_at + row * count
+    work = Work(
+        lengths, now, begin, interval, seen, unknowns, residual, jacobian_at, pivots, sizes, last,
+        reached + 2 * row, reached, reached + row,
+    )  # fmt: skip
     for i in range(memory.size):
-        memory[i] = h * fractions[i] if i < fractions.size else 0.0
+        memory[i] = 0.0
+    set_length(scheme, work, h)
     if scheme.is_constant:
         call(scheme.jacobian, (unknowns, begin, 0.0, lengths, parameters_at, residual, work.jacobian))
         if count > 1:
@@ -111,6 +131,15 @@ def work_in(scheme, memory, h, parameters_at):
             if factor_matrix(jacobian, factored) >= 0:
                 factored[0] = -1
     return work
+
+
+@njit(error_model="numpy")
+def set_length(scheme, work, h):
+    """Set the lengths of all parts of a step of length h."""
+    count = scheme.parts * scheme.lengths
+    lengths, fractions = carray(reals_at(work.lengths), (count,)), carray(reals_at(scheme.fractions), (count,))
+    for i in range(count):
+        lengths[i] = h * fractions[i]
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -144,17 +173,69 @@ def advance(scheme, work, t, tolerance, most, parameters_at):
 
 @njit(error_model="numpy")
 def solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at):
-    """Solve the equations of a part of a step from `work.begin`; return the iterations, or a negative outcome.
+    """Solve the equations of a part of a step from `work.begin`; return the iterations, or a negative outcome."""
+    call(scheme.predict, (work.begin, t, lengths_at, parameters_at, work.unknowns))
+    outcome = iterate(scheme, work, t, lengths_at, tolerance, most, parameters_at)
+    if outcome < 0 and scheme.is_iterated:
+        effort = continue_in_length(scheme, work, t, lengths_at, tolerance, most, parameters_at)
+        return effort if effort > 0 else outcome
+    return outcome
 
-    Corrections are taken in full. If they do not converge, the step is too long for the scheme. A line search is no
-    help: shortened corrections ended in spurious minima of the residual as often as in a solution.
+
+@njit(error_model="numpy")
+def continue_in_length(scheme, work, t, lengths_at, tolerance, most, parameters_at):
+    """Solve the equations of a part for lengths that grow from zero to the full length; return the iterations.
+
+    Without a prediction, the unknowns at length zero are the values at the start. Each further initial guess continues
+    the last two solutions linearly. The growth doubles after a success, and is quartered after a failure. Return -1 if
+    the growth becomes too small, as at a length beyond which the equations have no solution.
+    """
+    count, at, before, growth, iterations = scheme.unknowns, 0.0, 0.0, FIRST_GROWTH, 0
+    lengths, shorter = (
+        carray(reals_at(lengths_at), (scheme.lengths,)),
+        carray(reals_at(work.shorter), (scheme.lengths,)),
+    )
+    unknowns, reached = carray(reals_at(work.unknowns), (count,)), carray(reals_at(work.reached), (count,))
+    earlier = carray(reals_at(work.earlier), (count,))
+    for i in range(scheme.lengths):
+        shorter[i] = 0.0
+    call(scheme.predict, (work.begin, t, work.shorter, parameters_at, work.unknowns))
+    for i in range(count):
+        reached[i] = earlier[i] = unknowns[i]
+    for _ in range(MOST_LENGTHS):
+        end = min(1.0, at + growth)
+        for i in range(scheme.lengths):
+            shorter[i] = end * lengths[i]
+        slope = (end - at) / (at - before) if at > before else 0.0
+        for i in range(count):
+            unknowns[i] = reached[i] + slope * (reached[i] - earlier[i])
+        outcome = iterate(scheme, work, t, work.shorter, tolerance, min(most, FEW), parameters_at)
+        if outcome < 0:
+            growth *= 0.25
+            if growth < LEAST_GROWTH:
+                return -1
+            continue
+        iterations += outcome
+        if end == 1.0:
+            return iterations
+        for i in range(count):
+            earlier[i], reached[i] = reached[i], unknowns[i]
+        at, before, growth = end, at, 2.0 * growth
+    return -1
+
+
+@njit(error_model="numpy")
+def iterate(scheme, work, t, lengths_at, tolerance, most, parameters_at):
+    """Solve the equations of a part of a step by Newton's method; return the iterations, or a negative outcome.
+
+    `work.unknowns` are the initial guess. Corrections are taken in full. A line search is no help: shortened
+    corrections ended in spurious minima of the residual as often as in a solution.
     """
     count, magnitude = scheme.unknowns, 0.0
     unknowns, residual = carray(reals_at(work.unknowns), (count,)), carray(reals_at(work.residual), (count,))
     jacobian, pivots = carray(reals_at(work.jacobian), (count, count)), carray(integers_at(work.pivots), (count,))
     sizes, last = carray(reals_at(work.sizes), (count,)), carray(reals_at(work.last), (count,))
     state = carray(reals_at(work.begin), (scheme.state,))
-    call(scheme.predict, (work.begin, t, lengths_at, parameters_at, work.unknowns))
     for i in range(state.size):
         magnitude += abs(state[i])
     for i in range(count):
@@ -271,12 +352,13 @@ def stored_last(wait, every, rows, size, now, path):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def follow(scheme, memory, start, steps, h, parameters, tolerance, most, every, path, before):
+def follow(scheme, memory, start, steps, h, parameters, tolerance, most, every, path, before, spans):
     """Make all steps from the state `start` (state,), and store states in `path` and `before` (M, state).
 
-    `stored` explains `every`, `path` and `before`. A step that fails ends the motion; the last good state is then
-    stored. Return four numbers: the steps made, the rows of `path` in use, the iterations, and the outcome. The outcome
-    is 0, or a negative number for the reason of a failure.
+    All steps have the length h, unless `spans` (steps, 2) has the time at the start and the length of each. `stored`
+    explains `every`, `path` and `before`. A step that fails ends the motion; the last good state is then stored. Return
+    four numbers: the steps made, the rows of `path` in use, the iterations, and the outcome. The outcome is 0, or a
+    negative number for the reason of a failure.
     """
     parameters_at, size = parameters.ctypes.data, scheme.state
     work = work_in(scheme, memory, h, parameters_at)
@@ -285,7 +367,11 @@ def follow(scheme, memory, start, steps, h, parameters, tolerance, most, every, 
     for i in range(size):
         path[0, i] = after[i] = now[i] = start[i]
     for k in range(steps):
-        outcome = checked(advance(scheme, work, k * h, tolerance, most, parameters_at), size, after)
+        t = k * h
+        if spans.shape[0] > 0:
+            t = spans[k, 0]
+            set_length(scheme, work, spans[k, 1])
+        outcome = checked(advance(scheme, work, t, tolerance, most, parameters_at), size, after)
         if outcome < 0:
             break
         iterations += outcome
@@ -360,19 +446,23 @@ def part_of_step(scheme, start, t, lengths, parameters, tolerance, most, interva
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, tolerance, most, every):
+def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, tolerance, most, every, spans):
     """Return the max-norm of the equations of the scheme, over the steps from `before` to `path`.
 
     For i from 1 to `rows` - 1, one step goes from row i - 1 of `before` to row i of `path` (M, state). `steps` is the
-    number of steps of the motion. Inner stages and states between the parts of a step are not stored. They are computed
-    again from the state before the step.
+    number of steps of the motion. `spans` is as in `follow`. Inner stages and states between the parts of a step are
+    not stored. They are computed again from the state before the step.
     """
     size, stages, parameters_at, largest = scheme.state, scheme.stages, parameters.ctypes.data, 0.0
     work, residual = work_in(scheme, memory, h, parameters_at), np.empty(scheme.stages + scheme.state)
     state, interval = carray(reals_at(work.begin), (size,)), carray(reals_at(work.interval), (stages + size,))
     lengths, residual_at = carray(reals_at(work.lengths), (scheme.parts, scheme.lengths)), residual.ctypes.data
     for row in range(1, rows):
-        t = (min(row * every, steps) - 1) * h
+        k = min(row * every, steps) - 1
+        t = k * h
+        if spans.shape[0] > 0:
+            t = spans[k, 0]
+            set_length(scheme, work, spans[k, 1])
         for i in range(size):
             state[i] = before[row - 1, i]
         for part in range(scheme.parts):

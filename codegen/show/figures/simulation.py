@@ -36,14 +36,14 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
     """Return the figure of a simulation: each coordinate over time with its phase portrait, the drawing, the energy.
 
     `unit` is the unit of time. Without inputs and damping the change of the energy is drawn: the error of the scheme.
+    States of first-order dynamics have neither a phase portrait nor an energy.
     """
-    assert result.energy is not None, "a simulation has energies"
     names, units, momenta = result.names["q"], {"t": unit, **result.units}, result.names["p"]
     shown = min(len(names), _MOST_COORDINATES)
     columns = 1 if shown <= _MOST_IN_A_COLUMN else 2
     rows = math.ceil(shown / columns)
     row = max(1.5, 2.7 - 0.35 * rows)
-    height = rows * row + _ENERGY
+    height = rows * row + (_ENERGY if result.energy is not None else 0.0)
     # A wide drawing is placed above the curves, any other drawing at their left.
     width = 10.0 if columns == 1 else 14.0
     curves: FigureBase
@@ -66,12 +66,13 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
         axes = part.add_subplot()
         shapes.course(axes, drawing, room, instants=2)
         axes.set_anchor("C")
-    grid = curves.add_gridspec(rows + 1, 3 * columns, height_ratios=[row] * rows + [_ENERGY])
+    heights = [row] * rows + ([_ENERGY] if result.energy is not None else [])
+    grid = curves.add_gridspec(len(heights), 3 * columns, height_ratios=heights)
     stride = max(1, -(-result.t.size // _MOST_POINTS))
     for i in range(shown):
         column, line = divmod(i, rows)
-        axes = curves.add_subplot(grid[line, 3 * column : 3 * column + 2])
-        t, q, p = result.t[::stride], result.q[::stride, i], result.p[::stride, i]
+        axes = curves.add_subplot(grid[line, 3 * column : 3 * column + (2 if momenta else 3)])
+        t, q = result.t[::stride], result.q[::stride, i]
         axes.plot(t, q, color=BLUE, linewidth=1.2)
         axes.plot(t[0], q[0], "o", color=AMBER, markersize=5, label="start")
         axes.margins(x=0.01)
@@ -82,7 +83,9 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
         is_lowest = line == rows - 1 or i == shown - 1
         axes.set_xlabel(in_unit("time", units["t"]) if is_lowest else "")
         axes.tick_params(labelbottom=is_lowest)
-        portrait = curves.add_subplot(grid[line, 3 * column + 2])
+        if not momenta:
+            continue
+        portrait, p = curves.add_subplot(grid[line, 3 * column + 2]), result.p[::stride, i]
         portrait.plot(q, p, color=BLUE, linewidth=0.8 if q.size <= 2000 else 0.5, alpha=0.6)
         if q.size <= _MOST_DOTS:
             portrait.plot(q, p, ".", color=BLUE, markersize=2.5)
@@ -91,8 +94,19 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
         portrait.set_ylabel(in_unit(label(momenta[i]), units.get(momenta[i], "")))
         portrait.margins(0.08)
         panels.say_if_conserved(portrait, p)
-    # Draw the change of a conserved energy, otherwise the energy.
-    axes, energy, t = curves.add_subplot(grid[rows, :]), result.energy, result.t[::stride]
+    if result.energy is not None:
+        _draw_energy(curves.add_subplot(grid[rows, :]), result, stride, units)
+    more = len(names) - shown
+    title(figure, result, [f"{more} further coordinates not shown"] if more > 0 else [])
+    if drawing is not None:
+        figure.draw_without_rendering()  # axes of equal scales need a second pass of the layout
+    return figure
+
+
+def _draw_energy(axes: Axes, result: Result, stride: int, units: Mapping[str, str]) -> None:
+    """Draw the change of a conserved energy, otherwise the energy."""
+    assert result.energy is not None, "a mechanical system has energies"
+    energy, t = result.energy, result.t[::stride]
     is_conserved = "energy_drift" in result.summary
     axes.plot(t, (energy - energy[0] if is_conserved else energy)[::stride], color=RED, linewidth=1.2)
     axes.set_xlabel(in_unit("time", units["t"]))
@@ -105,11 +119,6 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
         if size:
             axes.set_ylim(-1e-9 * size, 1e-9 * size)
         axes.set_title(panels.conserved_to(drift), loc="right")
-    more = len(names) - shown
-    title(figure, result, [f"{more} further coordinates not shown"] if more > 0 else [])
-    if drawing is not None:
-        figure.draw_without_rendering()  # axes of equal scales need a second pass of the layout
-    return figure
 
 
 def connect_figure(module: ConnectModule, result: Result) -> Figure:

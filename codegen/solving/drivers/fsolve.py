@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from codegen.errors import ArgumentError
-from codegen.runtime.record import Method
+from codegen.runtime.record import Form, Method
 from codegen.solving.drivers.shared import (
     DENSE_LIMIT,
     finite,
@@ -107,7 +107,10 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
             states.append(np.asarray(module.complete(grid, y, state, t)))
     path, steps = np.array(states), len(states) - 1
     stored = np.unique([*range(0, steps + 1, run.every), steps])
-    times, dimension = grid.h * stored, path.shape[1] // 2
+    times, dimension, energy = grid.h * stored, len(module.metadata.coordinates), None
+    if module.metadata.form != Form.FIRST_ORDER:
+        rows = zip(path[stored], times, strict=True)
+        energy = np.array([module.energy(row, t, grid.parameters) for row, t in rows])
     return SimulateAttempt(
         status=status,
         message=message or f"all {steps} steps were made with {evaluations / steps:.2f} evaluations each",
@@ -115,7 +118,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
         t=times,
         q=path[stored, :dimension],
         p=path[stored, dimension:],
-        energy=np.array([module.energy(row, t, grid.parameters) for row, t in zip(path[stored], times, strict=True)]),
+        energy=energy,
         steps=steps,
         residual=module.path_residual(grid, path) if steps else float("nan"),
         tolerance=TOLERANCE,

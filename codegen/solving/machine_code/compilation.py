@@ -198,10 +198,10 @@ def step_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     scheme = typeof(steps.Scheme(*[0] * len(steps.Scheme._fields)))
     if problem.all_steps is None:
         yield steps.follow, (
-            scheme, REALS, REALS, int64, float64, REALS, float64, int64, int64, TABLE, TABLE,
+            scheme, REALS, REALS, int64, float64, REALS, float64, int64, int64, TABLE, TABLE, TABLE,
         )  # fmt: skip
     yield steps.largest_residual, (
-        scheme, REALS, TABLE, TABLE, int64, int64, float64, REALS, float64, int64, int64,
+        scheme, REALS, TABLE, TABLE, int64, int64, float64, REALS, float64, int64, int64, TABLE,
     )  # fmt: skip
     yield steps.energies, (int64, TABLE, REALS, REALS, REALS)
     yield arithmetic.factor_matrix, (TABLE, INTEGERS)

@@ -53,16 +53,19 @@ def simulate_result(
         if number and run.every == 1:
             status, message = "outside a table", f"outside a table in step {number} of {run.steps}: {table}"
     names = component_names(module.metadata)
-    drift, final_change = np.abs(attempt.energy - attempt.energy[0]), attempt.energy[-1] - attempt.energy[0]
     final = dict(zip((*names["q"], *names["p"]), (*attempt.q[-1], *attempt.p[-1]), strict=True))
-    is_conserved = module.metadata.conservative
     summary = {
         "duration": float(attempt.t[-1]),
         **{f"final_{name}": float(value) for name, value in final.items()},
-        # The energy of a driven or damped motion changes, and this change is no error of the scheme.
-        ("energy_drift" if is_conserved else "energy_change"): float(drift.max() if is_conserved else final_change),
-        "steps_per_second": attempt.steps / seconds if seconds > 0.0 else float("inf"),
     }
+    if attempt.energy is not None:
+        # The energy of a driven or damped motion changes, and this change is no error of the scheme.
+        change = attempt.energy - attempt.energy[0]
+        if module.metadata.conservative:
+            summary["energy_drift"] = float(np.abs(change).max())
+        else:
+            summary["energy_change"] = float(change[-1])
+    summary["steps_per_second"] = attempt.steps / seconds if seconds > 0.0 else float("inf")
     return Result(
         **origin(module.metadata, driver, run, attempt, seconds), status=status, message=message,
         residual=float(residual), t=attempt.t, q=attempt.q, p=attempt.p, energy=attempt.energy, names=names,

@@ -223,7 +223,7 @@ class SimulateAttempt:
     t: Vector
     q: Matrix
     p: Matrix
-    energy: Vector
+    energy: Vector | None
     steps: int
     residual: float
     tolerance: float
