@@ -95,7 +95,7 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
                     cost_without = plain(shooting)(filled, t, h, parameters, slopes_without)
                     at = [*map(float, filled), *numbers[len(local) :]]
                     if np.isfinite(filled).all():
-                        exact_slopes = [*gradient(scalar, at, range(size)), cost(*map(mpmath.mpf, at))]
+                        exact_slopes = [*gradient(scalar, at, range(size)), *cost(*map(mpmath.mpf, at))]
                         without_stages.compare([*names, "Cd"], [*slopes_without, cost_without], exact_slopes)
             shifted = {symbol: np.full(size, number, kind) for symbol, number in point.items()}
             for i, symbol in enumerate(unknowns):

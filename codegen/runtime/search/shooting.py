@@ -89,7 +89,7 @@ def reduction(node, stages, rows, columns):
     below = slopes[1] - stages > slopes[2]  # the diagonal of A is one
     slopes = tuple(part[below] for part in slopes)
     reach, crossed = np.unique(outer[2]), np.unique(cross[1])
-    entries: dict[tuple[int, int], int] = {}
+    entries = {}
 
     def entry(one, other):
         pair = max(one, other), min(one, other)
