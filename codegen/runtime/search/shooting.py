@@ -120,13 +120,13 @@ def reduction(node, stages, rows, columns):
 @njit(error_model="numpy", forceinline=True)
 def place_of(tables, number):
     """Return the index of the first entry of a table in `Reduction.tables`."""
-    return np.uint64(tables[2 * number])
+    return tables[2 * number]
 
 
 @njit(error_model="numpy", forceinline=True)
 def count_of(tables, number):
     """Return the length of a table in `Reduction.tables`."""
-    return np.uint64(tables[2 * number + 1])
+    return tables[2 * number + 1]
 
 
 def reduction_rows(made):
@@ -143,7 +143,7 @@ def reduce_hessian(tables, width, hessian, of_stages, products, reduced):
     that `reduction_rows` counts.
     """
     counts = place_of(tables, COUNTS)
-    stages, reach, crossed = tables[counts], tables[counts + np.uint64(1)], tables[counts + np.uint64(2)]
+    stages, reach, crossed = tables[counts], tables[counts + 1], tables[counts + 2]
     # The rows of `of_stages` are S, then -H_ss S. The rows of `products` are S' H_ss S, then H_ys S.
     clear(of_stages)
     clear(products)
@@ -157,35 +157,35 @@ def reduce_hessian(tables, width, hessian, of_stages, products, reduced):
     at, rows, columns = place_of(tables, CURVED), place_of(tables, CURVED_ROWS), place_of(tables, CURVED_COLUMNS)
     for j in range(count_of(tables, CURVED)):
         value = hessian[np.uint64(tables[at + j])]
-        row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
-        subtract_row(value, of_stages, column, width, of_stages, np.uint64(stages) + row)
+        row, column = tables[rows + j], tables[columns + j]
+        subtract_row(value, of_stages, np.uint64(column), width, of_stages, np.uint64(stages + row))
         if row != column:
-            subtract_row(value, of_stages, row, width, of_stages, np.uint64(stages) + column)
+            subtract_row(value, of_stages, np.uint64(row), width, of_stages, np.uint64(stages + column))
     # The second factor is -H_ss S, and `subtract_products` subtracts: the signs cancel. The upper triangle is valid.
     subtract_products(of_stages, of_stages[stages:], stages, 0, width, width, products)
     at, rows, columns = place_of(tables, CROSS), place_of(tables, CROSS_ROWS), place_of(tables, CROSS_COLUMNS)
     for j in range(count_of(tables, CROSS)):
-        row, column = np.uint64(width) + np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+        row, column = np.uint64(width + tables[rows + j]), np.uint64(tables[columns + j])
         subtract_row(-hessian[np.uint64(tables[at + j])], of_stages, column, width, products, row)
     at = place_of(tables, KEPT)
     for j in range(count_of(tables, KEPT)):
         reduced[j] = hessian[np.uint64(tables[at + j])]
-    for j in range(count_of(tables, KEPT), np.uint64(reduced.size)):
+    for j in range(count_of(tables, KEPT), reduced.size):
         reduced[j] = 0.0
     at = place_of(tables, PAIRS)
     for a in range(reach):
         for b in range(a + 1):
             reduced[np.uint64(tables[at])] += products[b, a]
-            at += np.uint64(1)
+            at += 1
     at = place_of(tables, CROSSINGS)
     for i in range(width, width + crossed):
         for c in range(reach):
             reduced[np.uint64(tables[at])] += products[i, c]
-            at += np.uint64(1)
-    at, crossings = place_of(tables, DOUBLED), np.uint64(tables[2 * CROSSINGS])
+            at += 1
+    at, crossings = place_of(tables, DOUBLED), place_of(tables, CROSSINGS)
     for j in range(count_of(tables, DOUBLED)):
         place = tables[at + j]
-        reduced[np.uint64(tables[crossings + np.uint64(place)])] += products[width + place // reach, place % reach]
+        reduced[np.uint64(tables[crossings + place])] += products[width + place // reach, place % reach]
 
 
 @dataclass(frozen=True, eq=False)
