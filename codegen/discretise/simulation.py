@@ -53,7 +53,7 @@ from codegen.symbolic.zeros import identically_zero
 
 _EXPANSION_LIMIT = 200
 """Greatest number of operations, and of terms, of sums that are expanded to test linearity."""
-_PIVOT_LIMIT = 20
+_PIVOT_LIMIT = 300
 """Greatest number of operations of a coefficient with roots by which an equation is divided."""
 _GROWTH_LIMIT = 150
 """Greatest number of operations that substitutions add to the equations; more make a numerical solution cheaper."""

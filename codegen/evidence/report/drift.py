@@ -20,6 +20,7 @@ from codegen.errors import CodegenError
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.page import Section, Table, number
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
+from codegen.runtime.record import Form
 from codegen.solving import api
 from codegen.solving.loading import SimulateModule, Vector
 
@@ -37,7 +38,7 @@ _MOST_FREEDOM = 8
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Yield a case for each scheme, or none if the extent has no long motion (`drift_steps` = 0)."""
+    """Yield a case for each scheme; none without an energy, or if the extent has no long motion (`drift_steps` = 0)."""
 
     def measure(variant: Variant) -> Values:
         module = workshop.simulation(variant)
@@ -45,6 +46,8 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
         return drift_values(module, extent.drift_steps)
 
     for variant in workshop.built(variants) if extent.drift_steps else []:
+        if workshop.simulation(variant).metadata.form == Form.FIRST_ORDER:
+            continue  # without energy
         yield Case(section_of(problem, "long motion"), variant.label, partial(measure, variant))
 
 

@@ -161,7 +161,7 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
             ]
     title = "Problems, measured" if len(selection) > 1 else _title_of(selection[0].problem)
     introduction = (
-        "Every number was measured by the run that module this page; all of them are in measurements.csv beside it. "
+        "Every number was measured by the run that made this page; measurements.csv has all numbers. "
         "A scheme has one colour in all figures. Run times are of one solve with warm machine code, the least of a few."
     )
     if extent.quick:

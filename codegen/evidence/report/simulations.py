@@ -36,6 +36,7 @@ from codegen.evidence.report.orders import (
 )
 from codegen.evidence.report.page import Line, Picture, Section, Table, listed, number, seconds, svg, work_precision
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
+from codegen.runtime.record import Form
 from codegen.solving.loading import Matrix, SimulateModule, Vector
 
 TIGHT, LOOSE = 3e-14, 1e-13
@@ -71,7 +72,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     def order(module: SimulateModule) -> Values:
         # Durations of the spans on which orders are measured, from the speeds along the reference motion.
         duration, states = _duration_of(euler), np.array(reference["states"], dtype=float)
-        field, sizes = _field_of(euler, duration), component_sizes(states)
+        field, sizes = _field_of(euler, duration), component_sizes(euler, states)
         speeds = [float(np.linalg.norm(field(t, z) / sizes)) for t, z in zip(reference["times"], states, strict=True)]
         unit = 1.0 / (float(np.median(speeds)) or 1.0 / duration)
         durations = dict.fromkeys(min(duration, factor * unit) for factor in SPANS)
@@ -98,10 +99,10 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
 
 @dataclass(frozen=True)
 class Motion:
-    """A reference motion: states (q, p) at M + 1 times, shape (M + 1, 2n).
+    """A reference motion: states (q, p), or x, at M + 1 times, shape (M + 1, 2n).
 
     `error` is the difference between two tolerances, relative to the sizes of the components. `energy_scale` is the
-    largest sum of |p_i dq_i/dt|, which is twice the kinetic energy if there is one.
+    largest sum of |p_i dq_i/dt|, which is twice the kinetic energy if there is one, or 1 without momenta.
     """
 
     times: Vector
@@ -126,10 +127,12 @@ def reference_motion(module: SimulateModule, checkpoints: int, duration: float |
             done = solve_ivp(field, (first, last), states[-1], "DOP853", rtol=tolerance, atol=tolerance * size * 1e-3)
             states.append(done.y[:, -1])
         runs.append(np.array(states))
-    error = float((np.abs(runs[1] - runs[0]) / component_sizes(runs[1])).max())
+    error = float((np.abs(runs[1] - runs[0]) / component_sizes(module, runs[1])).max())
     how = f"DOP853 at relative tolerance {TIGHT:g} through the explicit Euler module's own field"
-    half = runs[1].shape[1] // 2
-    works = [np.abs(z[half:] * field(t, z)[:half]).sum() for t, z in zip(times, runs[1], strict=True)]
+    works = [0.0]
+    if is_mechanical(module):
+        half = runs[1].shape[1] // 2
+        works = [np.abs(z[half:] * field(t, z)[:half]).sum() for t, z in zip(times, runs[1], strict=True)]
     return Motion(times, runs[1], error, (float(max(works)) or 1.0), how)
 
 
@@ -143,9 +146,20 @@ def _field_of(module: SimulateModule, duration: float) -> Callable[[float, Vecto
     return lambda t, z: np.asarray((module.step(grid, z, t) - z) / h)
 
 
-def component_sizes(states: Matrix) -> Vector:
-    """Return the largest position for every position, and the largest momentum for every momentum; shape (2n,)."""
+def is_mechanical(module: SimulateModule) -> bool:
+    """Return True if the state has positions and momenta, and False for first-order dynamics."""
+    return module.metadata.form != Form.FIRST_ORDER
+
+
+def component_sizes(module: SimulateModule, states: Matrix) -> Vector:
+    """Return the sizes of all components of the state, shape (2n,).
+
+    These are the largest position for every position, and the largest momentum for every momentum. Every state of
+    first-order dynamics has a size of its own.
+    """
     size = np.abs(states).max(axis=0)
+    if not is_mechanical(module):
+        return np.where(size > 0.0, size, 1.0)
     half = size.size // 2
     return np.concatenate([np.full(half, part.max() or 1.0) for part in (size[:half], size[half:])])
 
@@ -156,7 +170,7 @@ def _duration_of(module: SimulateModule) -> float:
 
 
 def _start_of(module: SimulateModule) -> Vector:
-    """Return the initial state (q, p), shape (2n,)."""
+    """Return the initial state (q, p), or x, shape (2n,)."""
     return np.asarray(module.make_grid(1).start, dtype=float).ravel()
 
 
@@ -165,8 +179,10 @@ def conserved(module: SimulateModule) -> dict[str, Callable[[Matrix], Vector]]:
 
     A momentum whose rate is exactly zero at several random states belongs to a cyclic coordinate on which no force
     acts. For particles in Cartesian coordinates, the total momentum along each axis and the angular momenta are tested
-    in the same way, up to rounding errors.
+    in the same way, up to rounding errors. First-order dynamics have no momenta.
     """
+    if not is_mechanical(module):
+        return {}
     field, start = _field_of(module, _duration_of(module)), _start_of(module)
     generator, half = np.random.default_rng(0), start.size // 2
     size = np.where(start == 0.0, 0.1 * float(np.abs(start).max() or 1.0), np.abs(start))
@@ -219,7 +235,7 @@ def order_values(module: SimulateModule, spans: Iterable[Motion], limit: float) 
     """
     values: Values = {}
     for motion in spans:
-        duration, sizes = float(motion.times[-1]), component_sizes(motion.states)
+        duration, sizes = float(motion.times[-1]), component_sizes(module, motion.states)
         steps: list[int] = []
         errors: list[float | None] = []
         for count in RUNGS:
@@ -263,11 +279,11 @@ def _errors(module: SimulateModule, euler: SimulateModule, reference: Values, st
     if not result.solved:
         return values
     states, exact = np.hstack([result.q, result.p]), np.array(reference["states"], dtype=float)
-    values["trajectory"] = float((np.abs(states - exact) / component_sizes(exact)).max())
-    assert result.energy is not None
-    parameters = euler.make_grid(1).parameters
-    energy = np.array([euler.energy(z, t, parameters) for z, t in zip(exact, reference["times"], strict=True)])
-    values["energy"] = float(np.abs(result.energy - energy).max()) / reference["energy scale"]
+    values["trajectory"] = float((np.abs(states - exact) / component_sizes(module, exact)).max())
+    if result.energy is not None:
+        parameters = euler.make_grid(1).parameters
+        energy = np.array([euler.energy(z, t, parameters) for z, t in zip(exact, reference["times"], strict=True)])
+        values["energy"] = float(np.abs(result.energy - energy).max()) / reference["energy scale"]
     if reference["conserved"]:
         momenta = conserved(euler)
         along = [momenta[name](states) for name in reference["conserved"]]
@@ -304,8 +320,8 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
             groups.append((name, lines))
     spans = sorted({values["span"] for v in schemes if (values := store.get(section_of(problem, "orders"), v.label))})
     texts = [
-        f"Errors are the largest at {len(reference['times']) - 1} equidistant times, relative to the largest place or "
-        f"momentum, those of energy to the largest sum of |p q̇|. "
+        f"Errors are the largest at {len(reference['times']) - 1} equidistant times, relative to the largest position, "
+        f"momentum or state, those of energy to the largest sum of |p q̇|. "
         f"Reference: {reference['how']}; a looser tolerance differs from it by "
         f"{number(reference['error'], 2)}.",
         f"Orders are measured on a short span of the motion, of duration {listed([number(s) for s in spans])}, so that "
@@ -341,7 +357,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
             variant.label, str(variant.order), order_text(scheme.order, scheme.verdict),
             scheme.order.range if scheme.order else "–",
             number(min((v["trajectory"] for v in solved), default=None), 2),
-            number(min((v["energy"] for v in solved), default=None), 2),
+            number(min((v["energy"] for v in solved if "energy" in v), default=None), 2),
             seconds(_time_to(scheme.rows, 1e-3)), seconds(_time_to(scheme.rows, 1e-6)),
             number(1e9 * last["seconds"] / last["steps"]) if last else "–", str(failures) if failures else "",
         ))  # fmt: skip

@@ -214,9 +214,7 @@ class ControlProblem:
     @cached_property
     def searched(self):
         """The problem that a search solves: for an explicit scheme without stages, see `shooting`."""
-        from codegen.runtime.search.shooting import shooting_problem
-
-        return self if self.shooting is None else shooting_problem(self)
+        return self if self.shooting is None else self.shooting.without_stages(self)
 
     @cached_property
     def mixed(self):

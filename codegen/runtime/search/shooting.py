@@ -207,37 +207,37 @@ class Shooting:
     hessians: Any
     stages: Any
 
+    def without_stages(self, problem):
+        """Return a problem with the same solution and without stages, for a search.
 
-def shooting_problem(problem):
-    """Return a problem with the same solution and without stages, for a search.
+        Its grids are those of `shooting_grid`. It has no sensitivities, and its tables may be read outside their
+        ranges.
+        """
+        s, pattern = problem.structure, self.reduction
+        gone = 2 * s.stages
 
-    Its grids are those of `shooting_grid`. It has no sensitivities, and its tables may be read outside their ranges.
-    """
-    s, loops = problem.structure, problem.shooting
-    gone, pattern = 2 * s.stages, loops.reduction
+        def moved(local):
+            """Return local indices without those of stages and of the multipliers of their equations."""
+            local = local[(local < s.node) | (local >= s.node + gone)]
+            return np.where(local < s.node, local, local - gone)
 
-    def moved(local):
-        """Return local indices without those of stages and of the multipliers of their equations."""
-        local = local[(local < s.node) | (local >= s.node + gone)]
-        return np.where(local < s.node, local, local - gone)
+        structure = replace(
+            s, stride=s.stride - gone, stages=0, rows=pattern.rows, columns=pattern.columns,
+            is_multiplier=np.delete(s.is_multiplier, np.s_[s.node : s.node + gone]),
+            slacks=moved(s.slacks), slack_multipliers=moved(s.slack_multipliers), inner_lacks=moved(s.inner_lacks),
+            motion_equations=moved(s.motion_equations), motion_unknowns=moved(s.motion_unknowns),
+            phase_lacks=s.phase_lacks[..., gone:], switch_lacks=s.switch_lacks[..., gone:],
+        )  # fmt: skip
 
-    structure = replace(
-        s, stride=s.stride - gone, stages=0, rows=pattern.rows, columns=pattern.columns,
-        is_multiplier=np.delete(s.is_multiplier, np.s_[s.node : s.node + gone]),
-        slacks=moved(s.slacks), slack_multipliers=moved(s.slack_multipliers), inner_lacks=moved(s.inner_lacks),
-        motion_equations=moved(s.motion_equations), motion_unknowns=moved(s.motion_unknowns),
-        phase_lacks=s.phase_lacks[..., gone:], switch_lacks=s.switch_lacks[..., gone:],
-    )  # fmt: skip
+        def bounds(grid):
+            """Return the least and the greatest values (n,) of all unknowns."""
+            return tuple(side[kept_unknowns(s, grid.steps)] for side in problem.variable_bounds(whole_grid(grid)))
 
-    def bounds(grid):
-        """Return the least and the greatest values (n,) of all unknowns."""
-        return tuple(side[kept_unknowns(s, grid.steps)] for side in problem.variable_bounds(whole_grid(grid)))
-
-    return replace(
-        problem, structure=structure, metadata=replace(problem.metadata, interval=problem.metadata.interval[gone:]),
-        gradient=loops.gradient, hessians=loops.hessians, variable_bounds=problem.variable_bounds and bounds,
-        inputs=None, data=None, shooting=None, with_stages=problem,
-    )  # fmt: skip
+        return replace(
+            problem, structure=structure, metadata=replace(problem.metadata, interval=problem.metadata.interval[gone:]),
+            gradient=self.gradient, hessians=self.hessians, variable_bounds=problem.variable_bounds and bounds,
+            inputs=None, data=None, shooting=None, with_stages=problem,
+        )  # fmt: skip
 
 
 @lru_cache(maxsize=8)
