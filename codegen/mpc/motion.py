@@ -207,7 +207,7 @@ def plant_of(
     is_free = is_control(module) and (metadata.control_names or metadata.form == Form.LAGRANGIAN)
     if is_of_particles(module) or is_free:
         finding = f"{metadata.problem} is no plant: it has controls, or particles"
-        raise ArgumentError(finding, "give a Simulate, or for dynamics a Control without controls and cost")
+        raise ArgumentError(finding, "give a Simulate")
     starts = tuple(metadata.start)
     if set(starts) != set(states):
         finding = f"the plant starts from {', '.join(starts) or 'nothing'}, the controller from {', '.join(states)}"

@@ -34,6 +34,15 @@ def problem() -> Simulate:
     q, p = canonical_pair("q", "p")
     return Simulate(hamiltonian=p**2 / 2 + q**2 / 2, duration=8, start={q: 1, p: 0}, steps=40)
 '''
+ROTATION = '''"""Let three states rotate and decay, a first-order system without momenta."""
+
+from codegen import Simulate, states
+
+
+def problem() -> Simulate:
+    x, y, z = states("x y z")
+    return Simulate(dynamics={x: y, y: -x, z: -z}, duration=8, start={x: 1, y: 0, z: 100}, steps=40)
+'''
 EFFORT = '''"""Move a unit mass by one unit of length in one unit of time, with least effort."""
 
 from codegen import Control, control, coordinate
@@ -194,6 +203,18 @@ def test_the_reference_motion_is_the_closed_form(tmp_path, inline):
     motion = reference_motion(module, 4)
     exact = np.column_stack([np.cos(motion.times), -np.sin(motion.times)])
     np.testing.assert_allclose(motion.states, exact, atol=1e-12)
+    assert conserved(module) == {}
+
+
+def test_first_order_dynamics_have_sizes_of_their_own_and_no_energy(tmp_path, inline):
+    (rotation,) = written(tmp_path, rotation=ROTATION)
+    workshop = Workshop(tmp_path / "modules", Store(tmp_path / "store.jsonl"))
+    module = workshop.module(Variant(rotation, "one-step", "explicit-euler", 1))
+    motion = reference_motion(module, 4)
+    t = motion.times
+    np.testing.assert_allclose(motion.states, np.column_stack([np.cos(t), -np.sin(t), 100 * np.exp(-t)]), atol=1e-10)
+    sizes = simulations.component_sizes(module, motion.states)
+    np.testing.assert_allclose(sizes, np.abs(motion.states).max(axis=0))
     assert conserved(module) == {}
 
 

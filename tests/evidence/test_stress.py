@@ -105,6 +105,7 @@ def test_an_energy_that_is_no_number_is_not_bounded():
     case = replace(PLAIN, bound=math.nan, expect="bounded")
     assert classify(case, GOOD).passed
     assert not classify(case, replace(GOOD, drift=math.nan)).passed
+    assert classify(case, replace(GOOD, drift=math.nan, has_energy=False)).passed
 
 
 # ---- Worker processes ----

@@ -101,8 +101,8 @@ class Measurement:
 
     `error` is the error against the reference, `announced` the relative error that a doubled grid shows. `residual` is
     the residual of all equations, evaluated outside the solver, and `tolerance` its limit. `textbook` is the residual
-    in extended precision, in rounding errors of double precision. `drift` is the largest relative change of energy.
-    `stable_below` is the largest stable step times frequency, by bisection.
+    in extended precision, in rounding errors of double precision. `drift` is the largest relative change of energy;
+    first-order dynamics have no energy. `stable_below` is the largest stable step times frequency, by bisection.
     """
 
     status: str = ""
@@ -116,6 +116,7 @@ class Measurement:
     tolerance: float = math.nan
     textbook: float = math.nan
     drift: float = math.nan
+    has_energy: bool = True
     stable_below: float = math.nan
     failures: int = 0
     iterations: int = 0
@@ -185,7 +186,7 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
         coarse = f"; the fast motion is not resolved (h omega = {case.h_omega:.3g})" if case.h_omega > 0.5 else ""
         limit = f", stable below {run.stable_below:.3f}" if math.isfinite(run.stable_below) else ""
         return "bounded", f"energy within {run.drift:.1e}{coarse}{limit}"
-    if math.isnan(run.drift):  # there is no energy
+    if not run.has_energy or (math.isnan(run.drift) and math.isnan(case.drift)):
         return "bounded", f"the equations hold to {run.residual:.1e}"
     stability = "unsuitable at this step" if math.isnan(run.stable_below) else f"unsuitable, {_stability(case, run)}"
     return "unsuitable", f"{stability}: energy changes by {run.drift:.1e} of itself"

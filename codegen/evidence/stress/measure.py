@@ -58,6 +58,7 @@ def measure(module: ModuleType, case: Case) -> Measurement:
         tolerance=expected.tolerance(varied, case, result),
         textbook=textbook_errors(varied, case, result) if case.textbook and result.solved else math.nan,
         drift=_drift(case, result, expected.keeps_energy),
+        has_energy=result.energy is not None,
         stable_below=stable_limit(module, case) if case.limit else math.nan,
         failures=expected.failures(result),
         iterations=result.iterations,
