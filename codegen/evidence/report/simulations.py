@@ -148,7 +148,7 @@ def _field_of(module: SimulateModule, duration: float) -> Callable[[float, Vecto
 
 def is_mechanical(module: SimulateModule) -> bool:
     """Return True if the state has positions and momenta, and False for first-order dynamics."""
-    return module.metadata.form != Form.FIRST_ORDER
+    return bool(module.metadata.form != Form.FIRST_ORDER)
 
 
 def component_sizes(module: SimulateModule, states: Matrix) -> Vector:

@@ -199,8 +199,8 @@ class ControlProblem:
     range_names: tuple[str, ...] = ()
     tables: Mapping[str, np.ndarray] = field(default_factory=dict)
     observations: tuple[np.ndarray, ...] = ()
-    shooting: Any = None
-    with_stages: Any = None
+    shooting: object = None
+    with_stages: object = None
 
     def __reduce__(self):
         """Pickle the problem as the name of its module, which another process imports."""

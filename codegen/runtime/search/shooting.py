@@ -13,7 +13,6 @@ solution of optimal control problems, IFAC Proceedings 17.
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -203,9 +202,9 @@ class Shooting:
     """
 
     reduction: Reduction
-    gradient: Any
-    hessians: Any
-    stages: Any
+    gradient: object
+    hessians: object
+    stages: object
 
     def without_stages(self, problem):
         """Return a problem with the same solution and without stages, for a search.
