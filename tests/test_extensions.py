@@ -46,7 +46,7 @@ class TestSchemeFamily:
 
     def test_checks_know_it(self, extended):
         printed = extended.command("check", extended.problems / "oscillator.py", "--scheme", "radau-3")
-        assert re.search(r"consistency +order of radau-3 +passed", printed)
+        assert re.search(r"passed +consistency: order of radau-3", printed)
 
     def test_it_has_a_limit_and_a_colour_and_cases_of_stress(self, extended):
         code = """
@@ -94,7 +94,8 @@ class TestDriver:
 def test_check(extended):
     printed = extended.command("check", extended.problems / "linear_regulator.py")
     assert re.search(r"cost of the motion.*1\.6", printed, re.DOTALL)
-    assert "it minimises nothing" in extended.command("check", extended.problems / "oscillator.py")
+    printed = " ".join(extended.command("check", extended.problems / "oscillator.py").split())
+    assert "cost of the motion" in printed.partition("not applicable: ")[2]
 
 
 STOP = """'''Move a mass by one. Source: any textbook.'''
@@ -175,9 +176,10 @@ class TestFieldOfTheModel:
     def test_it_is_told_and_checked(self, extended, pair):
         printed = extended.command("check", pair)
         assert " 0 failed" in printed
-        assert re.search(r"balance of nodes +2\*x = y +passed", printed)
+        assert re.search(r"passed +balance of nodes: 2\*x = y", printed)
         problem = extended.problems / "linear_regulator.py"
-        assert re.search(r"balance of nodes.*there are no balances", extended.command("check", problem))
+        printed = " ".join(extended.command("check", problem).split())
+        assert "balance of nodes" in printed.partition("not applicable: ")[2]
 
     def test_values_of_the_past_do_not_go_with_it(self, extended, pair):
         text = pair.read_text(encoding="utf-8").replace("x: u,", "x: u - x.delayed(0.5), ")

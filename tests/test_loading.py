@@ -26,7 +26,7 @@ REFUSED = {
     "unknown-task": (OWN_HEADER + OF_TASK.format("dance"), "name no task"),
     "lacks-functions": (
         OWN_HEADER + "class metadata:\n    task = 'simulate'\ndef solve(): ...\n",
-        "lacks make_grid, energy",
+        "lacks make_grid, path_residual, step",
     ),
 }
 

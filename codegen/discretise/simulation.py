@@ -53,8 +53,8 @@ from codegen.symbolic.zeros import identically_zero
 
 _EXPANSION_LIMIT = 200
 """Greatest number of operations, and of terms, of sums that are expanded to test linearity."""
-_PIVOT_LIMIT = 300
-"""Greatest number of operations of a coefficient with roots by which an equation is divided."""
+_PIVOT_LIMIT = 20
+"""Greatest number of operations of a coefficient with roots by which an equation of first-order dynamics is divided."""
 _GROWTH_LIMIT = 150
 """Greatest number of operations that substitutions add to the equations; more make a numerical solution cheaper."""
 
@@ -73,11 +73,15 @@ class Elimination:
     linear: bool
 
 
-def eliminate(equations: Sequence[Expr], unknowns: Sequence[Symbol], constants: Iterable[Symbol]) -> Elimination:
+def eliminate(
+    equations: Sequence[Expr], unknowns: Sequence[Symbol], constants: Iterable[Symbol], longest: int | None = None
+) -> Elimination:
     """Solve equations (expressions that must vanish) for as many unknowns as possible, one by one.
 
     `constants` are the symbols that are constant along a trajectory. Equations are tried in both orders; the result has
-    the fewest unknowns for Newton's method, then the fewest operations.
+    the fewest unknowns for Newton's method, then the fewest operations. No equation is divided by a coefficient with
+    roots, such as sqrt(6), that has more operations than `longest`: sympy takes minutes for the signs of polynomials in
+    roots, and a numerical solution with exchange of rows is cheap.
     """
 
     def cost(result: Elimination) -> tuple[int, bool, int]:
@@ -86,10 +90,10 @@ def eliminate(equations: Sequence[Expr], unknowns: Sequence[Symbol], constants: 
         return len(result.unknowns), not result.linear, operations
 
     forward = range(len(unknowns))
-    first = _System(equations, unknowns, frozenset(constants)).solved(forward)
+    first = _System(equations, unknowns, frozenset(constants), longest).solved(forward)
     if len(first.unknowns) in (0, len(unknowns)):
         return first  # another order leaves the same number
-    return min(first, _System(equations, unknowns, frozenset(constants)).solved(forward[::-1]), key=cost)
+    return min(first, _System(equations, unknowns, frozenset(constants), longest).solved(forward[::-1]), key=cost)
 
 
 @dataclass(frozen=True)
@@ -108,10 +112,17 @@ class _Equation:
 class _System:
     """The equations and unknowns that are still open, and the assignments of the solved unknowns."""
 
-    def __init__(self, equations: Sequence[Expr], unknowns: Sequence[Symbol], constants: AbstractSet[Symbol]) -> None:
+    def __init__(
+        self,
+        equations: Sequence[Expr],
+        unknowns: Sequence[Symbol],
+        constants: AbstractSet[Symbol],
+        longest: int | None,
+    ) -> None:
         self.equations = {i: _Equation.of(e) for i, e in enumerate(equations)}
         self.unknowns = tuple(unknowns)
         self.constants = constants
+        self.longest = longest
         self.open = set(unknowns)
         self.assignments: list[Assignment] = []
         self.rejected: set[tuple[int, Symbol]] = set()
@@ -193,15 +204,14 @@ class _System:
     def _solution(self, i: int, y: Symbol) -> tuple[Expr, Expr] | None:
         """Return the coefficient of y in equation i and the solution; None if y is not linear, or cancels.
 
-        None, too, for a long coefficient with roots such as sqrt(6): sympy takes minutes for the signs of their
-        polynomials, and a numerical solution with exchange of rows is cheap.
+        None, too, for a coefficient with roots that is longer than `eliminate` allows.
         """
         equation = self.equations[i].expression
         coefficient = linear_in(equation, y, self.open)
         if coefficient is None:
             return None
         has_roots = any(power.base.is_Integer and not power.exp.is_Integer for power in coefficient.atoms(sympy.Pow))
-        if has_roots and expressions.longer_than(_PIVOT_LIMIT, [coefficient]):
+        if self.longest is not None and has_roots and expressions.longer_than(self.longest, [coefficient]):
             return None
         if identically_zero(coefficient):
             return None
@@ -495,12 +505,13 @@ def _one_step(
         c = abscissae[int(stage[1]) - 1] if stage else abscissae[-1]
         x, rate = rates[f"{y.name[: stage.start()] if stage else y.name.removesuffix('_k1')}_k"]
         guesses[y] = x + sympy.expand(c * STEP) * rate
+    longest = _PIVOT_LIMIT if phase.form == "first-order" else None
     return _Step(
         equations=equations,
         summary=tuple((f"0 = {name}", value) for name, value in equations),
         velocities=(),
         stages=interval.stages,
-        solution=eliminate(interval.equations, unknowns, (*phase.parameters, *lengths)),
+        solution=eliminate(interval.equations, unknowns, (*phase.parameters, *lengths), longest),
         guesses=guesses,
     )
 
