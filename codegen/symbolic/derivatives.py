@@ -180,14 +180,14 @@ class SecondDerivatives:
     indices: tuple[tuple[int, int], ...]
 
 
-def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequence[Expr] = ()) -> SecondDerivatives:
+def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], further: Sequence[Expr] = ()) -> SecondDerivatives:
     """Return programs for the gradient and Hessian of a scalar, without Hessian entries that are identically zero.
 
-    The expressions in the argument `beside` become further values of the gradient's program.
+    The expressions `further` become more values of the gradient's program.
     """
     graph = Graph(unknowns)
     leaves = range(len(unknowns))
-    value, further = graph.of(scalar), [graph.of(expression) for expression in beside]
+    value, others = graph.of(scalar), [graph.of(expression) for expression in further]
     adjoints = accumulate(graph, value, leaves)
     zero = graph.sum(())
     first = [adjoints.first.get(leaf, zero) for leaf in leaves]
@@ -195,15 +195,15 @@ def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequenc
     absent = vanishing(graph, list(entries.values()))
     indices = tuple(sorted(index for index, node in entries.items() if node not in absent))
     second = [entries[index] for index in indices]
-    return SecondDerivatives(program_of(graph, [*first, *further]), program_of(graph, second), indices)
+    return SecondDerivatives(program_of(graph, [*first, *others]), program_of(graph, second), indices)
 
 
-def first_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequence[Expr] = ()) -> StraightLine:
-    """Return a program for the gradient of a scalar; the expressions `beside` become further values."""
+def first_derivatives(scalar: Expr, unknowns: Sequence[Symbol], further: Sequence[Expr] = ()) -> StraightLine:
+    """Return a program for the gradient of a scalar; the expressions `further` become more values."""
     graph = Graph(unknowns)
     by_unknown = slopes(graph, graph.of(scalar), range(len(unknowns)))
     zero = graph.sum(())
-    roots = [*(by_unknown.get(leaf, zero) for leaf in range(len(unknowns))), *map(graph.of, beside)]
+    roots = [*(by_unknown.get(leaf, zero) for leaf in range(len(unknowns))), *map(graph.of, further)]
     return program_of(graph, roots)
 
 

@@ -17,6 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numba import njit
 
+from codegen.runtime.kkt.shape import count_of, place_of
 from codegen.runtime.kkt.symmetric import clear, subtract_products, subtract_row
 from codegen.runtime.search.grid import plain_grid
 from codegen.runtime.search.point import fill
@@ -114,18 +115,6 @@ def reduction(node, stages, rows, columns):
         pattern[:, 0].copy(), pattern[:, 1].copy(), -(-reach.size // 4) * 4,
         np.concatenate([np.stack([places, lengths], axis=1).ravel(), *arrays]).astype(np.int64),
     )  # fmt: skip
-
-
-@njit(error_model="numpy", forceinline=True)
-def place_of(tables, number):
-    """Return the index of the first entry of a table in `Reduction.tables`."""
-    return tables[2 * number]
-
-
-@njit(error_model="numpy", forceinline=True)
-def count_of(tables, number):
-    """Return the length of a table in `Reduction.tables`."""
-    return tables[2 * number + 1]
 
 
 def reduction_rows(made):
