@@ -178,8 +178,6 @@ class ControlProblem:
         The default measurements of each body: rows of time, values, standard deviations.
     shooting : Shooting or None
         Loops without stages, if the scheme is explicit.
-    with_stages : ControlProblem or None
-        The problem with stages, if this is the problem without stages that belongs to it.
     """
 
     structure: Structure
@@ -200,7 +198,6 @@ class ControlProblem:
     tables: Mapping[str, np.ndarray] = field(default_factory=dict)
     observations: tuple[np.ndarray, ...] = ()
     shooting: object = None
-    with_stages: object = None
 
     def __reduce__(self):
         """Pickle the problem as the name of its module, which another process imports."""

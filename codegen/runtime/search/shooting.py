@@ -19,7 +19,6 @@ from numba import njit
 
 from codegen.runtime.kkt.shape import count_of, place_of
 from codegen.runtime.kkt.symmetric import clear, subtract_products, subtract_row
-from codegen.runtime.search.grid import plain_grid
 from codegen.runtime.search.point import fill
 from codegen.runtime.search.scaling import quantities_of, scaled_grid
 
@@ -218,13 +217,14 @@ class Shooting:
         )  # fmt: skip
 
         def bounds(grid):
-            """Return the least and the greatest values (n,) of all unknowns."""
-            return tuple(side[kept_unknowns(s, grid.steps)] for side in problem.variable_bounds(whole_grid(grid)))
+            """Return the least and the greatest values (n,) of the unknowns without stages."""
+            whole = grid._replace(problem=problem, is_multiplier=s.layouts(grid.steps).is_multiplier)
+            return tuple(side[kept_unknowns(s, grid.steps)] for side in problem.variable_bounds(whole))
 
         return replace(
             problem, structure=structure, metadata=replace(problem.metadata, interval=problem.metadata.interval[gone:]),
             gradient=self.gradient, hessians=self.hessians, variable_bounds=problem.variable_bounds and bounds,
-            inputs=None, data=None, shooting=None, with_stages=problem,
+            inputs=None, data=None, shooting=None,
         )  # fmt: skip
 
 
@@ -255,47 +255,40 @@ def like_unknowns(problem, steps):
 
 
 def shooting_grid(grid):
-    """Return a grid of the problem without stages, in the problem's own units."""
-    is_multiplier = grid.is_multiplier[kept_unknowns(grid.problem.structure, grid.steps)]
-    return plain_grid(grid)._replace(problem=grid.problem.searched, is_multiplier=is_multiplier)
+    """Return the grid of a search: without stages for an explicit scheme, otherwise `grid` itself."""
+    if grid.problem.shooting is None:
+        return grid
+    kept = kept_unknowns(grid.problem.structure, grid.steps)
+    sizes, forces = (values[kept] if values.size else values for values in (grid.sizes, grid.forces))
+    bounds = tuple(side[kept] for side in grid.bounds)
+    return grid._replace(
+        problem=grid.problem.searched, is_multiplier=grid.is_multiplier[kept], sizes=sizes, forces=forces,
+        bounds=bounds,
+    )  # fmt: skip
 
 
-def whole_grid(grid):
-    """Return the grid with stages for a `grid` of the problem without stages; stages have the factors of states."""
-    problem = grid.problem.with_stages
-    s, sizes, forces, bounds = problem.structure, grid.sizes, grid.forces, grid.bounds
-    if sizes.size:
-        like = like_unknowns(problem, grid.steps)
-        sizes, forces = sizes[like], forces[like]
-    if bounds:
-        sides = tuple(np.full(s.size(grid.steps), side) for side in (-np.inf, np.inf))
-        for side, values in zip(sides, bounds, strict=True):
-            side[kept_unknowns(s, grid.steps)] = values
-        bounds = sides
-    is_multiplier = s.layouts(grid.steps).is_multiplier.copy()
-    return grid._replace(problem=problem, is_multiplier=is_multiplier, sizes=sizes, forces=forces, bounds=bounds)
+def shooting_unknowns(grid, unknowns):
+    """Return those of all `unknowns` (n,) that a search has, on a grid with stages."""
+    if grid.problem.shooting is None:
+        return unknowns
+    return unknowns[kept_unknowns(grid.problem.structure, grid.steps)]
 
 
 def scaled_shooting_grid(grid, unknowns, is_solution=False):
-    """Return what `scaling.scaled_grid` returns, on a grid with or without stages.
+    """Return what `scaling.scaled_grid` returns for a `grid` with stages and the `unknowns` of a search.
 
-    The scaling factors of a problem without stages are those of the problem with stages. In a composition of stages, a
-    state and a control that influence each other only over several stages have tiny derivatives.
+    Stages have the values of states. In a composition of stages, a state and a control that influence each other only
+    over several stages have tiny derivatives, so that scaling factors come from the equations with stages.
     """
-    if grid.problem.with_stages is None:
-        return scaled_grid(grid, unknowns, is_solution)
-    whole = whole_grid(grid)
-    s = whole.problem.structure
-    scaled = scaled_grid(whole, unknowns[like_unknowns(whole.problem, grid.steps)], is_solution)
-    if not scaled.sizes.size:
-        return grid
-    kept = kept_unknowns(s, grid.steps)
-    sides = tuple(side[kept] for side in scaled.bounds)
-    return grid._replace(sizes=scaled.sizes[kept], forces=scaled.forces[kept], weight=scaled.weight, bounds=sides)
+    if grid.problem.shooting is not None:
+        unknowns = unknowns[like_unknowns(grid.problem, grid.steps)]
+    return scaled_grid(grid, unknowns, is_solution)
 
 
 def whole_unknowns(grid, unknowns):
-    """Return all unknowns (n,) on a grid with stages, given `unknowns` without stages in the problem's own units."""
+    """Return all unknowns (n,) on a grid with stages, given the `unknowns` of a search in the problem's own units."""
+    if grid.problem.shooting is None:
+        return unknowns
     whole, loop = np.empty(grid.is_multiplier.size), grid.problem.shooting.stages.address
     fill(loop, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, whole)
     return whole

@@ -15,15 +15,14 @@ from numba import njit
 from codegen.runtime.search.bounds import bounds_of, with_slacks
 from codegen.runtime.search.cascade import least_delta_w, minimise, varied_guess
 from codegen.runtime.search.descent import FLAT, WORTH_MEASURING
-from codegen.runtime.search.grid import NONE, plain_grid, with_pinned_values
+from codegen.runtime.search.grid import NONE, with_pinned_values
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.runtime.search.messages import describe
 from codegen.runtime.search.point import evaluate, fill, lagrangian
 from codegen.runtime.search.shooting import (
-    kept_unknowns,
     scaled_shooting_grid,
     shooting_grid,
-    whole_grid,
+    shooting_unknowns,
     whole_unknowns,
 )
 from codegen.runtime.search.termination import final_status, is_solved, unscaled_unknowns
@@ -54,35 +53,8 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
 
     `scaled` is the grid with the scaling factors of the guess. A search may stall, for example from a symmetric guess
     through the middle of an obstacle. Searches from up to VARIED varied guesses then follow. The message names the
-    guess that has succeeded, or the number of guesses that have failed. For an explicit scheme, the search has no
-    stages, see `shooting`; `point` and `scaled` have them.
+    guess that has succeeded, or the number of guesses that have failed.
     """
-    if grid.problem.shooting is None:
-        return optimise_any(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
-    kept = unknowns[kept_unknowns(grid.problem.structure, grid.steps)]
-    status, message, point, iterations, scaled = optimise_any(
-        shooting_grid(grid), kept, tolerance, max_iterations, warm, scaling, log
-    )
-    return status, message, with_stages(grid, point), iterations, whole_grid(scaled)
-
-
-def with_stages(grid, point):
-    """Return the Point with stages of a Point without stages, all in the units of the problem of the `grid`."""
-    whole = evaluate(grid, whole_unknowns(grid, point.unknowns))
-    error = max(whole.residual, point.stationarity)
-    return whole._replace(cost=point.cost, stationarity=point.stationarity, error=error)
-
-
-def described(grid, guess, point, status):
-    """Return the final status and a message as `describe` does; `grid` may belong to a problem without stages."""
-    if grid.problem.with_stages is not None:
-        grid = whole_grid(grid)
-        point, guess = with_stages(plain_grid(grid), point), whole_unknowns(grid, guess)
-    return describe(grid, guess, point, status)
-
-
-def optimise_any(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
-    """Minimise from a guess, or from varied guesses if the search stalls; return the same as `optimise`."""
     outcome = optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
     status, message, point, iterations, scaled = outcome
     is_linear = grid.problem.structure.linear_quadratic
@@ -109,82 +81,100 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
 
     `scaled` is the grid with the scaling factors of the guess. If equations or cost have much larger factors at the
     guess than at the solution, the tolerance means little. The search then continues from the solution, with the
-    factors there. After a failure the problem is solved in its own units.
+    factors there. After a failure the problem is solved in its own units. For an explicit scheme, the searches have no
+    stages, see `shooting`; `point` and `scaled` have them.
     """
     if scaling not in ("auto", "none"):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     s = grid.problem.structure
-    if s.linear_quadratic:  # without scaling: one Newton step is the same in all units
-        status, point, iterations = solve_linear_quadratic(grid, unknowns, tolerance, log)
-        status = final_status(grid, unknowns, point, status)
-        status, message = describe(grid, unknowns, point, status)
-        if status == "solved":
-            point = point._replace(cost=float(lagrangian(grid, point)))
-        return status, message, point, iterations, grid
     if grid.problem.variable_bounds is not None and not grid.bounds:
         grid = grid._replace(bounds=bounds_of(grid))
-    if scaling == "auto":
-        grid = scaled_shooting_grid(grid, unknowns)
+    guess = shooting_unknowns(grid, unknowns)
+    if s.linear_quadratic:  # without scaling: one Newton step is the same in all units
+        searched = shooting_grid(grid)
+        status, point, iterations = solve_linear_quadratic(searched, guess, tolerance, log)
+        status = final_status(searched, guess, point, status)
+        cost = float(lagrangian(searched, point)) if status == "solved" else None
+        return *described(grid, grid, unknowns, searched, point, status, cost), iterations, grid
+    scaled = scaled_shooting_grid(grid, guess) if scaling == "auto" else grid
+    searched = shooting_grid(scaled)
     if s.forward and not warm:
-        status, grid, point, iterations = search_forward(grid, unknowns, tolerance, max_iterations, scaling, log)
+        status, scaled, point, iterations = search_forward(
+            grid, scaled, guess, tolerance, max_iterations, scaling, log
+        )
+        searched = shooting_grid(scaled)
     else:
-        start = scaled_unknowns(grid, unknowns)
-        status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
-    scaled = grid
+        start = scaled_unknowns(searched, guess)
+        status, point, iterations = minimise(searched, start, tolerance, max_iterations, warm, log)
+    at_guess = scaled
     for _ in range(RESCALINGS):
-        if not grid.sizes.size or status != "solved" or iterations >= max_iterations:
+        if not searched.sizes.size or status != "solved" or iterations >= max_iterations:
             break
-        begin = np.where(grid.is_multiplier, 0.0, unscaled_unknowns(grid, point.unknowns))
-        finer = scaled_shooting_grid(plain_grid(grid), begin, is_solution=True)
+        begin = np.where(searched.is_multiplier, 0.0, unscaled_unknowns(searched, point.unknowns))
+        finer_scaled = scaled_shooting_grid(grid, begin, is_solution=True)
+        finer = shooting_grid(finer_scaled)
         forces = finer.forces if finer.sizes.size else 1.0
-        if not (forces > np.where(grid.is_multiplier, STEEPER, STEEPER_COST) * grid.forces).any():
+        if not (forces > np.where(searched.is_multiplier, STEEPER, STEEPER_COST) * searched.forces).any():
             break
-        start, remaining, grid = scaled_unknowns(finer, begin), max_iterations - iterations, finer
-        status, point, further = minimise(grid, start, tolerance, remaining, True, log)
+        scaled, searched, remaining = finer_scaled, finer, max_iterations - iterations
+        status, point, further = minimise(finer, scaled_unknowns(finer, begin), tolerance, remaining, True, log)
         iterations += further
-    status = corrected_status(grid, unknowns, point, status)
-    if grid.sizes.size and status in FAILED and iterations < max_iterations:
+    status = corrected_status(searched, guess, point, status)
+    if searched.sizes.size and status in FAILED and iterations < max_iterations:
         # The scaling factors at the guess may differ much from those at the solution.
-        grid = plain_grid(grid)
-        status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
+        scaled, searched = grid, shooting_grid(grid)
+        status, point, further = minimise(searched, guess, tolerance, max_iterations - iterations, warm, log)
         iterations += further
-        status = corrected_status(grid, unknowns, point, status)
-    unscaled = point
-    if grid.sizes.size:  # stationarity remains the change of the cost if unknowns change by their scaling factors
-        stationarity, plain = point.stationarity / grid.weight, plain_grid(grid)
-        unscaled = evaluate(plain, with_pinned_values(plain, point.unknowns * grid.sizes))
-        unscaled = unscaled._replace(stationarity=stationarity, error=max(unscaled.residual, stationarity))
-    status, message = described(grid, unknowns, unscaled, status)
-    cost = corrected_cost(grid, point) if status == "solved" else unscaled.cost
-    return status, message, unscaled._replace(cost=cost), iterations, scaled
+        status = corrected_status(searched, guess, point, status)
+    cost = corrected_cost(searched, point) if status == "solved" else None
+    return *described(grid, scaled, unknowns, searched, point, status, cost), iterations, at_guess
 
 
-def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log):
-    """Search from a guess, then from a motion if that takes long or fails; return (status, grid, point, iterations).
+def described(grid, scaled, guess, searched, point, status, cost):
+    """Return (status, message, point) of a search: the final status, and the Point with stages in the problem's units.
 
-    The motion under the controls of the guess `unknowns` (n,) is another guess, with its own scaling factors. If the
-    search from the motion finds no optimum, and the first search has only reached its limit, the first search is
-    repeated without limit.
+    `grid` has the problem's units and `scaled` the scaling factors; `searched` is the grid of the search. `cost`
+    is the cost of an optimum, or None. Stationarity remains the change of the cost if unknowns change by their
+    scaling factors.
     """
-    start = scaled_unknowns(grid, unknowns)
-    status, point, total = minimise(grid, start, tolerance, min(max_iterations, SLOW), False, log)
+    if searched is not scaled or searched.sizes.size:
+        unknowns, stationarity = point.unknowns, point.stationarity / searched.weight
+        if searched.sizes.size:
+            unknowns = with_pinned_values(searched, unknowns * searched.sizes)
+        point = evaluate(grid, whole_unknowns(grid, unknowns))
+        point = point._replace(stationarity=stationarity, error=max(point.residual, stationarity))
+    status, message = describe(scaled, guess, point, status)
+    return status, message, point if cost is None else point._replace(cost=cost)
+
+
+def search_forward(grid, scaled, guess, tolerance, max_iterations, scaling, log):
+    """Search from a guess, then from a motion if that takes long or fails; return (status, scaled, point, iterations).
+
+    The motion under the controls of the `guess` (n,) is another guess, with its own scaling factors. If the search from
+    the motion finds no optimum, and the first search has only reached its limit, the first search is repeated without
+    limit. `grid` has the problem's own units, `scaled` the scaling factors of the guess; both have stages, and the
+    guess has none, see `optimise_from`.
+    """
+    searched = shooting_grid(scaled)
+    start = scaled_unknowns(searched, guess)
+    status, point, total = minimise(searched, start, tolerance, min(max_iterations, SLOW), False, log)
     if status not in FAILED or total >= max_iterations:
-        return status, grid, point, total
-    plain = plain_grid(grid)
-    motion = forward_motion(plain, unknowns)
+        return status, scaled, point, total
+    motion = forward_motion(shooting_grid(grid), guess)
     if motion is not None:
-        motion_grid = scaled_shooting_grid(plain, motion) if scaling == "auto" else plain
-        begin, remaining = scaled_unknowns(motion_grid, motion), max_iterations - total
+        motion_scaled = scaled_shooting_grid(grid, motion) if scaling == "auto" else grid
+        motion_searched, remaining = shooting_grid(motion_scaled), max_iterations - total
         if status == "iteration limit":
             remaining = min(remaining, FROM_MOTION)  # the first search may still succeed
-        motion_status, optimum, iterations = minimise(motion_grid, begin, tolerance, remaining, False, log)
+        begin = scaled_unknowns(motion_searched, motion)
+        motion_status, optimum, iterations = minimise(motion_searched, begin, tolerance, remaining, False, log)
         total += iterations
         if motion_status in ("solved", "time limit"):
-            return motion_status, motion_grid, optimum, total
+            return motion_status, motion_scaled, optimum, total
     if status == "iteration limit" and total < max_iterations:
-        status, point, iterations = minimise(grid, start, tolerance, max_iterations - total, False, log)
+        status, point, iterations = minimise(searched, start, tolerance, max_iterations - total, False, log)
         total += iterations
-    return status, grid, point, total
+    return status, scaled, point, total
 
 
 def corrected_status(grid, guess, point, status):
