@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from codegen.emit.rendering import specialise
 
-NAMES = ("SHARED", "SHARED_MULTIPLIERS", "COUPLINGS", "PHASES", "CARRIED")
+NAMES = ("SHARED", "SHARED_MULTIPLIERS", "COUPLINGS", "PHASES")
 LOOPS = resources.files("codegen.emit") / "templates" / "loops.txt"
 
 

@@ -39,7 +39,7 @@ def eliminated(matrix: np.ndarray, count: int):
     rest = np.zeros((size - count, padded(size - count)))
     rows[:, :size], rest[:, : size - count] = matrix[:count], matrix[count:, count:]
     inverse, order = np.full((count, 2), np.nan), np.zeros(count, np.int64)
-    negative = eliminate_rows(rows, count, width, upper, inverse, order)
+    negative = eliminate_rows(rows, 0, count, width, upper, inverse, order)
     subtract_products.py_func(upper, rows, count, count, size - count, padded(size - count), rest)
     rest = np.triu(rest[:, : size - count])
     return negative, rest + np.triu(rest, 1).T, (upper, inverse, order)
@@ -168,9 +168,9 @@ def test_shortest_step_onto_the_linearised_equations(interpreted, name, text, ch
 
 @pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
 def test_rows_have_room_for_what_is_carried_along(interpreted, name, text, choices):
-    """A column for the right-hand side, exactly where rows, in fours from 0 and from a block on, have one to spare."""
+    """A column for the right-hand side, exactly where rows without the border, in fours, have one to spare."""
     shape = interpreted(name, text, **choices).problem.structure.shape
     block, last = shape.stride - shape.condensed - 2 * shape.stages, shape.node + shape.border
-    spare = [size % 4 > 0 for size in (block + last + shape.shared, last + shape.shared)]
+    spare = [size % 4 > 0 for size in (block + shape.node + shape.shared, shape.node + shape.shared)]
     assert int(all(spare)) == shape.carried
     assert last + shape.shared + shape.carried <= last_width(shape) <= row_width(shape)

@@ -5,19 +5,23 @@ of the element matrix of block k are, in this order:
 
 - block k: a node and its interval, without stages and condensed unknowns;
 - the next node;
-- the border: unknowns of block 0, if block 0 is kept to the end;
 - the linking variables.
 
-One more column is the right-hand side, if it takes part in the elimination (`carried`). Blocks are eliminated one after
-the other, with pivoting inside each: this is the sweep of a Riccati recursion. The Schur complement on the rows after
-the block is the front; the front is added to the next element matrix. The signs of the pivots give the inertia of the
-matrix, by Sylvester's law.
+One more column is the right-hand side, if it takes part in the elimination (`carried`). The last columns are the
+border: unknowns of block 0, if block 0 is kept. Blocks are eliminated one after the other, with pivoting inside each:
+this is the sweep of a Riccati recursion. The Schur complement on the rows after the block is the front; the front is
+added to the next element matrix. The signs of the pivots give the inertia of the matrix, by Sylvester's law.
 
 With `backward`, blocks are counted from the end, and each holds a node and the interval before it. The equations of an
 interval are then eliminated with the state at its end, which they determine. With the state at its start, rounding
 errors would grow as dissipative dynamics do backward in time. If the node of block 0 is prescribed, block 0 is singular
-by itself, because its equations determine later unknowns. Then block 0 is `bordered`: it is eliminated with the last
-node. Linking variables border the fronts of all bodies. The elimination leaves their Schur complement, a dense matrix.
+by itself, because its equations determine later unknowns. Then block 0 is `bordered`: its unknowns are a border of the
+front until the border is regular, at the latest until the last node is eliminated. The border is tried after 1, 3, 7
+and so on blocks. Linking variables border the fronts of all bodies. The elimination leaves their Schur complement, a
+dense matrix.
+
+If an equation determines each state at the end of an interval, as in a Runge-Kutta scheme, the states are eliminated
+with their equations first, see `eliminate_states`.
 
 Too many negative pivots are detected before the elimination ends. Consider the eliminated rows and the multipliers of
 all equations that contain their unknowns. At a minimum, they form a matrix with one negative eigenvalue for every
@@ -33,7 +37,8 @@ backward substitution as one more unknown with the value -1.
 
 Arrays of a body with N intervals: `entries` (N, entries of an interval) holds second derivatives; `gradient` and
 `diagonal` are (N stride + node,), and `diagonal` is added to the diagonal of the matrix. The factors `upper`
-(R, width), `inverse` (R, 2) and `order` (R,) have R = N block + last rows, see `symmetric`. `inverses`
+(R, width), `inverse` (R, 2) and `order` (R + 1,) have R = N block + last rows, see `symmetric`. The last number of `order` is the
+number of the block with which the border ends, 0 if the border is eliminated with the last node. `inverses`
 (1 or N, condensed, condensed) holds inverse(C), and `couplings` (N, condensed, width) holds B. `stages` explains the
 tuples `kept` and `room`.
 
@@ -74,6 +79,8 @@ from codegen.runtime.kkt.shape import (
     START_TIED,
     TOUCHED,
     block_size,
+    border_of,
+    column_count,
     count_of,
     first_condensed,
     interval_of,
@@ -86,10 +93,12 @@ from codegen.runtime.kkt.shape import (
 )
 from codegen.runtime.kkt.stages import HAS_STAGES, eliminate_stages, recover_stages, reduce_right
 from codegen.runtime.kkt.symmetric import (
+    are_determined,
     backward_once,
     clear,
     eliminate_once,
     eliminate_rows,
+    eliminate_states,
     forward_once,
     solve_backward,
     solve_forward,
@@ -97,6 +106,9 @@ from codegen.runtime.kkt.symmetric import (
     subtract_products,
     subtract_row,
 )
+
+REACHED = 1e4
+"""Largest entry of the factors of the border with which it is eliminated before the last node."""
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -252,7 +264,7 @@ def eliminate_body(
     stops the elimination.
     """
     block_rows, rows, counts = block_size(shape), row_count(shape), place_of(tables, COUNTS)
-    remaining, negative = rows - block_rows, 0
+    negative, last_bordered = 0, 0
     clear(rest)
     multipliers, ending = tables[counts + MULTIPLIERS], tables[counts + ENDING] + tables[counts + COMMON]
     for block in range(steps):
@@ -267,7 +279,9 @@ def eliminate_body(
             if shape.carried:
                 for a in range(shape.condensed):
                     couplings[k, a, rows] = -gradient[first_condensed(shape, k) + a]
-            subtract_schur_complement(shape, tables, couplings[k], inverses[number], padded(rows), element)
+            subtract_schur_complement(
+                shape, tables, couplings[k], inverses[number], padded(border_of(shape)), element
+            )
         if HAS_STAGES and shape.stages:
             pivots = eliminate_stages(shape, tables, entries[k], gradient, diagonal, k, kept, room, element)
             if pivots < 0:
@@ -286,18 +300,28 @@ def eliminate_body(
         if shape.bordered and block == 0:
             begin_front(shape, tables, element, rest)
             continue
-        move_front(shape, element, rest)
-        pivots = eliminate_rows(
-            element, shape.inner, padded(rows), upper[first:behind], inverse[first:behind], order[first:behind]
-        )
+        upper_rows, inverse_rows, order_rows = upper[first:behind], inverse[first:behind], order[first:behind]
+        if shape.bordered and last_bordered == 0:
+            pivots = eliminate_block(
+                shape, element, block, column_count(shape), column_count(shape), upper_rows, inverse_rows, order_rows,
+                rest,
+            )  # fmt: skip
+        else:
+            pivots = eliminate_block(
+                shape, element, block, rows, border_of(shape), upper_rows, inverse_rows, order_rows, rest
+            )
         if pivots < 0:
             return False, 0, 0
         negative += pivots
         # The bound: multipliers of blocks 0 to `block`, of the next node, and among the linking variables.
         if negative > block * multipliers + ending:
             return True, negative, negative - (block * multipliers + ending)
-        subtract_products(upper[first:behind], element, shape.inner, block_rows, remaining, padded(remaining), rest)
-    end_front(shape, rest, remaining, last)
+        if shape.bordered and last_bordered == 0 and block & (block + 1) == 0:  # after 1, 3, 7, ... blocks
+            pivots = eliminate_border(shape, rest, element, upper, inverse, order)
+            if pivots >= 0:
+                negative, last_bordered = negative + pivots, block
+    order[steps * block_rows + last_size(shape)] = last_bordered
+    end_front(shape, rest, last_bordered == 0, last)
     first, size = steps * block_rows, last_size(shape)
     pivots = eliminate_once(last, size, last.shape[1], upper[first:], inverse[first:], order[first:])
     if pivots < 0:
@@ -378,38 +402,37 @@ def pin(shape, tables, of_pinned, first, element):
 
 @njit(error_model="numpy")
 def begin_front(shape, tables, element, rest):
-    """Fill the front `rest` from the `element` matrix (rows, width) of block 0, which is kept as the border."""
-    block, rows, first = block_size(shape), row_count(shape), place_of(tables, FIRST)
-    size = block + shape.node
-    for i in range(shape.border):
-        index = tables[first + i]
-        for j in range(rows + shape.carried):
-            element[size + i, j] = element[index, j]
-        for j in range(rows):
-            element[j, size + i] = element[j, index]
-    for i in range(rows - block):
-        for j in range(rows - block + shape.carried):
+    """Fill the front `rest` from the `element` matrix of block 0, some rows of which are the border."""
+    block, right, first = block_size(shape), row_count(shape), place_of(tables, FIRST)
+    count = border_of(shape) - block
+    for i in range(right - block):
+        for j in range(count):
             rest[i, j] = element[block + i, block + j]
+    for j in range(shape.border):
+        index = tables[first + j]
+        for i in range(count):
+            rest[i, count + j] = element[index, block + i]
+        for i in range(shape.border):
+            rest[count + i, count + j] = element[tables[first + i], index]
 
 
 @njit(error_model="numpy", forceinline=True)
-def move_front(shape, element, rest):
-    """Add the front of the previous block to the `element` matrix (rows, width), and start the front of this block.
+def move_front(shape, element, width, rest):
+    """Add the front of the previous block to the `element` matrix (rows, ..), and start the front of this block.
 
     The node of the front is now part of the block. The new front `rest` takes the rows and columns of the next node and
-    of the linking variables. Only the upper triangle of `rest` is used.
+    of the linking variables. `width` is the number of columns of the front. Only the upper triangle of `rest` is used.
     """
-    block, tail, last, remaining = block_size(shape), tail_of(shape), last_size(shape), row_count(shape)
-    remaining -= block
+    block, tail = block_size(shape), tail_of(shape)
     for i in range(shape.node):
         element[i, i] += rest[i, i]
         for j in range(i + 1, shape.node):
             element[i, j] += rest[i, j]
             element[j, i] += rest[i, j]
-        for j in range(shape.node, remaining + shape.carried):
+        for j in range(shape.node, width):
             element[i, block + j] += rest[i, j]
     for i in range(shape.node):
-        for j in range(0, padded(remaining), 4):
+        for j in range(0, padded(width), 4):
             one, two = element[block + i, block + j], element[block + i, block + j + 1]
             three, four = element[block + i, block + j + 2], element[block + i, block + j + 3]
             rest[i, j] = one
@@ -418,32 +441,100 @@ def move_front(shape, element, rest):
             rest[i, j + 3] = four
     for i in range(shape.shared):
         for j in range(shape.shared + shape.carried):
-            rest[last + i, last + j] += element[tail + i, tail + j]
-
-
-@njit(error_model="numpy")
-def end_front(shape, rest, remaining, last):
-    """Fill `last` (last + shared, ..) with the front `rest` that remains after all blocks.
-
-    Both triangles are filled for the last node and the border, and only the upper triangle for the linking variables.
-    """
-    clear(last)
-    for i in range(remaining):
-        last[i, i] = rest[i, i]
-        for j in range(i + 1, remaining + shape.carried):
-            last[i, j] = rest[i, j]
-            if j < last_size(shape):
-                last[j, i] = rest[i, j]
+            rest[shape.node + i, shape.node + j] += element[tail + i, tail + j]
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
-def forward(shape, tables, upper, inverse, order, steps, right, front, last):
+def eliminate_block(shape, element, block, rows, columns, upper, inverse, order, rest):
+    """Add the front to the `element` matrix of a block, eliminate the block, and leave its Schur complement in `rest`.
+
+    Return the number of negative pivots, or -1 if the matrix is singular. Rows and columns from `rows` and `columns` on
+    are zero: of the right-hand side and the border if they take no part, and padding.
+    """
+    first = block_size(shape)
+    move_front(shape, element, columns - first, rest)
+    # The last node may be prescribed: its equations do not determine it.
+    states = shape.states if block > 0 and are_determined(element, shape.states) else 0
+    if states:
+        eliminate_states(element, shape.states, shape.inner, padded(columns), upper, inverse, order)
+    negative = eliminate_rows(element, 2 * states, shape.inner, padded(columns), upper, inverse, order)
+    if negative >= 0:
+        subtract_products(upper, element, shape.inner, first, rows - first, padded(columns - first), rest)
+        negative += states
+    return negative
+
+
+@njit(error_model="numpy")
+def eliminate_border(shape, rest, matrix, upper, inverse, order):
+    """Eliminate the border from the front `rest`, unless its equations are still nearly singular.
+
+    The conditions at the prescribed node determine the multipliers in the border as soon as the controls of the
+    eliminated blocks can reach any state there. Return the number of negative pivots, or -1 if the front is unchanged.
+    `matrix` is work space. The factors are stored as in `eliminate_rows`, with the columns of the front last.
+    """
+    size, count = shape.border, border_of(shape) - block_size(shape)
+    width = padded(size + padded(count))
+    for i in range(size):
+        for j in range(width):
+            matrix[i, j] = 0.0
+        for j in range(size):
+            matrix[i, j] = rest[count + min(i, j), count + max(i, j)]
+        for j in range(count):
+            matrix[i, size + j] = rest[j, count + i]
+    negative = eliminate_once(matrix, size, width, upper, inverse, order)
+    if negative < 0:
+        return -1
+    for i in range(size):
+        for j in range(size, size + shape.node + shape.shared):
+            if not abs(upper[i, j]) <= REACHED:
+                return -1
+    for i in range(count):
+        for j in range(i, count):
+            for c in range(size):
+                rest[i, j] -= upper[c, size + i] * matrix[c, size + j]
+        for j in range(size):
+            rest[i, count + j] = 0.0
+    return negative
+
+
+@njit(error_model="numpy")
+def end_front(shape, rest, has_border, last):
+    """Fill `last` (last + shared, ..) with the front `rest` that remains after all blocks.
+
+    The order of rows is node, border, linking variables; the right-hand side is the last column. Both triangles are
+    filled for node and border, and only the upper triangle for the linking variables. If the border is eliminated
+    already, not `has_border`, its rows are those of the unit matrix.
+    """
+    clear(last)
+    node, size, count, end = shape.node, shape.border, border_of(shape) - block_size(shape), last_size(shape)
+    for i in range(node):
+        for j in range(node):
+            last[i, j] = rest[min(i, j), max(i, j)]
+    for i in range(node + shape.shared):
+        row = i if i < node else i - node + end
+        for j in range(max(node, i), count):
+            last[row, j - node + end] = rest[i, j]
+    for i in range(size):
+        if not has_border:
+            last[node + i, node + i] = 1.0
+            continue
+        for j in range(size):
+            last[node + i, node + j] = rest[count + min(i, j), count + max(i, j)]
+        for j in range(node):
+            last[node + i, j] = last[j, node + i] = rest[j, count + i]
+        for j in range(node, count):
+            last[node + i, j - node + end] = rest[j, count + i]
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def forward(shape, tables, upper, inverse, order, steps, right, front, margin, last):
     """Multiply the right-hand side of a body by inverse(D) inverse(U'), block after block.
 
     `right` (N block + node + shared,) is overwritten. `last` takes the results for the last node, the border and the
-    linking variables. `front` (width,) is work space.
+    linking variables. `front` and `margin` (width,) are work space.
     """
-    block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
+    block, tail, of_border = block_size(shape), tail_of(shape), border_of(shape)
+    first_of_border, last_bordered = place_of(tables, FIRST), order[steps * block_size(shape) + last_size(shape)]
     for i in range(front.size):
         front[i] = 0.0
     for i in range(last.size):
@@ -460,33 +551,49 @@ def forward(shape, tables, upper, inverse, order, steps, right, front, last):
             front[i] = right[first + i]
         for i in range(shape.node):
             front[block + i] = right[behind + i]
-        solve_forward(upper[first:behind], order[first:behind], shape.inner, columns, front)
+        if shape.bordered and (last_bordered == 0 or k <= last_bordered):
+            solve_forward(upper[first:behind], order[first:behind], shape.inner, padded(column_count(shape)), front)
+        else:
+            solve_forward(upper[first:behind], order[first:behind], shape.inner, padded(row_count(shape)), front)
         solve_pivots(inverse[first:behind], order[first:behind], shape.inner, front)
         for i in range(block):
             right[first + i] = front[i]
         for i in range(shape.node):
             right[behind + i] = front[block + i]
+        if shape.bordered and k == last_bordered:
+            for i in range(margin.size):
+                margin[i] = 0.0
+            for i in range(shape.border):
+                margin[i] = right[tables[first_of_border + i]] + front[of_border + i]
+                front[of_border + i] = 0.0
+            forward_once(upper, inverse, order, shape.border, padded(shape.border + padded(of_border - block)), margin)
+            for i in range(shape.border):
+                right[tables[first_of_border + i]] = margin[i]
+            for i in range(shape.node):
+                right[behind + i] += margin[shape.border + i]
+            for i in range(shape.shared):
+                front[tail + i] += margin[shape.border + shape.node + i]
     first, end = steps * block, last_size(shape)
     for i in range(shape.node):
         last[i] = right[first + i]
-    place = place_of(tables, FIRST)
-    for i in range(shape.border):
-        last[shape.node + i] = right[tables[place + i]] + front[size + i]
+    if shape.bordered and last_bordered == 0:
+        for i in range(shape.border):
+            last[shape.node + i] = right[tables[first_of_border + i]] + front[of_border + i]
     for i in range(shape.shared):
-        last[end + i] = front[tail_of(shape) + i]
+        last[end + i] = front[tail + i]
     forward_once(upper[first:], inverse[first:], order[first:], end, last.size, last)
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
-def backward(shape, tables, upper, order, steps, carried, last, front, right):
+def backward(shape, tables, upper, order, steps, carried, last, front, margin, right):
     """Substitute backward with U through a body, from the last node to the first block.
 
     At the beginning `last` holds the result of `forward` for the last node and the border, then the solution of the
     linking variables. `right` holds the result of `forward`, or zeros if the right-hand side took part in the
     elimination (`carried`). The solution overwrites `right`.
     """
-    block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
-    first = steps * block
+    block, tail, of_border, first = block_size(shape), tail_of(shape), border_of(shape), steps * block_size(shape)
+    first_of_border, last_bordered = place_of(tables, FIRST), order[first + last_size(shape)]
     for i in range(front.size):
         front[i] = 0.0
     if shape.carried:
@@ -494,17 +601,32 @@ def backward(shape, tables, upper, order, steps, carried, last, front, right):
     backward_once(upper[first:], order[first:], last_size(shape), last.size, last)
     for i in range(shape.node):
         right[first + i] = last[i]
-    place = place_of(tables, FIRST)
-    for i in range(shape.border):
-        right[tables[place + i]] = front[size + i] = last[shape.node + i]
+    if shape.bordered and last_bordered == 0:
+        for i in range(shape.border):
+            right[tables[first_of_border + i]] = front[of_border + i] = last[shape.node + i]
     for i in range(shape.shared):
-        front[tail_of(shape) + i] = last[last_size(shape) + i]
+        front[tail + i] = last[last_size(shape) + i]
     for k in range(steps - 1, shape.bordered - 1, -1):
         first, behind = k * block, (k + 1) * block
+        if shape.bordered and k == last_bordered:
+            for i in range(shape.border):
+                margin[i] = right[tables[first_of_border + i]]
+            for i in range(margin.size - shape.border):
+                margin[shape.border + i] = 0.0
+            for i in range(shape.node):
+                margin[shape.border + i] = right[behind + i]
+            for i in range(shape.shared + shape.carried):
+                margin[shape.border + shape.node + i] = front[tail + i]
+            backward_once(upper, order, shape.border, padded(shape.border + padded(of_border - block)), margin)
+            for i in range(shape.border):
+                right[tables[first_of_border + i]] = front[of_border + i] = margin[i]
         for i in range(block):
             front[i] = right[first + i]
         for i in range(shape.node):
             front[block + i] = right[behind + i]
-        solve_backward(upper[first:behind], order[first:behind], shape.inner, columns, front)
+        if shape.bordered and (last_bordered == 0 or k <= last_bordered):
+            solve_backward(upper[first:behind], order[first:behind], shape.inner, padded(column_count(shape)), front)
+        else:
+            solve_backward(upper[first:behind], order[first:behind], shape.inner, padded(border_of(shape)), front)
         for i in range(block):
             right[first + i] = front[i]

@@ -27,7 +27,7 @@ class Shape(NamedTuple):
         Unknowns of a block that are eliminated with the block. Trailing unknowns that only the end nodes have are left
         out.
     border : int
-        Unknowns of block 0 that are eliminated with the last node; used only if `bordered` is 1.
+        Unknowns of block 0 that are eliminated after later blocks; used only if `bordered` is 1.
     shared : int
         Linking variables in the equations of one body: its own, and the common ones of all bodies.
     root : int
@@ -35,7 +35,7 @@ class Shape(NamedTuple):
     backward : int
         1 if elimination goes from the last interval to the first, else 0.
     bordered : int
-        1 if block 0 is kept and eliminated with the last node, else 0.
+        1 if block 0 is kept and eliminated after later blocks, else 0.
     carried : int
         1 if the factorisation also reduces the right-hand side, as one more column of the matrices, else 0.
     constant : int
@@ -44,6 +44,9 @@ class Shape(NamedTuple):
         Stages of an interval; they are eliminated with the multipliers of their equations.
     reach : int
         Unknowns other than stages in the equations of the stages, rounded up to a multiple of four.
+    states : int
+        Unknowns of a node, each determined by the equation of the interval before it with the same number; 0 if other
+        equations or costs of the interval contain any of them.
     """
 
     node: int
@@ -59,6 +62,7 @@ class Shape(NamedTuple):
     constant: int
     stages: int = 0
     reach: int = 0
+    states: int = 0
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -76,13 +80,28 @@ def block_size(shape):
 @njit(error_model="numpy", forceinline=True)
 def tail_of(shape):
     """Return the index of the first row of an element matrix that belongs to linking variables."""
-    return block_size(shape) + shape.node + shape.border
+    return block_size(shape) + shape.node
 
 
 @njit(error_model="numpy", forceinline=True)
 def row_count(shape):
-    """Return the number of rows of an element matrix: block, next node, border, and linking variables."""
+    """Return the number of rows of an element matrix without the border: block, next node, and linking variables.
+
+    It is also the index of the column with the right-hand side, if there is one.
+    """
     return tail_of(shape) + shape.shared
+
+
+@njit(error_model="numpy", forceinline=True)
+def border_of(shape):
+    """Return the index of the first row of an element matrix that belongs to the border."""
+    return row_count(shape) + shape.carried
+
+
+@njit(error_model="numpy", forceinline=True)
+def column_count(shape):
+    """Return the number of columns of an element matrix: with the right-hand side and the border, without padding."""
+    return border_of(shape) + shape.border
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -92,7 +111,7 @@ def row_width(shape):
     The padding lets four columns be read at once, both from column 0 and from the first column after the first block.
     """
     block = block_size(shape)
-    return padded(block + padded(row_count(shape) - block))
+    return padded(block + padded(column_count(shape) - block))
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -150,7 +169,7 @@ NAMES = (
 - KEPT, COUPLED, INSIDE: entries of the Hessian of an interval with no, one and two condensed unknowns. Each has tables
   of its ROWS and COLUMNS in the element matrix, or among the condensed unknowns.
 - TOUCHED: columns of the element matrix that condensation changes.
-- FIRST: unknowns of block 0 that are kept until the last node is eliminated.
+- FIRST: unknowns of block 0 that are kept as the border.
 - FIRST_PINNED, LAST_PINNED: prescribed unknowns of the node that is eliminated first, and last.
 - START_PINNED, END_PINNED: prescribed unknowns of the nodes at the start and at the end.
 - START_TIED, END_TIED: unknowns of these nodes that equal linking variables. START_SHARED and END_SHARED are the

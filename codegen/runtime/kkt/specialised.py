@@ -166,7 +166,7 @@ def compiled_any_shape():
         p = place_of(tables, SHAPE)
         shape = Shape(
             tables[p], tables[p + 1], tables[p + 2], tables[p + 3], tables[p + 4], tables[p + 5], tables[p + 6],
-            tables[p + 7], tables[p + 8], tables[p + 9], tables[p + 10], tables[p + 11], tables[p + 12],
+            tables[p + 7], tables[p + 8], tables[p + 9], tables[p + 10], tables[p + 11], tables[p + 12], tables[p + 13],
         )  # fmt: skip
         return solve_system(
             shape, is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders,

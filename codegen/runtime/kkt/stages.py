@@ -130,7 +130,7 @@ def stage_sizes(shape, copied, bodies, steps):
         return -(-size // 4) * 4
 
     stages, reach = shape.stages, shape.reach
-    rows = shape.stride - shape.condensed - 2 * stages + shape.node + shape.border + shape.shared
+    rows = shape.stride - shape.condensed - 2 * stages + shape.node + shape.shared
     width = fours(2 * stages + fours(rows))
     of_interval = copied + stages * (2 + reach) + 2 * stages * fours(stages) + 2 * stages * (width + 2)
     room = reach * (stages + reach + rows) + 2 * stages * width + width
@@ -367,7 +367,7 @@ def right_index(shape, row, number, steps):
     The block has the number `number`.
     """
     block = block_size(shape)
-    return number * block + row if row < block + shape.node else steps * block + shape.node + row - tail_of(shape)
+    return number * block + row if row < tail_of(shape) else steps * block + shape.node + row - tail_of(shape)
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
@@ -381,8 +381,7 @@ def reduce_right(shape, tables, gradient, k, number, steps, kept, room, right):
     if not order[2 * stages]:
         values = solve_dense(shape, gradient, first, dense[k], pivots[k], order, room)
         for row in range(row_count(shape)):
-            if row < block_size(shape) + shape.node or row >= tail_of(shape):
-                right[right_index(shape, row, number, steps)] += values[2 * stages + row]
+            right[right_index(shape, row, number, steps)] += values[2 * stages + row]
         return
     solve_offsets(shape, tables, own, gradient, first, lower[k], upper[k], order, offsets[k])
     totals = reduced_forcing(shape, tables, own, gradient, first, offsets[k], reduced[k], room)
@@ -407,9 +406,7 @@ def recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved
     if not order[2 * stages]:
         values = solve_dense(shape, gradient, first, dense[k], pivots[k], order, room)
         for row in range(row_count(shape)):
-            values[2 * stages + row] = 0.0
-            if row < block_size(shape) + shape.node or row >= tail_of(shape):
-                values[2 * stages + row] = solved[right_index(shape, row, number, steps)]
+            values[2 * stages + row] = solved[right_index(shape, row, number, steps)]
         backward_once(dense[k], order, 2 * stages, dense_width(shape), values)
         for i in range(2 * stages):
             step[first + i] = values[i]

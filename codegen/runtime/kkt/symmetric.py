@@ -15,6 +15,7 @@ Higham (2002), Accuracy and stability of numerical algorithms, section 11.1.
 import numpy as np
 from numba import njit
 
+STEEP = 1e6  # largest curvature, relative to squared coefficients of equations, with which states are eliminated first
 BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8: entries grow equally with pivots of one and of two rows
 
 
@@ -27,18 +28,18 @@ def clear(matrix):
 
 
 @njit(error_model="numpy", forceinline=True)
-def eliminate_rows(matrix, count, width, upper, inverse, order):
+def eliminate_rows(matrix, first, count, width, upper, inverse, order):
     """Eliminate `count` unknowns; return the number of negative pivots, or -1 if a pivot vanishes or is not finite.
 
     The first `count` rows of `matrix` (.., width) are overwritten by D U. Columns from `count` on belong to unknowns
     that remain. `upper` (count, width) takes U without its unit diagonal. `order` (count,) takes the row that is
     eliminated at each position. `inverse` (count, 2), in that order, takes the inverse of the pivots: the diagonal, and
-    the entry between a row and the next one.
+    the entry between a row and the next one. Rows before row `first` are eliminated already, see `eliminate_states`.
     """
-    for c in range(count):
+    for c in range(first, count):
         order[c] = c
     negative, paired = 0, False
-    for c in range(count):
+    for c in range(first, count):
         if paired:  # eliminated together with the row before it
             paired = False
             continue
@@ -65,6 +66,81 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
         else:
             negative += eliminate_one(matrix, c, count, width, upper, inverse, order)
     return negative
+
+
+@njit(error_model="numpy", forceinline=True)
+def are_determined(matrix, states):
+    """Return True if `eliminate_states` is accurate for the first `states` rows of `matrix`.
+
+    The equations need a zero diagonal. With a curvature above STEEP times the squared coefficients, such as the
+    barrier's close to a bound, the Schur complement is a small difference of large numbers.
+    """
+    largest, least, is_zero = 0.0, np.inf, True
+    for i in range(states):
+        largest = max(largest, abs(matrix[i, i]))
+        least = min(least, matrix[i, states + i] * matrix[i, states + i])
+        is_zero = is_zero and matrix[states + i, states + i] == 0.0
+    return is_zero and least > 0.0 and largest <= STEEP * least
+
+
+# Sums keep their order (no "reassoc"), as in `subtract_products`.
+@njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
+def eliminate_states(matrix, states, count, width, upper, inverse, order):
+    """Eliminate the first `states` unknowns, each with the equation that determines it: a step of a Riccati recursion.
+
+    The first rows of `matrix` (.., width) are the states at the end of an interval, the next `states` rows their
+    equations: [[P, E, W], [E, 0, G], [W', G', H]], with a diagonal E. A state and its equation are a pivot of two rows
+    with one negative eigenvalue. These pivots leave P and G as they are, and no search is needed. `eliminate_rows`
+    explains the arrays; it eliminates the other rows up to `count` afterwards.
+    """
+    done = 2 * states
+    first = done // 4 * 4  # columns before it belong to states and their equations
+    for i in range(states):
+        equation, reciprocal = states + i, 1.0 / matrix[i, states + i]
+        curvature = matrix[i, i]
+        order[2 * i], order[2 * i + 1] = i, equation
+        inverse[2 * i, 0], inverse[2 * i, 1] = 0.0, reciprocal
+        inverse[2 * i + 1, 0], inverse[2 * i + 1, 1] = -curvature * reciprocal * reciprocal, 0.0
+        for j in range(first, width, 4):
+            one, two, three, four = matrix[i, j], matrix[i, j + 1], matrix[i, j + 2], matrix[i, j + 3]
+            for k in range(i):
+                multiple = matrix[i, k]
+                one -= multiple * upper[k, j]
+                two -= multiple * upper[k, j + 1]
+                three -= multiple * upper[k, j + 2]
+                four -= multiple * upper[k, j + 3]
+            matrix[i, j] = one
+            matrix[i, j + 1] = two
+            matrix[i, j + 2] = three
+            matrix[i, j + 3] = four
+            w, x = matrix[equation, j] * reciprocal, matrix[equation, j + 1] * reciprocal
+            y, z = matrix[equation, j + 2] * reciprocal, matrix[equation, j + 3] * reciprocal
+            upper[i, j] = w
+            upper[i, j + 1] = x
+            upper[i, j + 2] = y
+            upper[i, j + 3] = z
+            upper[equation, j] = (one - curvature * w) * reciprocal
+            upper[equation, j + 1] = (two - curvature * x) * reciprocal
+            upper[equation, j + 2] = (three - curvature * y) * reciprocal
+            upper[equation, j + 3] = (four - curvature * z) * reciprocal
+        for j in range(done):
+            upper[i, j] = 0.0
+            upper[equation, j] = matrix[i, j] * reciprocal if i < j < states else 0.0
+    for row in range(done, count):
+        for j in range(first, width, 4):
+            one, two, three, four = matrix[row, j], matrix[row, j + 1], matrix[row, j + 2], matrix[row, j + 3]
+            for k in range(done):
+                multiple = matrix[k, row]
+                one -= multiple * upper[k, j]
+                two -= multiple * upper[k, j + 1]
+                three -= multiple * upper[k, j + 2]
+                four -= multiple * upper[k, j + 3]
+            matrix[row, j] = one
+            matrix[row, j + 1] = two
+            matrix[row, j + 2] = three
+            matrix[row, j + 3] = four
+        for j in range(done):
+            matrix[row, j] = 0.0
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -285,7 +361,7 @@ def subtract_known(upper, order, c, count, values):
 @njit(error_model="numpy")
 def eliminate_once(matrix, count, width, upper, inverse, order):
     """Eliminate rows as `eliminate_rows` does."""
-    return eliminate_rows(matrix, count, width, upper, inverse, order)
+    return eliminate_rows(matrix, 0, count, width, upper, inverse, order)
 
 
 @njit(error_model="numpy")

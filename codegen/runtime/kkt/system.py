@@ -18,6 +18,7 @@ from codegen.runtime.kkt.shape import (
     START_SHARED,
     START_TIED,
     block_size,
+    column_count,
     count_of,
     last_size,
     last_width,
@@ -74,6 +75,7 @@ def solve_system(
     """
     node, block, width, root = shape.node, block_size(shape), row_width(shape), shape.root
     rows, end, end_width, shared_width = row_count(shape), last_size(shape), last_width(shape), padded(root)
+    front_rows = column_count(shape) - block
     chain, size, length = steps * shape.stride + node, steps * block + end, steps * block + node + shape.shared
     counts, of_chains = place_of(tables, COUNTS), bodies * chain
     own, entry_count = tables[counts + OWN], tables[counts + ENTRIES]
@@ -87,20 +89,20 @@ def solve_system(
     root_inverse = carray(ahead(factors, at_root + root * shared_width), (root, 2))
     root_right = carray(ahead(factors, at_root + root * (shared_width + 2)), (root,))
     shared = carray(ahead(factors, at_root + root * (shared_width + 3)), (shared_width,))
-    root_order = carray(ahead(orders, bodies * size), (root,))
+    root_order = carray(ahead(orders, bodies * (size + 1)), (root,))
     element = carray(ahead(factors, at_scratch), (rows, width))
     at_rest = at_scratch + rows * width
-    rest = carray(ahead(factors, at_rest), (rows - block, padded(rows - block)))
-    at_matrix = at_rest + (rows - block) * padded(rows - block)
+    rest = carray(ahead(factors, at_rest), (front_rows, padded(front_rows)))
+    at_matrix = at_rest + front_rows * padded(front_rows)
     last_matrix = carray(ahead(factors, at_matrix), (end + shape.shared, end_width))
     at_front = at_matrix + (end + shape.shared) * end_width
-    front = carray(ahead(factors, at_front), (width,))
-    root_matrix = carray(ahead(factors, at_front + width), (root, shared_width))
-    at_remainder = at_front + width + root * shared_width
+    front, margin = carray(ahead(factors, at_front), (width,)), carray(ahead(factors, at_front + width), (width,))
+    root_matrix = carray(ahead(factors, at_front + 2 * width), (root, shared_width))
+    at_remainder = at_front + 2 * width + root * shared_width
     remainder_width = padded(shape.shared + shape.carried)
     remainder = carray(ahead(factors, at_remainder), (shape.shared, remainder_width))
     stage_reals = ahead(factors, at_remainder + shape.shared * remainder_width)
-    stage_integers = ahead(orders, bodies * size + root)
+    stage_integers = ahead(orders, bodies * (size + 1) + root)
     carried, excess = is_new and shape.carried, 0
     if is_new:
         if root:
@@ -174,7 +176,7 @@ def solve_system(
             if root:
                 add_tied(tables, START_TIED, START_SHARED, own, bodies, body, first, right, shared)
                 add_tied(tables, END_TIED, END_SHARED, own, bodies, body, behind, right, shared)
-            forward(shape, tables, upper, inverse, order, steps, right, front, last)
+            forward(shape, tables, upper, inverse, order, steps, right, front, margin, last)
             for i in range(shape.shared):
                 shared[root_index(own, bodies, body, i)] += right[steps * block + node + i] + last[end + i]
     if root:
@@ -192,7 +194,7 @@ def solve_system(
             last[end + i] = right[steps * block + node + i] = shared[root_index(own, bodies, body, i)]
         if shape.carried:
             last[end + shape.shared] = -1.0 if carried else 0.0
-        backward(shape, tables, upper, order, steps, carried, last, front, right)
+        backward(shape, tables, upper, order, steps, carried, last, front, margin, right)
         if root:
             first, behind = (steps * block, 0) if shape.backward else (0, steps * block)
             copy_to_tied(tables, START_TIED, START_SHARED, own, bodies, body, first, right, shared)
@@ -217,7 +219,7 @@ def body_factors(shape, factors, orders, bodies, body, steps, inverses):
     return (
         carray(ahead(factors, body * size * width), (size, width)),
         carray(ahead(factors, at_inverse + body * size * 2), (size, 2)),
-        carray(ahead(orders, body * size), (size,)),
+        carray(ahead(orders, body * (size + 1)), (size + 1,)),
         carray(ahead(factors, at_inverses + body * inverses * condensed * condensed), (inverses, condensed, condensed)),
         carray(ahead(factors, at_couplings + body * steps * condensed * width), (steps, condensed, width)),
     )
@@ -261,14 +263,14 @@ def factor_sizes(shape, copied, bodies, steps, inverses):
         return -(-size // 4) * 4
 
     block, end = shape.stride - shape.condensed - 2 * shape.stages, shape.node + shape.border
-    remaining = end + shape.shared
-    rows, width = block + remaining, fours(block + fours(remaining))
+    rows, front_rows = block + shape.node + shape.shared, end + shape.shared + shape.carried
+    width = fours(block + fours(front_rows))
     end_width = fours(end + fours(shape.carried + shape.shared))
     size = steps * block + end
     of_body = size * (width + 2) + inverses * shape.condensed**2 + steps * shape.condensed * width
     of_body += steps * block + shape.node + shape.shared + end_width
-    common = shape.root * (2 * fours(shape.root) + 3) + fours(shape.root) + rows * width + width
-    common += remaining * fours(remaining) + (end + shape.shared) * end_width
+    common = shape.root * (2 * fours(shape.root) + 3) + fours(shape.root) + rows * width + 2 * width
+    common += front_rows * fours(front_rows) + (end + shape.shared) * end_width
     common += shape.shared * fours(shape.shared + shape.carried)
     reals, integers = stage_sizes(shape, copied, bodies, steps) if shape.stages else (0, 0)
-    return bodies * of_body + common + reals + 8, bodies * size + shape.root + integers + 1
+    return bodies * of_body + common + reals + 8, bodies * (size + 1) + shape.root + integers + 1

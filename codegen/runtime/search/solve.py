@@ -99,9 +99,7 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
     scaled = scaled_shooting_grid(grid, guess) if scaling == "auto" else grid
     searched = shooting_grid(scaled)
     if s.forward and not warm:
-        status, scaled, point, iterations = search_forward(
-            grid, scaled, guess, tolerance, max_iterations, scaling, log
-        )
+        status, scaled, point, iterations = search_forward(grid, scaled, guess, tolerance, max_iterations, scaling, log)
         searched = shooting_grid(scaled)
     else:
         start = scaled_unknowns(searched, guess)

@@ -66,7 +66,7 @@ class Structure:
         Indices of the unknowns of the first and the last node that equal linking variables, and of these variables.
     only_at_ends : array of int
         Indices of the unknowns that only the first and the last node have.
-    backward, bordered, carried, constant : bool
+    backward, bordered, constant : bool
         See `kkt.shape.Shape`.
     equations : array of int
         Indices of the multipliers of the equations of motion in a node, if these equations give the momenta.
@@ -113,7 +113,6 @@ class Structure:
     phases: int = 0
     backward: bool = False
     bordered: bool = False
-    carried: bool = False
     constant: bool = False
     inequalities: bool = False
     linear_quadratic: bool = False
@@ -187,11 +186,34 @@ class Structure:
         inner = block - self.only_at_ends.size
         if self.only_at_ends.min(initial=block) < inner:
             inner = block
-        flags = self.backward, self.bordered, self.carried, self.constant
+        # The right-hand side takes part in the elimination if rows, which are padded to multiples of four, have room.
+        carried = (block + self.node + self.shared) % 4 > 0 and (self.node + self.shared) % 4 > 0
+        flags = self.backward, self.bordered, carried, self.constant
         return Shape(
             self.node, self.stride, self.condensed, int(inner), self.border.size, self.shared, self.root,
-            *map(int, flags), self.stages, -(-self.stage_reach.size // 4) * 4,
+            *map(int, flags), self.stages, -(-self.stage_reach.size // 4) * 4, self.determined_states,
         )  # fmt: skip
+
+    @cached_property
+    def determined_states(self):
+        """The number of states of a node if each is determined by an equation of the interval before it, else 0.
+
+        Such an equation contains the state at its end alone, with a constant factor, and nothing else of the interval
+        contains the state: x_k+1 = Phi(x_k, u_k) of a Runge-Kutta scheme.
+        """
+        if not self.backward or self.condensed:
+            return 0
+        high, low = np.maximum(self.rows, self.columns), np.minimum(self.rows, self.columns)
+        first = self.node + 2 * self.stages
+        equations = np.arange(first, first + self.node)
+        has_state = [(side >= self.stride) & (side < self.element) for side in (high, low)]
+        of_end = has_state[0] | has_state[1]
+        pairs = sorted(zip(low[of_end].tolist(), high[of_end].tolist(), strict=True))
+        is_determined = pairs == list(zip(equations.tolist(), range(self.stride, self.element), strict=True))
+        are_free = (
+            self.is_multiplier[equations].all() and not (np.isin(high, equations) & np.isin(low, equations)).any()
+        )
+        return self.node if is_determined and are_free else 0
 
     @cached_property
     def stage_entries(self):
@@ -235,7 +257,7 @@ class Structure:
     def tables(self):
         """The index tables of the linear system in one array of integers, see `kkt.shape`."""
         node, block = self.node, self.stride - self.condensed - 2 * self.stages
-        tail = block + node + self.border.size
+        tail = block + node
         left, right = (block, 0) if self.backward else (0, block)
         # The row of each local unknown in an element matrix, or its number among condensed unknowns or stages.
         stages = np.arange(self.stages)

@@ -114,8 +114,8 @@ def linear_system(shape: Any) -> Iterator[Part]:
         TABLE, TABLE,
     )  # fmt: skip
     substitution = {
-        system.forward: (INTEGERS_AT, TABLE, TABLE, INTEGERS, int64, REALS, REALS, REALS),
-        system.backward: (INTEGERS_AT, TABLE, INTEGERS, int64, int64, REALS, REALS, REALS),
+        system.forward: (INTEGERS_AT, TABLE, TABLE, INTEGERS, int64, REALS, REALS, REALS, REALS),
+        system.backward: (INTEGERS_AT, TABLE, INTEGERS, int64, int64, REALS, REALS, REALS, REALS),
         system.condense: (INTEGERS_AT, REALS, CUBE, CUBE, *of_stages, int64, REALS),
         system.recover_condensed: (INTEGERS_AT, REALS, CUBE, CUBE, *of_stages, int64, REALS, REALS),
     }

@@ -49,7 +49,6 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("SCALED", int(not derivatives.linear_quadratic)),
         ("BACKWARD", int(_sweeps_backward(program))),
         ("BORDERED", int(_borders_front(program))),
-        ("CARRIED", int(carries_right_hand_side(program, derivatives))),
         ("TABLED", sum(table.shape.count for table in tables_of(program.model))),
     )
 
@@ -88,8 +87,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
             "ROOT", str(number["ROOT"]), "linking variables of all bodies, and multipliers of conditions between them"
         ),
         Line("BACKWARD", str(number["BACKWARD"]), "1 if elimination goes from the last interval to the first"),
-        Line("BORDERED", str(number["BORDERED"]), "1 if the first block is eliminated last"),
-        Line("CARRIED", str(number["CARRIED"]), "columns of right-hand sides that take part in the elimination"),
+        Line("BORDERED", str(number["BORDERED"]), "1 if the first block is eliminated after others"),
         Line(
             "IS_MULTIPLIER",
             f"np.array({[u.multiplier for u in (*program.node, *inside)]})",
@@ -141,7 +139,6 @@ def structure(program: ControlProgram, derivatives: ControlDerivatives) -> tuple
     flags = {
         "backward": bool(number["BACKWARD"]),
         "bordered": bool(number["BORDERED"]),
-        "carried": bool(number["CARRIED"]),
         "constant": bool(derivatives.condensed) and not program.has_inequalities and not program.phases,
         "inequalities": program.has_inequalities,
         "linear_quadratic": derivatives.linear_quadratic,
@@ -160,7 +157,7 @@ def structure(program: ControlProgram, derivatives: ControlDerivatives) -> tuple
     return (*fields, *((name, "True") for name, flag in flags.items() if flag))
 
 
-_NO_FIELDS = ("ELEMENT", "ROOT", "BACKWARD", "BORDERED", "CARRIED", "START_COUNT", "END_COUNT", "LINKING")
+_NO_FIELDS = ("ELEMENT", "ROOT", "BACKWARD", "BORDERED", "START_COUNT", "END_COUNT", "LINKING")
 _FIELDS = {"HESSIAN_ROWS": "rows", "HESSIAN_COLUMNS": "columns"} | {
     f"{end}_HESSIAN_{side}": f"{end}_{side}".lower() for end in ("START", "END") for side in ("ROWS", "COLUMNS")
 }
@@ -205,19 +202,6 @@ def has_nonlinear_ends(derivatives: ControlDerivatives) -> bool:
     return bool(derivatives.start.hessian or derivatives.end.hessian)
 
 
-def carries_right_hand_side(program: ControlProgram, derivatives: ControlDerivatives) -> bool:
-    """Return True if an interval's element matrix has an unused column, to hold the right-hand side.
-
-    Rows of an element matrix are padded to a multiple of four entries.
-    """
-    node, inside = len(program.node), len(program.interval) + len(program.controls) + len(program.slacks)
-    block = node + inside - derivatives.condensed - 2 * derivatives.stages
-    first_end = program.end if _sweeps_backward(program) else program.start
-    first = block - len(_pinned(first_end)) if _borders_front(program) else 0
-    border = node + first + len(program.shared)  # the next node, block 0, linking variables
-    return (block + border) % 4 > 0 and border % 4 > 0
-
-
 def _motion_indices(program: ControlProgram) -> tuple[list[int], list[int]]:
     """Return local indices of the multipliers of a step's equations, and of the unknowns that these determine.
 
@@ -260,7 +244,7 @@ def _sweeps_backward(program: ControlProgram) -> bool:
 
 
 def _borders_front(program: ControlProgram) -> bool:
-    """Return True if block 0 is eliminated last, because its equations may determine unknowns of other blocks.
+    """Return True if block 0 is eliminated after others, because its equations may determine unknowns of these.
 
     If nothing is prescribed at the end where elimination begins, they determine the state there, as in other blocks.
     """

@@ -24,7 +24,7 @@ from codegen.discretise.model.smoothness import jumps, kinks, singular_at_guess
 from codegen.discretise.program import ControlProgram, EndElement, Equation, Unknown
 from codegen.emit.differentiation import ControlDerivatives
 from codegen.emit.lower.control.kernels import sample_record
-from codegen.emit.lower.control.layout import carries_right_hand_side, has_nonlinear_ends
+from codegen.emit.lower.control.layout import has_nonlinear_ends
 from codegen.emit.lower.kernels import Kernel
 from codegen.emit.lower.module import record_fields
 from codegen.emit.lower.printer import readable
@@ -291,8 +291,6 @@ def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[s
         out.append("interior point: there are no inequalities")
     if not program.shared:
         out.append("a border of the linear system: no unknown is shared by all intervals")
-    if not carries_right_hand_side(program, derivatives):
-        out.append("a right-hand side that takes part in the elimination: rows of element matrices have no room for it")
     functions = tuple(f for m in models for f in (m.function, *m.force, *m.dynamics))
     absent = ", ".join(str(q) for q in model.coordinates if not any(f.has(q) for f in functions))
     if absent and model.form == "first-order":
