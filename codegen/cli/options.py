@@ -42,7 +42,9 @@ Method = Annotated[
     str | None,
     typer.Option(help="Formulation: variational, hamiltonian or one-step; for particles stepping, full or action."),
 ]
-ControlSites = Annotated[Controls, typer.Option(help="Times of the controls; linear joins values at nodes, nodal averages them.")]
+ControlSites = Annotated[
+    Controls, typer.Option(help="Times of the controls; linear joins values at nodes, nodal averages them.")
+]
 Steps = Annotated[
     int | None, typer.Option(parser=positive, metavar="N", help="Number of intervals. [default: the problem's own]")
 ]

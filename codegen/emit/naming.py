@@ -26,9 +26,10 @@ DEFAULT_SCHEME = "midpoint"
 class Choices:
     """The user's options for the generation of a module from a problem; None stands for the default.
 
-    Values of `controls` belong to each "interval", to its "stages", or to nodes ("linear" or "nodal"). With `general` a module has
-    all features, to measure the gain of leaving features out; no command offers this. With `sensitivities` it makes
-    derivatives of solutions by parameters and boundary values. A `standalone` module runs without this package.
+    Values of `controls` belong to each "interval", to its "stages", or to nodes ("linear" or "nodal"). With `general` a
+    module has all features, to measure the gain of leaving features out; no command offers this. With `sensitivities`
+    it makes derivatives of solutions by parameters and boundary values. A `standalone` module runs without this
+    package.
     """
 
     scheme: str | None = None

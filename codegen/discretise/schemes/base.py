@@ -157,8 +157,9 @@ class Scheme:
         """
         points = self.discrete_lagrangian().points if self.variational else self.step().points
         weighted = [(float(point.weight), float(point.abscissa)) for point in points]
-        left, right = (sum(w * line(c) ** 2 for w, c in weighted) for line in (lambda c: 1 - c, lambda c: c))
-        mixed = sum(w * (1 - c) * c for w, c in weighted)
+        left = sum(w * (1.0 - c) ** 2 for w, c in weighted)
+        right = sum(w * c**2 for w, c in weighted)
+        mixed = sum(w * (1.0 - c) * c for w, c in weighted)
         return left > 0.0 and left * right - mixed**2 > LEAST_DETERMINANT
 
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:

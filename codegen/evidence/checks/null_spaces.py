@@ -5,7 +5,8 @@ constraints is rank-deficient, its left null vectors name the dependent equation
 that these vectors meet are the candidates for removal. Conditions between bodies are sorted into independent conditions
 and redundant conditions, which the module leaves out.
 
-Null controls: the discrete cost may ignore a mode of the controls. With nodal controls and averages in the cost, u_k = (-1)^k a leaves the average of every interval unchanged. The continuous cost does penalise this mode, so the
+Null controls: the discrete cost may ignore a mode of the controls. With nodal controls and averages in the cost,
+u_k = (-1)^k a leaves the average of every interval unchanged. The continuous cost does penalise this mode, so the
 discrete optimum may be arbitrarily wrong. If the mode acts on the motion, the optimiser moves the system at no cost.
 The integral of the cost over the resulting controls reveals such a false optimum.
 
