@@ -80,6 +80,7 @@ VARIANTS: list[tuple[str, str | None, dict[str, str]]] = [
     ("low_thrust", None, {}),
     ("van_der_pol", None, {"scheme": "rk4"}),
     ("van_der_pol", None, {"scheme": "hermite-simpson"}),
+    ("van_der_pol", None, {"scheme": "rk4", "controls": "linear"}),
     ("low_thrust", None, {"scheme": "gauss-4"}),
     ("low_thrust", None, {"method": "hamiltonian", "scheme": "rk4"}),
     ("driven", DRIVEN, {"scheme": "gauss-4"}),

@@ -23,6 +23,7 @@ class Controls(StrEnum):
 
     INTERVAL = "interval"
     STAGES = "stages"
+    LINEAR = "linear"
     NODAL = "nodal"
 
 
@@ -41,7 +42,9 @@ Method = Annotated[
     str | None,
     typer.Option(help="Formulation: variational, hamiltonian or one-step; for particles stepping, full or action."),
 ]
-ControlSites = Annotated[Controls, typer.Option(help="Times of the controls; nodal averages neighbouring nodes.")]
+ControlSites = Annotated[
+    Controls, typer.Option(help="Times of the controls; linear joins values at nodes, nodal averages them.")
+]
 Steps = Annotated[
     int | None, typer.Option(parser=positive, metavar="N", help="Number of intervals. [default: the problem's own]")
 ]

@@ -119,7 +119,7 @@ def assemble(
         model=model,
         method=motion.method,
         scheme=motion.scheme,
-        controlled="stages" if sites.stage_controls else "nodal" if sites.nodal else "interval",
+        controlled=sites.controlled,
         node=node,
         interval=(*stages, *path.multipliers),
         controls=() if sites.nodal else controls,

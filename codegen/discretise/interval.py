@@ -93,8 +93,9 @@ LENGTHS = tuple(Symbol(f"h_{i}", positive=True) for i in (1, 2))
 class Sites:
     """Symbols for the values of quantities at the two ends of an interval, and for the controls on the interval.
 
-    With nodal controls `left_controls` and `right_controls` differ, else both are the controls of the interval.
-    `stage_controls` are the controls at each point of the scheme, if controls belong to stages.
+    With controls at nodes `left_controls` and `right_controls` differ, else both are the controls of the interval.
+    `stage_controls` are the controls at each point of the scheme, if controls belong to stages. `controlled` says what
+    controls belong to, as in `ControlProgram`.
     """
 
     left: tuple[Symbol, ...]
@@ -102,6 +103,7 @@ class Sites:
     left_controls: tuple[Symbol, ...]
     right_controls: tuple[Symbol, ...]
     stage_controls: tuple[tuple[Symbol, ...], ...] = ()
+    controlled: str = "interval"
 
     @property
     def of_interval(self) -> tuple[Symbol, ...]:
@@ -160,10 +162,11 @@ def at_nodes(symbols: Iterable[Symbol], suffix: str) -> tuple[Symbol, ...]:
 def sites(model: Model, quantities: Sequence[Symbol], controls: str, points: int) -> Sites:
     """Return symbols for quantities at both nodes, and for controls; `points` is the number of points of the scheme."""
     left_u = at_nodes(model.controls, "_k")
-    right_u = at_nodes(model.controls, "_k1") if controls == "nodal" else left_u
+    right_u = at_nodes(model.controls, "_k1") if controls in ("linear", "nodal") else left_u
     numbers = range(1, points + 1) if controls == "stages" else ()
     stages = tuple(at_nodes(model.controls, f"_stage{i}_k") for i in numbers)
-    return Sites(at_nodes(quantities, "_k"), at_nodes(quantities, "_k1"), left_u, right_u, stages)
+    controlled = controls if model.controls else "interval"
+    return Sites(at_nodes(quantities, "_k"), at_nodes(quantities, "_k1"), left_u, right_u, stages, controlled)
 
 
 def distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
@@ -335,8 +338,8 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
     """Return L, the work of the forces and the cost, integrated over one interval by the scheme's quadrature rule.
 
     The virtual work of the forces, h sum_i w_i f(q_i, v_i, u) . dq_i with the variations dq_i of the quadrature points,
-    is divided between the ends and the inner points. Controls at nodes are interpolated linearly in the cost. On a
-    straight line, not the controls but the forces of both nodes are interpolated.
+    is divided between the ends and the inner points. Controls at nodes are interpolated linearly. With nodal controls
+    on a straight line, not the controls but the forces of both nodes are interpolated (except in the cost).
     """
     rule = scheme.discrete_lagrangian()
     q_sites = sites(model, model.coordinates, controls, len(rule.points))
@@ -347,7 +350,7 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         return substitute(model, function, motion.position(c), motion.velocity(c), controls, c)
 
     def force_at(f: Expr, i: int, c: Expr) -> Expr:
-        if q_sites.nodal and not inner:
+        if q_sites.controlled == "nodal" and not inner:
             return (1 - c) * at(f, sympy.S.Zero, q_sites.left_controls) + c * at(f, sympy.S.One, q_sites.right_controls)
         return at(f, c, q_sites.controls_at(i, c))
 

@@ -251,8 +251,9 @@ class ControlProgram:
 
     Unknowns are ordered node_k, interval_k, control_k, slack_k, node_k1; `controls` and `slacks` belong to intervals.
     `controlled` says what controls belong to: "interval", its "stages" (all controls of the first stage, then of the
-    next), or nodes ("nodal"). The last `path_multipliers` unknowns of `interval` belong to path conditions. Slack i is
-    not negative, and its multiplier is the unknown of `interval` with the index `slack_multipliers[i]`.
+    next), or nodes ("linear" or "nodal"). The last `path_multipliers` unknowns of `interval` belong to path
+    conditions. Slack i is not negative, and its multiplier is the unknown of `interval` with the index
+    `slack_multipliers[i]`.
 
     The linking variables `shared` belong to no node. First come `own` variables of each body (coupled coordinates at
     the end, values of periodic motions), then variables of the whole problem (static parameters). `shared_symbols` has
@@ -314,7 +315,7 @@ class ControlProgram:
     @property
     def nodal_controls(self) -> bool:
         """True if controls belong to nodes."""
-        return self.controlled == "nodal"
+        return self.controlled in ("linear", "nodal")
 
     def controls_of(self, control: Symbol) -> tuple[Symbol, ...]:
         """Return the symbols of an author's control: for the interval, its stages, or both nodes."""

@@ -56,7 +56,14 @@ def transcribe(
         if controls != "interval":
             raise ArgumentError("a simulation has no controls", "leave --controls out")
         return simulation.simulate(model, chosen, method)
-    if model.joined and controls == "nodal":
+    if controls == "linear" and model.controls and not chosen.resolves_lines:
+        resolving = [each.name for each in schemes.of_method(method) if each.resolves_lines and not each.parts]
+        raise SchemeError(
+            f"scheme {chosen.name!r} evaluates cost and forces at one time of an interval, and does not determine both "
+            "end values of a linear control",
+            f"use --scheme {' or '.join(resolving)}, or --controls interval",
+        )
+    if model.joined and controls in ("linear", "nodal"):
         raise ArgumentError("controls at nodes beside delays", "use --controls interval or stages")
     if model.phases:
         if controls != "interval":

@@ -180,7 +180,7 @@ def control_derivatives(program: ControlProgram) -> ControlDerivatives:
     every = (*elements, *samples, start, end)
     varying = set[Symbol]().union(*(share.varying for share in every))
     linear_quadratic = (
-        not program.nodal_controls
+        program.controlled != "nodal"
         and not program.has_inequalities
         and not program.couplings
         and not any(value.free_symbols & varying for share in every for _, _, value in share.hessian)

@@ -26,9 +26,10 @@ DEFAULT_SCHEME = "midpoint"
 class Choices:
     """The user's options for the generation of a module from a problem; None stands for the default.
 
-    Values of `controls` belong to each "interval", to its "stages", or to nodes ("nodal"). With `general` a module has
-    all features, to measure the gain of leaving features out; no command offers this. With `sensitivities` it makes
-    derivatives of solutions by parameters and boundary values. A `standalone` module runs without this package.
+    Values of `controls` belong to each "interval", to its "stages", or to nodes ("linear" or "nodal"). With `general` a
+    module has all features, to measure the gain of leaving features out; no command offers this. With `sensitivities`
+    it makes derivatives of solutions by parameters and boundary values. A `standalone` module runs without this
+    package.
     """
 
     scheme: str | None = None
@@ -114,7 +115,7 @@ def versions() -> tuple[str, ...]:
 
 def choice_texts(choices: Choices) -> tuple[str, ...]:
     """Return the options as strings for a digest; raise ArgumentError if `controls` has an unknown value."""
-    if choices.controls not in ("interval", "nodal", "stages"):
-        raise ArgumentError(f"controls is {choices.controls!r}", "use interval, stages or nodal")
+    if choices.controls not in ("interval", "stages", "linear", "nodal"):
+        raise ArgumentError(f"controls is {choices.controls!r}", "use interval, stages, linear or nodal")
     words = [word for word in ("general", "sensitivities", "standalone") if getattr(choices, word)]
     return (choices.scheme or "", choices.method or "", choices.controls, *words)

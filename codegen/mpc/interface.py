@@ -125,7 +125,7 @@ def interface_of(module: Any) -> Interface:
         what = f"{problem} is a {metadata.task} problem" if metadata else f"{type(module).__name__} is no module"
         raise ArgumentError(f"{what}, and a controller needs an optimisation", "give a problem that returns Control")
     keywords = inspect.signature(module.make_grid).parameters
-    sites = {"nodal": "nodes", "stages": "stages"}.get(metadata.controls, "other places")
+    sites = "stages" if metadata.controls == Sites.STAGES else "nodes"
     unsupported = (
         (metadata.bodies > 1, "has several bodies", "write each as states and controls of its own"),
         (metadata.phases > 1, "has several phases", "give a problem of one phase"),

@@ -41,10 +41,14 @@ class Method(StrEnum):
 
 
 class Sites(StrEnum):
-    """The location of the values of a control: one on each interval, one at each stage, or one at each node."""
+    """The location of the values of a control: one on each interval, one at each stage, or one at each node.
+
+    Between nodes a control is LINEAR, or a scheme averages the values of both nodes (NODAL).
+    """
 
     INTERVAL = "interval"
     STAGES = "stages"
+    LINEAR = "linear"
     NODAL = "nodal"
 
 

@@ -78,14 +78,16 @@ class Gap:
 
 
 def order_of_optima(module: ControlModule) -> int:
-    """Return the order of convergence of the optimal cost: the order of the scheme, but usually at most 2.
+    """Return the order of convergence of the optimal cost: the order of the scheme, limited by that of the controls.
 
-    A control that is constant on intervals, or linear between nodes, approximates a smooth control at order 2, and the
-    cost at its minimum is not more accurate. The order is not limited to 2 for controls at stages, and without
-    controls.
+    At a minimum the error of the cost is a square of the error of the control. A smooth control is approximated at
+    order 1 by constants on intervals, and at order 2 by lines between nodes. With bounds the order of lines is 2,
+    because a control may turn or jump inside an interval. Controls at stages do not limit the order.
     """
     order, metadata = int(module.metadata.order), module.metadata
-    return min(order, 2) if metadata.control_names and metadata.controls != Sites.STAGES else order
+    if not metadata.control_names or metadata.controls == Sites.STAGES:
+        return order
+    return min(order, 4 if metadata.controls == Sites.LINEAR and not metadata.inequalities else 2)
 
 
 def gaps(module: ControlModule, result: Result) -> list[Gap]:

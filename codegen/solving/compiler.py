@@ -104,8 +104,10 @@ def build(
         A problem file, or a Control, Simulate, Phases or Connect.
     arguments : dict
         Arguments of problem() in a problem file, as values or as the texts that `--set` takes.
-    scheme, method, controls : str
+    scheme, method : str
         Discretisation; by default the scheme and method for the task.
+    controls : {"interval", "linear", "stages", "nodal"}
+        Constant on intervals, linear between nodes, with a value at each stage, or averages of values at nodes.
     general : bool
         Write all terms of the equations, including terms that vanish for this problem.
     sensitivities : bool

@@ -139,5 +139,5 @@ def test_refusals():
     motion = Simulate(hamiltonian=p**2 / 2, duration=1, start={q: 0, p: 1})
     with pytest.raises(ArgumentError, match="a simulation has no controls"):
         transcribe(normalise(motion), controls="stages")
-    with pytest.raises(ArgumentError, match="use interval, stages or nodal"):
+    with pytest.raises(ArgumentError, match="use interval, stages, linear or nodal"):
         choice_texts(Choices(controls="points"))

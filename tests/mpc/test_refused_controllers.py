@@ -67,6 +67,10 @@ PROBLEM_TABLE = [
         lambda: varied(scheme="gauss-4", controls="stages"),
         "problem has controls at stages, which a controller cannot shift in time; build it with controls='interval'",
     ),
+    (
+        lambda: varied(scheme="rk4", controls="linear"),
+        "problem has controls at nodes, which a controller cannot shift in time; build it with controls='interval'",
+    ),
 ]  # fmt: skip
 
 

@@ -52,9 +52,10 @@ def test_closed_forms(interpreted, method, scheme, controls, steps):
         assert effort.error.states < 1e-9
 
 
+@pytest.mark.parametrize("controls", ["stages", "linear"])
 @pytest.mark.parametrize("steps", [6, 10])
-def test_fourth_order_with_controls_at_stages(interpreted, steps):
-    module = interpreted("linear_pendulum", scheme="gauss-4", controls="stages")
+def test_fourth_order_of_controls_that_vary_on_intervals(interpreted, steps, controls):
+    module = interpreted("linear_pendulum", scheme="gauss-4", controls=controls)
     result = api.solve(module, steps=steps)
     assert within(result.error.cost, abs(result.cost - PENDULUM) / PENDULUM)
 

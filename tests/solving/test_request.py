@@ -150,7 +150,7 @@ REFUSED = {
     "other-option": (EFFORT, {"xyz": 10}, ArgumentError, "no option xyz; use one of problem, driver, arguments"),
     "scheme": (EFFORT, {"scheme": "midpont"}, CodegenError, "did you mean midpoint"),
     "method": (EFFORT, {"method": "lagrangian"}, ArgumentError, "'lagrangian' does not exist"),
-    "controls": (EFFORT, {"controls": "both"}, ArgumentError, "use interval, stages or nodal"),
+    "controls": (EFFORT, {"controls": "both"}, ArgumentError, "use interval, stages, linear or nodal"),
     "argument": (PROBLEMS / "hovercraft.py", {"arguments": {"crafts": 3}}, ArgumentError, "did you mean craft"),
     "arguments": (EFFORT, {"arguments": ["craft=3"]}, ArgumentError, "give names and values"),
     "value": (PROBLEMS / "hovercraft.py", {"arguments": {"craft": [3]}}, ArgumentError, "give a whole number"),

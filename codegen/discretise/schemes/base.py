@@ -107,6 +107,8 @@ class Step:
 
 FIRST_ORDER = "one-step"
 """The method for first-order systems x' = f(x, u, t)."""
+LEAST_DETERMINANT = 1e-6
+"""Determinant of a mass matrix on an interval of unit length below which it counts as singular; exactly 1/12."""
 PARTICLES = "particles"
 """The key of the schemes for pairwise systems, in simulations and in problems with both ends fixed."""
 
@@ -145,6 +147,20 @@ class Scheme:
         Without derivatives the motion is a straight line, as for the midpoint rule and the Euler methods.
         """
         return 0 if self.order <= 2 else 1 if self.order <= 4 else 2
+
+    @property
+    def resolves_lines(self) -> bool:
+        """True if the quadrature of the scheme distinguishes both ends of a function that is linear on an interval.
+
+        The quadrature of the square of a (1-c) + b c is then a positive definite form in a and b. Otherwise the mode
+        a = -b, as in the midpoint rule, or the value at one end, as in the Euler methods, has no effect.
+        """
+        points = self.discrete_lagrangian().points if self.variational else self.step().points
+        weighted = [(float(point.weight), float(point.abscissa)) for point in points]
+        left = sum(w * (1.0 - c) ** 2 for w, c in weighted)
+        right = sum(w * c**2 for w, c in weighted)
+        mixed = sum(w * (1.0 - c) * c for w, c in weighted)
+        return left > 0.0 and left * right - mixed**2 > LEAST_DETERMINANT
 
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
         """Return the scheme that is repeated, with the given lengths of its substeps; `step` is the symbol h."""

@@ -5,8 +5,8 @@ constraints is rank-deficient, its left null vectors name the dependent equation
 that these vectors meet are the candidates for removal. Conditions between bodies are sorted into independent conditions
 and redundant conditions, which the module leaves out.
 
-Null controls: the discrete cost may ignore a mode of the controls. With controls on nodes and averages in the
-cost, u_k = (-1)^k a leaves the average of every interval unchanged. The continuous cost does penalise this mode, so the
+Null controls: the discrete cost may ignore a mode of the controls. With nodal controls and averages in the cost,
+u_k = (-1)^k a leaves the average of every interval unchanged. The continuous cost does penalise this mode, so the
 discrete optimum may be arbitrarily wrong. If the mode acts on the motion, the optimiser moves the system at no cost.
 The integral of the cost over the resulting controls reveals such a false optimum.
 
@@ -208,17 +208,21 @@ def check_null_controls(context: Context) -> Iterator[Finding]:
         amplitude = sympy.Dummy("a", real=True)
         mode = {left: left + amplitude, right: right - amplitude}
         change = program.cost.subs(mode, simultaneous=True).diff(amplitude)
-        if not identically_zero(change) or not is_penalised(u):
-            detail = "the alternating control is seen by the cost"
-            yield Finding("null controls", f"nodal control {u}", True, detail)
+        name = f"{program.controlled} control {u}"
+        if not identically_zero(change):
+            yield Finding("null controls", name, True, "the alternating control is seen by the cost")
             continue
         # The force of the mode vanishes if forces are averaged and do not depend on the position.
         force = (program.element - program.cost).subs(mode, simultaneous=True).diff(amplitude)
         acts = not identically_zero(force)
+        if acts and not is_penalised(u):
+            detail = "none of the discretisation: the motion sees the alternating control, the problem's cost does not"
+            yield Finding("null controls", name, True, detail)
+            continue
         any_acts = any_acts or acts
         effect = "yet acts on the motion" if acts else "and does nothing either, so that it is undetermined"
-        detail = f"alternating nodal control {u}: {u}_k = (-1)^k a costs nothing, {effect}; use controls on intervals"
-        yield Finding("null controls", f"nodal control {u}", False, detail)
+        detail = f"alternating {name}: {u}_k = (-1)^k a costs nothing, {effect}; use controls on intervals"
+        yield Finding("null controls", name, False, detail)
 
     model, solution = context.model, context.solution if any_acts else None
     if solution is None or solution.status != "solved" or model.terminal_cost != 0:

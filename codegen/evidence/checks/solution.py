@@ -45,6 +45,7 @@ from codegen.evidence.analysis.modified_equations import vector_field
 from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.runtime.search import point
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
+from codegen.solving.arcs import order_of_optima
 from codegen.solving.drivers import find
 from codegen.solving.loading import ControlSolution, Grid, Vector
 from codegen.solving.results.control import control_result
@@ -274,8 +275,6 @@ def _distance(whole: Model, result: Result) -> float:
     return float((np.abs(np.array(motion) - computed) / sizes).max())
 
 
-_OF_CONTROLS = 2
-"""The order of convergence with piecewise constant controls."""
 _COST_ALLOWED = 0.15  # deficit of the observed order
 _COST_ROUNDING = 1e-9  # relative error below which no order can be observed
 _LARGEST = 10_000  # intervals
@@ -298,7 +297,7 @@ def check_optimum(context: Context) -> Iterator[Finding]:
     except CodegenError as error:
         yield not_measured("optimum", subject, " ".join(str(error).split()))
         return
-    order, steps = min(context.scheme.order, _OF_CONTROLS), context.steps or context.model.steps
+    order, steps = order_of_optima(context.module), context.steps or context.model.steps
     errors: list[tuple[int, float]] = []
     rate, passed = 0.0, False
     while len(errors) < 3 or (steps <= _LARGEST and not passed):
@@ -320,15 +319,15 @@ def check_optimum(context: Context) -> Iterator[Finding]:
 def _optimal_cost(context: Context) -> tuple[float, str]:
     """Return the cost of the continuous optimum, and its source in words: the closed form, or collocation.
 
-    The discrete motion is the initial guess of collocation, so that it converges to the same local optimum. Only a
-    motion with controls on intervals is used, because controls on nodes may give a false optimum.
+    The discrete motion is the initial guess of collocation, so that it converges to the same local optimum. A motion
+    with nodal controls is not used, because it may be a false optimum.
     """
     model, solution = context.model, context.solution
     exact = exact_optimum(model)
     if exact is not None:
         return exact.cost_at(), "in closed form"
     guess = None
-    if solution.status == "solved" and context.choices.controls == "interval":
+    if solution.status == "solved" and context.choices.controls != "nodal":
         rates = solution.p if model.form == "hamiltonian" else np.gradient(solution.q, solution.t, axis=0)
         states = np.hstack([solution.q, rates])
         guess = solution.t, states, np.zeros_like(states)
