@@ -37,8 +37,8 @@ backward substitution as one more unknown with the value -1.
 
 Arrays of a body with N intervals: `entries` (N, entries of an interval) holds second derivatives; `gradient` and
 `diagonal` are (N stride + node,), and `diagonal` is added to the diagonal of the matrix. The factors `upper`
-(R, width), `inverse` (R, 2) and `order` (R + 1,) have R = N block + last rows, see `symmetric`. The last number of `order` is the
-number of the block with which the border ends, 0 if the border is eliminated with the last node. `inverses`
+(R, width), `inverse` (R, 2) and `order` (R + 1,) have R = N block + last rows, see `symmetric`. The last number of
+`order` is the number of the last block with a border, 0 if the border is eliminated with the last node. `inverses`
 (1 or N, condensed, condensed) holds inverse(C), and `couplings` (N, condensed, width) holds B. `stages` explains the
 tuples `kept` and `room`.
 

@@ -15,7 +15,7 @@ from codegen.runtime.search.linear_system import factor_kkt, is_factored
 from codegen.runtime.search.point import evaluate
 
 RESTORATION_STEPS = 200  # largest number of steps of a restoration
-BETWEEN_LOOKS = 20  # steps after which the progress of an optional restoration is measured
+BETWEEN_LOOKS = 5  # steps after which the progress of an optional restoration is measured
 FIRST_DAMPING = 1e-2  # damping of the first step, relative to the squared slope of the residuals
 FEASIBILITY_STEPS = 1000  # largest number of steps of the search for the least violation
 STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # largest slope at the least violation, relative to the residual
