@@ -10,7 +10,7 @@ Six problems with smooth optima (`peers/smooth_problems.py`) on meshes that are 
   stages has no minimum. Compositions have negative weights too, so that their order is 2 as well.
 - CasADi and fatrop, by one and by four steps of rk4 in an interval with a constant control; functions compiled to C
 - CasADi and IPOPT by Gauss collocation with 2 and 4 points, with a control at every point
-- dymos by Radau collocation of order 7 and 3, with SLSQP of scipy, if dymos is installed
+- dymos by Radau collocation of order 7, with SLSQP of scipy, if dymos is installed
 
 All start from the same straight line, with the tolerance 1e-10. A time is the least processor time of several warm
 solves. Errors are relative to the largest value of each quantity: of the cost; of the states (x; or q and q') at the
@@ -282,9 +282,8 @@ def contestants(problem: SmoothProblem, methods: Sequence[str], wanted: Sequence
     for points in (2, 4):
         yield Contestant(IPOPT, f"Gauss, {points} points", partial(Collocation, first_order, points))
     if importlib.util.find_spec("dymos"):
-        for order, coarsest in ((3, 4), (7, 2)):
-            prepare = partial(Dymos, first_order, order)
-            yield Contestant(DYMOS, f"Radau, order {order}", prepare, coarsest, finest=64, long=LONG_DYMOS)
+        prepare = partial(Dymos, first_order, 7)
+        yield Contestant(DYMOS, "Radau, order 7", prepare, coarsest=2, finest=64, long=LONG_DYMOS)
     for method in methods:
         source = problem.first_order if method == schemes.FIRST_ORDER else problem.mechanical
         if source is None:

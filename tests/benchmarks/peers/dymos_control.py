@@ -16,7 +16,6 @@ import sympy
 from .casadi_shooting import Array
 from .gallery_problem import GalleryProblem
 
-
 warnings.filterwarnings("ignore", category=om.OpenMDAOWarning)  # quantities have no units
 
 
