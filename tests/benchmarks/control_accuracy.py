@@ -498,6 +498,7 @@ def figure_of(rows: Sequence[Row]) -> Figure:
             axes.set_xlabel("milliseconds of a warm solve")
             axes.set_ylim(1e-14, 2.0)
             label_ends(axes, ends)
+        panels[0].set_xlim(right=12.0 * max(row.milliseconds for own in series.values() for row in own))
         panels[0].set_ylabel("relative error")
         figure.suptitle(f"{rows[0].problem}: error against run time")
     return figure
@@ -514,6 +515,7 @@ def label_ends(axes: Axes, ends: Sequence[tuple[float, float, Curve]]) -> None:
     for (time, error, curve), height in zip(ends, heights, strict=True):
         axes.annotate(
             curve.label, (time, error), (1.25 * time, 10.0**height), color=curve.colour, fontsize=8, va="center",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
             arrowprops={"arrowstyle": "-", "color": curve.colour, "linewidth": 0.5, "shrinkA": 0, "shrinkB": 2},
         )  # fmt: skip
 

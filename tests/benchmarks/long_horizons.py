@@ -109,7 +109,7 @@ def main() -> None:
     """Measure the cases and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", nargs="*", help=f"some of {', '.join(CASES)}; all by default")
-    parser.add_argument("--steps", nargs="+", type=int, default=STEPS)
+    parser.add_argument("--steps", nargs="+", type=int, default=STEPS, help="numbers of intervals")
     parser.add_argument("--here", action="store_true", help="solve in this process and print the numbers as JSON")
     options = parser.parse_args()
     if options.here:
