@@ -15,7 +15,7 @@ import argparse
 from collections.abc import Sequence
 from time import perf_counter
 
-from peers import casadi_collocation
+from peers.casadi_collocation import PreparedCollocation
 from peers.casadi_gallery import PreparedGallery, holonomic_count
 from peers.gallery_problem import GalleryProblem
 from peers.gallery_table import GALLERY
@@ -53,8 +53,9 @@ def add_rows(table: Table, name: str, problem: GalleryProblem, steps: Sequence[i
         ratio = (many / few) ** 2
         table.add_row("", "limit", f"{(ratio * second - first) / (ratio - 1):.9g}")
     if collocation and problem.bodies == 1 and not holonomic_count(problem):
-        cost, status = casadi_collocation.solve(problem, collocation, **PRECISE)
-        table.add_row("", f"Gauss, {collocation}", f"{cost:.10g}", "", "", status)
+        collocated = PreparedCollocation(problem, collocation, **PRECISE)
+        collocated.run()
+        table.add_row("", f"Gauss, {collocation}", f"{collocated.cost:.10g}", "", "", collocated.status)
     table.add_section()
 
 

@@ -6,6 +6,7 @@ given number of collocation points, and every point has controls of its own. Whe
 twice the number of points.
 """
 
+from dataclasses import dataclass
 from math import inf
 from typing import Any
 
@@ -39,13 +40,61 @@ def rates_function(problem: GalleryProblem) -> ca.Function:
     return ca.Function("rates", [ca.vertcat(q, v), u, t, p], outputs, {"cse": True})
 
 
-def solve(problem: GalleryProblem, steps: int, points: int = 3, **options: Any) -> tuple[float, str]:
-    """The least cost with N = `steps` and the given number of collocation points, and IPOPT's status.
+class PreparedCollocation:
+    """The program with N = `steps` and the given number of collocation points, made ready for IPOPT.
 
     Problems with holonomic constraints or several bodies have no first-order form here: AssertionError.
     """
-    assert problem.bodies == 1
-    assert not holonomic_count(problem)
+
+    def __init__(self, problem: GalleryProblem, steps: int, points: int = 3, **options: Any) -> None:
+        """Write the program and differentiate it."""
+        assert problem.bodies == 1
+        assert not holonomic_count(problem)
+        self.problem, self.steps, self.points = problem, steps, points
+        program = _program(problem, steps, points)
+        self.solver = ca.nlpsol("solver", "ipopt", program.functions, OPTIONS | {"expand": True} | options)
+        self.arguments = program.arguments
+
+    def run(self) -> None:
+        """Solve from the problem's guess."""
+        self.solution = self.solver(**self.arguments)
+
+    @property
+    def cost(self) -> float:
+        """The least cost."""
+        return float(self.solution["f"])
+
+    @property
+    def status(self) -> str:
+        """IPOPT's status."""
+        return str(self.solver.stats()["return_status"])
+
+    @property
+    def iterations(self) -> int:
+        """IPOPT's iterations."""
+        return int(self.solver.stats()["iter_count"])
+
+    def trajectories(self) -> tuple[Array, Array, Array]:
+        """States at nodes (N + 1, n), abscissae of the collocation points, controls (N points, m) there."""
+        free, m, points = len(self.problem.free), self.problem.controls, self.points
+        unknowns = np.asarray(self.solution["x"]).ravel()[free:]
+        size = (unknowns.size - self.steps * points * m) // (1 + self.steps * (points + 1))
+        table = unknowns[size:].reshape(self.steps, -1)
+        states = np.vstack([unknowns[:size], table[:, -size:]])
+        controls = table[:, points * size : -size].reshape(-1, m)
+        return states, np.array(ca.collocation_points(points, "legendre")), controls
+
+
+@dataclass(frozen=True)
+class _Program:
+    """Functions of CasADi, and the arguments of a solver: guess and bounds."""
+
+    functions: dict[str, ca.MX]
+    arguments: dict[str, Array]
+
+
+def _program(problem: GalleryProblem, steps: int, points: int) -> _Program:
+    """The program of the module's docstring."""
     taus = [0.0, *ca.collocation_points(points, "legendre")]
     derivative, at_end, quadrature = ca.collocation_coeff(taus[1:])
     rates = rates_function(problem)
@@ -101,13 +150,12 @@ def solve(problem: GalleryProblem, steps: int, points: int = 3, **options: Any) 
     constraints += problem.end_conditions(ca, q, v)
     total += problem.terminal_cost(q, v, ca.vertsplit(p) if problem.free else [])
     program = {"x": ca.vertcat(*unknowns), "f": total, "g": ca.vertcat(*(c for c, _, _ in constraints))}
-    solver = ca.nlpsol("solver", "ipopt", program, OPTIONS | {"expand": True} | options)
     free: Array = np.array(problem.free, dtype=float).reshape(-1, 3)
-    solution = solver(
-        x0=np.concatenate([free[:, 0], *guess]),
-        lbx=np.concatenate([free[:, 1], *lower]),
-        ubx=np.concatenate([free[:, 2], *upper]),
-        lbg=np.concatenate([np.full(c.shape[0], low) for c, low, _ in constraints]),
-        ubg=np.concatenate([np.full(c.shape[0], high) for c, _, high in constraints]),
-    )
-    return float(solution["f"]), str(solver.stats()["return_status"])
+    arguments = {
+        "x0": np.concatenate([free[:, 0], *guess]),
+        "lbx": np.concatenate([free[:, 1], *lower]),
+        "ubx": np.concatenate([free[:, 2], *upper]),
+        "lbg": np.concatenate([np.full(c.shape[0], low) for c, low, _ in constraints]),
+        "ubg": np.concatenate([np.full(c.shape[0], high) for c, _, high in constraints]),
+    }
+    return _Program(program, arguments)

@@ -1,7 +1,7 @@
 """Direct multiple shooting in CasADi, by fatrop or IPOPT: the programs that our solvers by rk4 solve.
 
-With one step of the classical Runge-Kutta method F from node k under the control u_k of the interval, and the cost
-integrated like a further state,
+With one step, or some equal steps, of the classical Runge-Kutta method F from node k under the control u_k of the
+interval, and the cost integrated like a further state,
 
     minimise    sum_k (cost of the step k) + terminal cost
     subject to  x_{k+1} - F(x_k, u_k, t_k, h; p) = 0          (k = 0..N-1)
@@ -50,29 +50,32 @@ class Program:
     staged: bool
 
 
-def step_function(problem: GalleryProblem, steps: int) -> ca.Function:
-    """One step of the classical Runge-Kutta method: (x_k, u_k, k, p) to x_{k+1} and the cost of the step."""
+def step_function(problem: GalleryProblem, steps: int, substeps: int = 1) -> ca.Function:
+    """Equal steps of the classical Runge-Kutta method: (x_k, u_k, k, p) to x_{k+1} and the cost of the interval."""
     assert problem.dynamics
     dynamics = problem.dynamics
     x, u, k = ca.SX.sym("x", problem.dimension), ca.SX.sym("u", problem.controls), ca.SX.sym("k")
     p = ca.SX.sym("p", len(problem.free))
     parameters, controls = ca.vertsplit(p) if problem.free else [], ca.vertsplit(u)
-    h = problem.duration(parameters) / steps
+    interval = problem.duration(parameters) / steps
+    h = interval / substeps
 
     def rate(state: ca.SX, time: ca.SX) -> ca.SX:
         at = ca.vertsplit(state)[: problem.dimension]
         return ca.vertcat(*dynamics(ca, at, controls, time, parameters), problem.cost(at, None, controls, time))
 
-    start, t = ca.vertcat(x, 0), k * h
-    first = rate(start, t)
-    second = rate(start + h / 2 * first, t + h / 2)
-    third = rate(start + h / 2 * second, t + h / 2)
-    fourth = rate(start + h * third, t + h)
-    end = start + h / 6 * (first + 2 * second + 2 * third + fourth)
-    return ca.Function("step", [x, u, k, p], [end[:-1], end[-1]], {"cse": True})
+    state = ca.vertcat(x, 0)
+    for part in range(substeps):
+        t = k * interval + part * h
+        first = rate(state, t)
+        second = rate(state + h / 2 * first, t + h / 2)
+        third = rate(state + h / 2 * second, t + h / 2)
+        fourth = rate(state + h * third, t + h)
+        state = state + h / 6 * (first + 2 * second + 2 * third + fourth)
+    return ca.Function("step", [x, u, k, p], [state[:-1], state[-1]], {"cse": True})
 
 
-def transcribe(problem: GalleryProblem, steps: int, staged: bool) -> Program:
+def transcribe(problem: GalleryProblem, steps: int, staged: bool, substeps: int = 1) -> Program:
     """The program of the module's docstring; if `staged`, for fatrop."""
     n, m, shared = problem.dimension, problem.controls, len(problem.free)
     size = n + shared if staged else n
@@ -81,14 +84,14 @@ def transcribe(problem: GalleryProblem, steps: int, staged: bool) -> Program:
     table = ca.reshape(w[:intervals], size + m, steps)
     states, u, last = table[:size, :], table[size:, :], w[intervals : intervals + size]
     following = ca.horzcat(states[:, 1:], last)
-    numbers = ca.DM(np.arange(steps)).T
+    numbers, step = ca.DM(np.arange(steps)).T, step_function(problem, steps, substeps)
     if staged:
-        mapped = step_function(problem, steps).map(steps)
+        mapped = step.map(steps)
         end, cost = mapped(states[:n, :], u, numbers, states[n:, :])
         end, p = ca.vertcat(end, states[n:, :]), last[n:]
     else:
         p = w[intervals + size :]
-        end, cost = step_function(problem, steps).map("steps", "serial", steps, [3], [])(states, u, numbers, p)
+        end, cost = step.map("steps", "serial", steps, [3], [])(states, u, numbers, p)
     final = problem.terminal_cost(ca.vertsplit(last)[:n], None, ca.vertsplit(p) if shared else [])
 
     at_nodes = np.array([problem.guess(np, k / steps)[0] for k in range(steps + 1)], dtype=float)
@@ -131,11 +134,19 @@ def transcribe(problem: GalleryProblem, steps: int, staged: bool) -> Program:
 class PreparedShooting:
     """One program made ready for one solver, as compiled C."""
 
-    def __init__(self, problem: GalleryProblem, steps: int, solver: Solver, tolerance: float, iterations: int) -> None:
+    def __init__(
+        self,
+        problem: GalleryProblem,
+        steps: int,
+        solver: Solver,
+        tolerance: float,
+        iterations: int,
+        substeps: int = 1,
+    ) -> None:
         """Write the program, differentiate and compile it."""
         started = perf_counter()
         self.problem, self.steps = problem, steps
-        self.program = transcribe(problem, steps, staged=solver == "fatrop")
+        self.program = transcribe(problem, steps, solver == "fatrop", substeps)
         functions = self.program.functions
         options: dict[str, Any]
         if solver == "fatrop":
