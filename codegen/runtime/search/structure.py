@@ -201,7 +201,7 @@ class Structure:
         Such an equation contains the state at its end alone, with a constant factor, and nothing else of the interval
         contains the state: x_k+1 = Phi(x_k, u_k) of a Runge-Kutta scheme.
         """
-        if not self.backward or self.condensed:
+        if not self.backward or self.condensed or self.stride < 2 * (self.node + self.stages):
             return 0
         high, low = np.maximum(self.rows, self.columns), np.minimum(self.rows, self.columns)
         first = self.node + 2 * self.stages
