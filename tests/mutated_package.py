@@ -493,13 +493,13 @@ def _differentiation() -> Iterator[Mutant]:
         "van_der_pol",
         "rk4",
     )
-    quadratic = "linear_quadratic = (\n        not program.nodal_controls"
+    quadratic = "linear_quadratic = (\n        program.controlled"
     yield Mutant(
         stage,
         "a nonlinear problem taken for linear",
         _DIFFERENTIATION,
         quadratic,
-        quadratic.replace("not", "True or not"),
+        quadratic.replace("program", "True or program"),
         "orbital_transfer",
     )
     cost = "return ElementDerivatives(tuple(unknowns), gradient, tuple(hessian), cost)"
