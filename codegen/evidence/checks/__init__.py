@@ -20,6 +20,7 @@ from codegen.emit.deadline import CHECK, Overdue, interrupted_after
 from codegen.emit.naming import Choices
 from codegen.evidence.checks import (
     assembly,
+    authored,
     derivatives,
     discrete_equations,
     layout,
@@ -53,6 +54,7 @@ def _of_control(name: str, findings: Finder, reason: str, of_each_phase: bool = 
 
 _ROWS = (
     Check("layout", layout.check_layout, runs_the_module=False),
+    Check(authored.NAME, authored.check_authored),
     Check("derivatives", derivatives.check_derivatives),
     Check("sparsity", derivatives.check_sparsity, without={"simulate": "a step of a simulation has a dense Jacobian"}),
     _of_control("given values", assembly.check_given_values, "gives no values but those of its start"),
@@ -211,4 +213,5 @@ def _prepared(source: Source, arguments: Mapping[str, str], choices: Choices, mo
     text = rendering.render(fresh, naming.origin_of(source, arguments, choices, files))
     loaded = load(module)
     assert isinstance(loaded, ModuleType)
-    return Context(choices, model, program, schemes.find(program.scheme, program.method), loaded), text
+    written = source.written(arguments)[1]
+    return Context(choices, model, program, schemes.find(program.scheme, program.method), loaded, written), text

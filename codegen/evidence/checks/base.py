@@ -151,7 +151,8 @@ def not_applicable(findings: Sequence[Finding]) -> str:
 class Context:
     """The input of a check: the author's model, its discretisation, and the generated module on disk.
 
-    `program` is the discretised problem. `steps` is the number of intervals to solve on, by default the problem's own.
+    `program` is the discretised problem. `written` is the object that the author's function problem() returned.
+    `steps` is the number of intervals to solve on, by default the problem's own.
     """
 
     choices: Choices
@@ -159,6 +160,7 @@ class Context:
     program: ControlProgram | StepProgram
     scheme: Scheme
     module: ModuleType
+    written: object = None
     steps: int | None = None
 
     @property

@@ -24,7 +24,7 @@ from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.discretise.particles import PARTICLE_SCHEMES
 from codegen.emit import differentiation, lower, naming, rendering
 from codegen.emit.naming import Choices
-from codegen.evidence.checks import layout
+from codegen.evidence.checks import authored, layout
 from codegen.evidence.checks.base import Finding
 from codegen.problem.sources import Source
 from codegen.runtime.particles.steps import advance, advance_directions, curvature_at
@@ -52,6 +52,7 @@ def particle_findings(
     module = load(module_path)
     assert isinstance(module, ModuleType)
     yield from layout.compare(module_path, module, origin.inputs, text)
+    yield from authored.check_particles(source.written(arguments)[1], module)
     generator, size = np.random.default_rng(1), len(model.coordinates)
     states = [scale * generator.uniform(-1.0, 1.0, (2, _PARTICLES, size)) / np.sqrt(size) for scale in (0.6, 0.6, 1e-2)]
     yield from _derivatives(model, module, states, generator)

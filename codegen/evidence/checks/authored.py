@@ -1,0 +1,771 @@
+"""The check of a generated module against the problem that its author wrote.
+
+All other checks begin with the canonical model. This check reads the author's object itself, and shares no code with
+the canonical model, the Legendre transforms, the discretisation and the symbolic derivatives of the package. So it
+finds errors in the reading of a problem: a wrong sign of a force, a wrong end value, a wrong duration.
+
+The parameters of the module get random values near their defaults. The author's numbers (duration, boundary values,
+bounds) are compared with the numbers of the module's time grid, initial guess and bounds.
+
+Functions of time are compared along smooth random motions q(t), u(t), which fulfil the author's boundary values. With
+smooth weights w(t) that vanish at the ends, and the module's residuals R_k on 16, 32, ..., 256 intervals,
+
+    sum_k w(t_k) R_k -> integral of w dL/dq + w' dL/dv + w f  (Lagrange-d'Alembert principle; weights are variations)
+
+for a Lagrangian L and forces f. Hamilton's equations and first-order dynamics tend to the integrals of
+w (q' - dH/dp), w (p' + dH/dq - f) and w (x' - f(x, u, t)). Weighted path conditions tend to the integrals of the
+author's conditions, and costs to the author's costs. Limits are extrapolated by polynomials in 1/N. Reference
+integrals use Gauss-Legendre quadrature. The limits of momentum equations at both ends vanish, because the motion has
+the author's end velocities.
+
+A step of a simulation from a random state, divided by its length, must tend to the author's equations of motion.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import combinations
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import sympy
+
+from codegen.evidence.checks.author import (
+    Array,
+    Author,
+    Motion,
+    NoMotionError,
+    Path,
+    Relation,
+    Values,
+    integral_of,
+    relations_of,
+    value_at,
+    values_along,
+)
+from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured
+from codegen.evidence.checks.limits import (
+    LIMIT,
+    ROUNDING,
+    Item,
+    Leg,
+    Sample,
+    absent,
+    body_label,
+    extrapolated,
+    fill_linking,
+    free_mask,
+    grid_of,
+    limit_of,
+    named,
+    node_times,
+    number_item,
+    quadrature,
+    sampled,
+    weight,
+    weighted_residual,
+)
+from codegen.identifiers import plain
+from codegen.problem import symbols
+from codegen.problem.description import quantities_in
+from codegen.problem.particles import Connect, Pairwise
+from codegen.problem.problem import Control, Phases, Simulate
+from codegen.runtime.record import Kind, Method, Sites
+from codegen.solving.request import parameter_arguments
+
+NAME = "problem as written"
+_SEEDS = (1, 2)
+"""One random motion for each seed."""
+_AMPLITUDES = (0.25, 0.1, 0.03, 0.01)
+"""Sizes of the random part of a motion, relative to its quantities, which are tried until all expressions are real."""
+_MOST_NAMES = 8
+"""Largest number of names in the text of a finding that passed."""
+_NEAR = 1e-7
+"""Distance of coordinates at which two particles count as coincident."""
+
+
+def check_authored(context: Context) -> Iterator[Finding]:
+    """Compare numbers, equations of motion, costs and conditions of the module with the author's problem."""
+    written, module = context.written, context.module
+    if not isinstance(written, (Control, Simulate, Phases)):
+        yield does_not_apply(NAME, "the problem object of the author is not at hand")
+        return
+    author = Author(written, module)
+    yield from _verdict("parameters", _parameter_items(author))
+    if reason := author.reason_without_motion():
+        yield not_measured(NAME, "all but the parameters", reason)
+        return
+    try:
+        if isinstance(written, Simulate):
+            yield from _simulation(author)
+        else:
+            yield from _control(author)
+    except NoMotionError as error:
+        yield not_measured(NAME, "equations of motion and cost", str(error))
+
+
+def _verdict(subject: str, items: Iterable[Item]) -> Iterator[Finding]:
+    """Yield the finding of compared quantities: the names that differ, or else all names; nothing without items."""
+    items = list(items)
+    different = {item.name: item for item in reversed(items) if not item.agrees}
+    unsure = [item for item in items if item.is_unsure]
+    if different:
+        texts = [
+            f"{name} is missing in the module"
+            if math.isnan(item.author)
+            else f"{name} is {item.author:.9g} as written, {item.module:.9g} in the module"
+            for name, item in different.items()
+        ]
+        yield Finding(NAME, subject, False, "; ".join(texts))
+    elif unsure:
+        yield not_measured(NAME, subject, f"the limit of {unsure[0].name} for short intervals converges too slowly")
+    elif items:
+        names = list(dict.fromkeys(item.name for item in items))
+        text = (
+            ", ".join(names)
+            if len(names) <= _MOST_NAMES
+            else f"{', '.join(names[:_MOST_NAMES])} and {len(names) - _MOST_NAMES} more"
+        )
+        limits = [item.difference / item.tolerance for item in items if item.error]
+        how = f", up to {max(limits) * LIMIT:.0e} of all terms" if limits else ""
+        yield Finding(NAME, subject, True, f"{text} as written{how}")
+
+
+def _parameter_items(author: Author) -> Iterator[Item]:
+    """Yield the default values of parameters, in the record and as arguments of the module's functions."""
+    arguments, unused = parameter_arguments(author.module), set(map(plain, author.record.unused))
+    defaults = {plain(name): (value, arguments[name]) for name, value in author.record.parameters.items()}
+    functions = [inspect.signature(each).parameters for each in (author.module.make_grid, author.module.solve)]
+    for parameter in author.parameters:
+        if parameter.name in defaults:
+            value, argument = defaults[parameter.name]
+            yield number_item(parameter.name, float(parameter.value), value)
+            for function in functions:
+                yield number_item(parameter.name, float(parameter.value), function[argument].default)
+        elif parameter.name not in unused:
+            yield absent(parameter.name)
+
+
+# ---- Limits ----
+
+
+# ---- Optimal control ----
+
+
+def _control(author: Author) -> Iterator[Finding]:
+    """Compare a module of optimal control with the author's problem."""
+    yield from _verdict("duration", _duration_items(author))
+    yield from _verdict("values at the start", _end_items(author, "start"))
+    yield from _verdict("values at the end", _end_items(author, "end"))
+    yield from _verdict("bounds", _bound_items(author))
+    items = dict[str, list[Item]]()
+    for seed in _SEEDS:
+        for subject, item in _measured_along(author, seed):
+            items.setdefault(subject, []).append(item)
+    for subject in (
+        "equations of motion",
+        "velocities at the ends",
+        "reported motion",
+        "cost",
+        "path conditions",
+        "conditions",
+    ):
+        if author.record.observations is not None and subject == "cost":
+            yield not_measured(NAME, subject, "measurements are part of it")
+        else:
+            yield from _verdict(subject, items.get(subject, []))
+
+
+def _duration_items(author: Author) -> Iterator[Item]:
+    module, grid = author.module, grid_of(author, author.levels[0])
+    yield number_item("number of intervals", author.first.steps, author.record.steps)
+    unknowns = module.initial_guess(grid)
+    fill_linking(author, grid, unknowns)
+    if grid.problem.phase_durations is None:
+        yield number_item("T", author.durations[0], float(module.problem.duration_of(grid, unknowns)))
+        return
+    found = grid.problem.phase_durations(grid, unknowns)
+    for number, (expected, length) in enumerate(zip(author.durations, found, strict=True), start=1):
+        yield number_item(f"T of phase {number}", expected, float(length))
+
+
+def _end_items(author: Author, where: str) -> Iterator[Item]:
+    """Yield the values that are prescribed at an end, from the nodes of the module's initial guess.
+
+    Velocities of a discrete Lagrangian are no unknowns. Here they need a momentum equation, which `_velocity_items`
+    evaluates.
+    """
+    phase, record, module = author.phases[0 if where == "start" else -1], author.record, author.module
+    written, grid = author.prescribed(where), grid_of(author, author.levels[0], as_written=True)
+    is_variational, node = record.method == Method.VARIATIONAL, 0 if where == "start" else -1
+    names = {plain(name) for name in getattr(record, where)}
+    if is_variational and author.is_hamiltonian:  # the module has velocities in place of momenta
+        momenta = {f"d{q}": str(q.partner) for q in author.coordinates}
+        names = {momenta.get(name, name) for name in names}
+    tied = {s for s, value in written.items() if sympy.sympify(value).free_symbols & set(author.free)}
+    left_out = {s for s in written if s in tied or (s.name, where) in record.dependent_values}
+    for symbol in written:
+        if symbol.name not in names and symbol not in left_out:
+            yield absent(symbol.name)
+    for name in names - {symbol.name for symbol in written}:
+        yield Item(name, math.inf, 0.0, 0.0)
+    free = module.views(grid, free_mask(grid))[0][:, node]
+    nodes = module.views(grid, module.initial_guess(grid))[0][:, node]
+    indices = {plain(name): i for i, name in enumerate(record.node)}
+    instant = np.array([0.0 if where == "start" else sum(author.durations)])
+    for body in range(record.bodies):
+        numbers = {s: float(value_at(value, author.numbers_of(body))) for s, value in written.items()}
+        for symbol in (s for s in written if s not in left_out):
+            name, expected = f"{symbol}{body_label(author, body)}", numbers[symbol]
+            is_rate = isinstance(symbol, (symbols.Velocity, symbols.Momentum))
+            if is_rate and is_variational:
+                if not free[body, indices[f"lambda_{symbol.partner}"]]:  # nothing imposes it
+                    yield absent(name)
+                elif not author.is_hamiltonian:
+                    found = _boundary_value(grid, author, f"{where} {symbol}", body, expected)
+                    yield number_item(name, expected, found)
+            elif isinstance(symbol, symbols.Velocity):
+                index = indices[plain(record.rates[author.coordinates.index(symbol.partner)])]
+                if not free[body, index]:
+                    values = {**author.numbers_of(body), **numbers, author.time: instant}
+                    momentum = values_along(sympy.diff(phase.lagrangian, symbol), values, instant)
+                    yield number_item(name, float(momentum[0]), nodes[body, index])
+            elif free[body, indices[symbol.name]]:
+                yield absent(name)
+            else:
+                yield number_item(name, expected, nodes[body, indices[symbol.name]])
+
+
+def _boundary_value(grid: Any, author: Author, key: str, body: int, expected: float) -> float:
+    """Return the parameter of a module that holds a prescribed velocity, such as "start dx"."""
+    where, name = key.split()
+    changed = author.module.make_grid(
+        **({"grid": np.diff(grid.nodes) / grid.steps} if author.record.inner_times else {"steps": author.levels[0]}),
+        **author.arguments, **{where: {_marked(author, where, name): expected + 1.0}},
+    )  # fmt: skip
+    (columns,) = np.nonzero(changed.parameters[body] != grid.parameters[body])
+    return float(grid.parameters[body, columns[0]]) if columns.size else expected
+
+
+def _marked(author: Author, where: str, name: str) -> str:
+    return next(str(other) for other in getattr(author.record, where) if plain(other) == name)
+
+
+def _bound_items(author: Author) -> Iterator[Item]:
+    """Yield lower and upper bounds of all quantities, in the middle of each phase."""
+    module, record, grid = author.module, author.record, grid_of(author, author.levels[0])
+    unbounded = np.full(grid.is_multiplier.size, math.inf)
+    lower, upper = module.variable_bounds(grid) if hasattr(module, "variable_bounds") else (-unbounded, unbounded)
+    views = [module.views(grid, np.asarray(each)) for each in (lower, upper)]
+    size = grid.steps // len(author.phases)
+    for number, phase in enumerate(author.phases):
+        of_phase = f" in phase {number + 1}" if len(author.phases) > 1 else ""
+        for body in range(record.bodies):
+            for kind, names in enumerate((record.node, record.interval)):
+                for index, name in enumerate(names):
+                    symbol = named(author, name)
+                    if symbol not in (*author.coordinates, *author.rates, *author.controls):
+                        continue
+                    if isinstance(symbol, symbols.Velocity):
+                        continue
+                    if symbol in author.controls and symbol not in _present(phase):
+                        continue
+                    row = number * size + size // 2 + 1
+                    for side, expected in enumerate(author.limits(phase, symbol, body)):
+                        label = f"{('lower', 'upper')[side]} bound of {symbol}{of_phase}{body_label(author, body)}"
+                        found = float(views[side][kind][body, row, index])
+                        if math.isfinite(expected) or math.isfinite(found):
+                            yield number_item(label, expected, found)
+    windows = [getattr(each, "window", (None, None)) for each in getattr(author.first, "waypoints", ())]
+    clock = next((i for i, name in enumerate(record.node) if record.waypoints and name.startswith("time_")), 0)
+    for number, window in enumerate(windows):
+        for side, value in enumerate(window):
+            expected = (-math.inf, math.inf)[side] if value is None else float(value_at(value, author.constants))
+            found = float(views[side][0][0, grid.inner[number], clock])
+            if math.isfinite(expected) or math.isfinite(found):
+                yield number_item(f"{('earliest', 'latest')[side]} time of waypoint {number + 1}", expected, found)
+    first = grid.is_multiplier.size - grid.problem.structure.root
+    for index, name in enumerate(record.shared):
+        symbol = named(author, name)
+        if symbol in author.free:
+            yield from _free_bounds(author, symbol, float(lower[first + index]), float(upper[first + index]))
+
+
+def _free_bounds(author: Author, symbol: Any, lower: float, upper: float) -> Iterator[Item]:
+    """Yield the bounds of a free parameter; a duration without a lower bound has the bound zero."""
+    written = [[getattr(symbol, "lower", None)], [getattr(symbol, "upper", None)]]
+    for phase in author.phases:
+        for side, value in enumerate(phase.bounds.get(symbol, (None, None))):
+            written[side].append(value)
+    for side, found in ((0, lower), (1, upper)):
+        values = [float(value_at(value, author.constants)) for value in written[side] if value is not None]
+        expected = values[0] if values else (-math.inf, math.inf)[side]
+        if not values and side == 0 and any(phase.duration == symbol for phase in author.phases):
+            expected = found if found == 0.0 else expected
+        if math.isfinite(expected) or math.isfinite(found):
+            yield number_item(f"{('lower', 'upper')[side]} bound of {symbol}", expected, found)
+
+
+def _present(phase: Any) -> set[Any]:
+    return set(quantities_in(phase))
+
+
+def _measured_along(author: Author, seed: int) -> list[tuple[str, Item]]:
+    """Return (subject, item) for all limits along the largest random motion on which they converge."""
+    found, reason = list[tuple[str, Item]](), ""
+    for amplitude in _AMPLITUDES:
+        try:
+            items = list(_limits_along(author, seed, amplitude))
+        except NoMotionError as error:
+            reason = str(error)
+            continue
+        found = found or items
+        if not any(item.is_unsure for _, item in items):
+            return items
+    if not found:
+        raise NoMotionError(reason)
+    return found
+
+
+def _limits_along(author: Author, seed: int, amplitude: float) -> Iterator[tuple[str, Item]]:
+    """Yield (subject, item) for the limits of all residuals and of the cost along a random motion."""
+    motions = [author.motions(seed, amplitude, body) for body in range(author.record.bodies)]
+    samples = [sampled(author, motions, steps) for steps in author.levels]
+    begins, costs = np.cumsum([0.0, *author.durations]), list[float]()
+    for body, of_phases in enumerate(motions):
+        for index, (phase, motion) in enumerate(zip(author.phases, of_phases, strict=True)):
+            where = f" in phase {index + 1}" if len(author.phases) > 1 else ""
+            leg = Leg(index, float(begins[index]), author.durations[index], body, where + body_label(author, body))
+            yield from (("equations of motion", item) for item in _motion_items(author, phase, motion, leg, samples))
+            if isinstance(phase, Control):
+                yield from (("path conditions", item) for item in _path_items(author, phase, motion, leg, samples))
+                costs += _costs(author, phase, motion, leg)
+        yield from (("velocities at the ends", item) for item in _velocity_items(author, samples, of_phases, body))
+        for end in ("start", "end"):
+            yield from (("conditions", item) for item in _end_conditions(author, samples[0], of_phases, body, end))
+    yield from (("reported motion", item) for item in _reported_items(author, samples[0], motions))
+    for items in (
+        _coupling_items(author, samples[0], motions),
+        _periodic_items(author, samples[0]),
+        _switch_items(author, samples, motions[0]),
+        _integral_items(author, samples, motions),
+        _inner_items(author, samples[0], motions[0][0]),
+    ):
+        yield from (("conditions", item) for item in items)
+    yield "cost", limit_of("cost", sum(costs), [sample.cost for sample in samples], sum(map(abs, costs)))
+
+
+def _costs(author: Author, phase: Control, motion: Path, leg: Leg) -> list[float]:
+    """Return the positive and the negative part of the author's integral over a phase, and the terminal cost."""
+    t, weights = quadrature(leg.begin, leg.length)
+    running = values_along(author.cost(phase), motion(t).values, t)
+    instant = np.array([leg.begin + leg.length])
+    terminal = sympy.sympify(phase.terminal_cost) - sympy.sympify(phase.terminal_maximise)
+    at_end = float(values_along(terminal, motion(instant).values, instant)[0])
+    return [float(weights @ np.maximum(running, 0.0)), float(weights @ np.minimum(running, 0.0)), at_end]
+
+
+def _motion_items(author: Author, phase: Any, motion: Path, leg: Leg, samples: Sequence[Sample]) -> Iterator[Item]:
+    """Yield the weighted equations of motion of a phase."""
+    t, weights = quadrature(leg.begin, leg.length)
+    for name, (label, terms) in _equations(author, phase, motion(t), *weight(t, leg)).items():
+        expected = sum(float(weights @ term) for term in terms)
+        size = sum(float(weights @ np.abs(term)) for term in terms)
+        sums = [weighted_residual(author, sample, leg, name) for sample in samples]
+        yield limit_of(f"{label}{leg.label}", expected, sums, size)
+
+
+def _path_items(author: Author, phase: Control, motion: Path, leg: Leg, samples: Sequence[Sample]) -> Iterator[Item]:
+    """Yield the weighted path conditions and holonomic constraints of a phase."""
+    record, (t, weights) = author.record, quadrature(leg.begin, leg.length)
+    values, factors = motion(t).values, weights * weight(t, leg)[0]
+    names = [name for name in (*record.interval, *record.node) if record.kind(name) in (Kind.PATH, Kind.NODAL)]
+    found = [[weighted_residual(author, s, leg, plain(name), by_length=True) for s in samples] for name in names]
+    constraints = [plain(name) for name in record.node if record.kind(name) == Kind.CONSTRAINT]
+    for relation in author.path(phase):
+        g, label = values_along(relation.expression, values, t), f"{relation.name}{leg.label}"
+        expected, size = float(factors @ g), float(np.abs(factors) @ np.abs(g))
+        sums = _closest_limit(found, expected)
+        yield absent(label) if sums is None else limit_of(label, expected, sums, size)
+    for index, c in enumerate(phase.constraint):
+        g, label = values_along(c, values, t), f"{c} = 0{leg.label}"
+        if index >= len(constraints):
+            yield absent(label)
+            continue
+        sums = [weighted_residual(author, s, leg, constraints[index], by_length=True) for s in samples]
+        yield limit_of(label, float(factors @ g), sums, float(np.abs(factors) @ np.abs(g)))
+
+
+def _equations(author: Author, phase: Any, along: Motion, w: Array, slope: Array) -> dict[str, tuple[str, list[Array]]]:
+    """Return the weighted equations of motion, by the name of the multiplier: a label, and terms of the integrand."""
+    t, values = along.t, along.values
+    if author.is_first_order:
+        return {
+            f"mu_{x}": (str(x), [w * along.slopes[x], -w * values_along(phase.dynamics[x], values, t)])
+            for x in author.coordinates
+        }
+    function = phase.hamiltonian if author.is_hamiltonian else phase.lagrangian
+    found = dict[str, tuple[str, list[Array]]]()
+    momenta = author.momenta(phase, values, t)
+    for i, q in enumerate(author.coordinates):
+        force = values_along(phase.force.get(q, 0), values, t)
+        gradient = values_along(sympy.diff(function, q), values, t) * (-1.0 if author.is_hamiltonian else 1.0)
+        terms = [w * gradient, slope * momenta[q], w * force]
+        if author.record.method == Method.VARIATIONAL:
+            found[f"lambda_{q}"] = str(q), terms
+            continue
+        momentum = plain(author.record.rates[i])
+        found[f"mu_{momentum}"] = momentum, [-term for term in terms]
+        velocity = along.slopes[q]
+        rate = values_along(sympy.diff(function, q.partner), values, t) if author.is_hamiltonian else velocity
+        found[f"mu_{q}"] = str(q), [w * velocity, -w * rate]
+    return found
+
+
+def _reported_items(author: Author, sample: Sample, motions: Sequence[Sequence[Path]]) -> Iterator[Item]:
+    """Yield times, coordinates and controls that the module reports for a motion, where they differ most."""
+    record, size = author.record, sample.grid.steps // len(author.phases)
+    times, positions, _, controls, _ = author.module.unpack(sample.grid, sample.unknowns)
+    for body, of_phases in enumerate(motions):
+        for index, (phase, motion) in enumerate(zip(author.phases, of_phases, strict=True)):
+            # The node at a switch belongs to the phase before.
+            t, first = node_times(author, sample.grid, index), 1 if index else 0
+            rows, at_nodes = slice(index * size + first, (index + 1) * size + 1), motion(t).values
+            pairs = [("t", times[rows], t[first:])]
+            for column, name in enumerate(record.coordinates):
+                reported = positions[rows, body * len(record.coordinates) + column]
+                pairs.append((plain(name), reported, at_nodes[named(author, name)][first:]))
+            inside = motion((t[:-1] + t[1:]) / 2).values
+            present = set(quantities_in(phase))
+            for column, name in enumerate(record.control_names):
+                if record.controls == Sites.INTERVAL and named(author, name) in present:
+                    reported = controls[index * size : (index + 1) * size, body * len(record.control_names) + column]
+                    pairs.append((plain(name), reported, inside[named(author, name)]))
+            for name, reported, expected in pairs:
+                worst = int(np.argmax(np.abs(reported - expected)))
+                tolerance = ROUNDING * float(np.abs(expected).max()) + 1e-14
+                yield Item(name, float(expected[worst]), float(reported[worst]), tolerance)
+
+
+def _velocity_items(author: Author, samples: Sequence[Sample], motions: Sequence[Path], body: int) -> Iterator[Item]:
+    """Yield the equations for prescribed velocities at both ends, which a motion with these velocities fulfils.
+
+    A discrete Lagrangian has momentum equations. Other methods have the velocity itself, unless its momentum is fixed.
+    """
+    record, nodes = author.record, [plain(name) for name in author.record.node]
+    is_variational = record.method == Method.VARIATIONAL
+    for where, node, phase in (("start", 0, 0), ("end", -1, -1)):
+        problem, written = author.phases[phase], author.ends(where, body)
+        of_rates = [q for q in author.coordinates if author.rates and q.partner in written]
+        if author.is_hamiltonian and not is_variational:
+            continue  # momenta are unknowns, and were compared
+        instant = np.array([0.0 if where == "start" else sum(author.durations)])
+        values = motions[phase](instant).values
+        momenta = author.momenta(problem, values, instant) if of_rates else {}
+        t = instant + (1 if where == "start" else -1) * np.linspace(0.0, author.durations[phase], 33)
+        largest = author.momenta(problem, motions[phase](t).values, t) if of_rates else {}
+        of_body = body_label(author, body)
+        for q in of_rates:
+            if is_variational:
+                rows = [float(sample.nodes[body, node, nodes.index(f"lambda_{q}")]) for sample in samples]
+                limit, error = extrapolated(rows)
+                p, size = float(momenta[q][0]), max(float(np.abs(largest[q]).max()), abs(rows[0]))
+                expected = written[q.partner] if author.is_hamiltonian else p
+                # The residual is the module's momentum less that of the motion, or its negative.
+                sign = 1.0 if where == "start" else -1.0
+                tolerance = LIMIT * max(size, abs(expected)) + 1e-12
+                yield Item(f"p_{q} at the {where}{of_body}", expected, p + sign * limit, tolerance, error)
+                continue
+            free = author.module.views(samples[0].grid, free_mask(samples[0].grid))[0][body, node]
+            if not free[nodes.index(plain(record.rates[author.coordinates.index(q)]))]:
+                continue  # the momentum is fixed, and was compared
+            multiplier, label = f"nu_{q.partner}", f"{q.partner} at the {where}{of_body}"
+            if multiplier not in nodes or not free[nodes.index(multiplier)]:
+                yield absent(label)
+                continue
+            velocity = float(np.ravel(values[q.partner])[0])
+            residual = float(samples[0].nodes[body, node, nodes.index(multiplier)])
+            yield Item(label, velocity, velocity + residual, 1e-9 * max(1.0, abs(velocity)))
+
+
+def _end_conditions(author: Author, sample: Sample, motions: Sequence[Path], body: int, where: str) -> Iterator[Item]:
+    """Yield the conditions at the start or at the end, and end values that depend on free parameters."""
+    record, number = author.record, 0 if where == "start" else len(author.phases) - 1
+    phase, node = author.phases[number], 0 if where == "start" else -1
+    values = motions[number](np.array([0.0 if where == "start" else sum(author.durations)])).values
+    relations = [r for r in relations_of(getattr(phase, f"{where}_conditions", ())) if not _end_values(r)]
+    for symbol, value in getattr(phase, where, {}).items():
+        if sympy.sympify(value).free_symbols & set(author.free):
+            relations.append(Relation(f"{symbol} = {value}", symbol - value, True))
+    decided = {name for name, end in record.decided_conditions if end == where}
+    kind = Kind.START_CONDITION if where == "start" else Kind.END_CONDITION
+    found = [float(sample.nodes[body, node, i]) for i, name in enumerate(record.node) if record.kind(name) == kind]
+    for relation in relations:
+        is_bound = not relation.equality and _is_bound_at(author, sample, relation, values, body, node)
+        if relation.name not in decided and not is_bound:
+            label = f"{relation.name} at the {where}{body_label(author, body)}"
+            yield _closest_number(label, relation.expression, values, found)
+
+
+def _end_values(relation: Relation) -> list[symbols.EndValue]:
+    """Return the symbols of single bodies in a relation."""
+    return [symbol for symbol in relation.expression.free_symbols if isinstance(symbol, symbols.EndValue)]
+
+
+def _closest_number(label: str, expression: sympy.Expr, values: Values, found: Sequence[float]) -> Item:
+    """Return the item of an expression, and of the residual of the module that is closest to its value."""
+    expected = _number_at(expression, values)
+    size = sum(abs(_number_at(term, values)) for term in sympy.Add.make_args(expression))
+    if not found:
+        return absent(label)
+    closest = min(found, key=lambda value: abs(value - expected))
+    return Item(label, expected, closest, ROUNDING * size + 1e-12)
+
+
+def _number_at(expression: sympy.Expr, values: Values) -> float:
+    return float(np.ravel(value_at(expression, values))[0])
+
+
+def _is_bound_at(author: Author, sample: Sample, relation: Relation, values: Values, body: int, node: int) -> bool:
+    """Return True if an inequality in one quantity is a bound of this unknown at one end."""
+    moving = [s for s in relation.expression.free_symbols if s in (*author.coordinates, *author.rates)]
+    names = [plain(name) for name in author.record.node]
+    if len(moving) != 1 or moving[0].name not in names or not hasattr(author.module, "variable_bounds"):
+        return False
+    for bound in author.module.variable_bounds(sample.grid):
+        limit = float(author.module.views(sample.grid, np.asarray(bound))[0][body, node, names.index(moving[0].name)])
+        if math.isfinite(limit) and abs(_number_at(relation.expression, {**values, moving[0]: limit})) < 1e-9:
+            return True
+    return False
+
+
+def _coupling_items(author: Author, sample: Sample, motions: Sequence[Sequence[Path]]) -> Iterator[Item]:
+    """Yield the conditions between bodies at the end; with redundant conditions, none, because some are left out."""
+    record, values = author.record, dict[sympy.Symbol, Any](author.constants)
+    relations = [r for r in relations_of(getattr(author.phases[-1], "end_conditions", ())) if _end_values(r)]
+    instant = np.array([sum(author.durations)])
+    for symbol in (symbol for relation in relations for symbol in _end_values(relation)):
+        q = symbol.partner
+        values[symbol] = float(np.ravel(motions[symbol.body][-1](instant).values[q])[0])
+        if q in author.shifts:  # the unknown is the value at the start
+            first = motions[symbol.body][0](np.zeros(1)).values[q]
+            values[symbol] = float(np.ravel(first)[0]) + float(value_at(author.shifts[q], author.constants))
+    found = [float(sample.linking[i]) for i, n in enumerate(record.shared) if record.kind(n) == Kind.COUPLING]
+    for relation in relations if not record.redundant_conditions else ():
+        yield _closest_number(relation.name, relation.expression, values, found)
+
+
+def _periodic_items(author: Author, sample: Sample) -> Iterator[Item]:
+    """Yield, for periodic quantities that are unknowns of nodes, the value at the end less the value at the start."""
+    names = [plain(name) for name in author.record.node]
+    unknowns = np.linspace(0.3, 0.7, sample.grid.is_multiplier.size)
+    nodes = author.module.views(sample.grid, author.module.with_pinned_values(sample.grid, unknowns))[0][0]
+    for symbol, shift in author.shifts.items():
+        if symbol.name in names:
+            index, expected = names.index(symbol.name), float(value_at(shift, author.constants))
+            label = f"{symbol} at the end less {symbol} at the start"
+            yield number_item(label, expected, float(nodes[-1, index] - nodes[0, index]))
+
+
+def _switch_items(author: Author, samples: Sequence[Sample], motions: Sequence[Path]) -> Iterator[Item]:
+    """Yield the conditions at switches between phases, and the values with which the next phase begins."""
+    record, ends = author.record, np.cumsum(author.durations)
+    for switch, phase in enumerate(author.phases[:-1], start=1):
+        instant = np.array([ends[switch - 1]])
+        before, after = motions[switch - 1](instant).values, motions[switch](instant).values
+        # The motion has the author's values at the end of a phase.
+        names = [n for n in record.shared if record.kind(n) == Kind.SWITCH_CONDITION]
+        names = [n for n in names if record.meanings[n].at == switch]
+        found = [float(samples[0].linking[record.shared.index(name)]) for name in names]
+        relations = [Relation(f"{x} = {value}", x - value, True) for x, value in phase.end.items()]
+        for relation in (*relations, *relations_of(phase.end_conditions)):
+            yield _closest_number(f"{relation.name} at switch {switch}", relation.expression, before, found)
+        # The first interval after the switch begins with the values after the jump.
+        momenta = author.momenta(author.phases[switch], after, instant) if author.rates else {}
+        by_name = {q.name: after[q] for q in author.coordinates}
+        by_name |= {plain(name): p for name, p in zip(record.rates, momenta.values(), strict=False)}
+        compared = set[str]()
+        for index, name in enumerate(record.interval):
+            if record.kind(name) not in (Kind.STEP, Kind.SWITCH_MATCH) or name in record.stages:
+                continue
+            of, is_momentum = plain(record.meanings[name].of), record.kind(name) == Kind.SWITCH_MATCH
+            value = momenta[author.quantities[of]] if is_momentum else by_name[of]
+            rows = [float(s.intervals[0, switch * (s.grid.steps // len(author.phases)), index]) for s in samples]
+            limit, error = extrapolated(rows)
+            expected = float(np.ravel(value)[0])
+            tolerance = LIMIT * max(abs(expected), abs(rows[0])) + 1e-12
+            label = f"{'momentum of ' if is_momentum else ''}{of} after switch {switch}"
+            compared.add(f"momentum of {of}" if is_momentum else of)
+            yield Item(label, expected, expected + limit, tolerance, error)
+        for symbol in dict(author.jumps[switch - 1]):
+            # A discrete Lagrangian shows the jump of a position by a momentum that would be infinite without it.
+            q = symbol if symbol in author.coordinates else symbol.partner
+            of = f"momentum of {q}" if record.method == Method.VARIATIONAL else symbol.name
+            if of == symbol.name and isinstance(symbol, symbols.Velocity):
+                of = plain(record.rates[author.coordinates.index(q)])
+            if of not in compared:
+                yield absent(f"the jump of {symbol} at switch {switch}")
+
+
+def _integral_items(author: Author, samples: Sequence[Sample], motions: Sequence[Sequence[Path]]) -> Iterator[Item]:
+    """Yield the conditions on integrals over the motion of the single body in the single phase."""
+    record = author.record
+    if not isinstance(author.first, Control) or len(author.phases) > 1 or record.bodies > 1:
+        return
+    rows = [i for i, name in enumerate(record.shared) if record.kind(name) == Kind.INTEGRAL]
+    found = [[float(sample.linking[i]) for sample in samples] for i in rows]
+    given = author.first.integral
+    t, weights = quadrature(0.0, author.durations[0])
+    along = motions[0][0](t).values
+    for name, relation in given.items() if isinstance(given, Mapping) else [("", each) for each in given]:
+        integrand, limit = integral_of(relation, {s for s in along if np.ndim(along[s])})
+        g, c = values_along(integrand, along, t), float(value_at(limit, author.constants))
+        label, expected = f"integral {name or relation}", float(weights @ g) - c
+        sums = _closest_limit(found, expected)
+        yield absent(label) if sums is None else limit_of(label, expected, sums, float(weights @ np.abs(g)) + abs(c))
+
+
+def _closest_limit(found: Sequence[list[float]], expected: float) -> list[float] | None:
+    """Return the sequence whose limit is closest to a value; None without sequences."""
+    if not found:
+        return None
+    return min(found, key=lambda values: abs(extrapolated(values)[0] - expected))
+
+
+def _inner_items(author: Author, sample: Sample, motion: Path) -> Iterator[Item]:
+    """Yield the inner times that the author fixes, and the conditions at all inner times."""
+    record, at, groups = author.record, getattr(author.first, "at", {}), list[Any]()
+    times = node_times(author, sample.grid, 0)
+    for index, instant in enumerate(sorted(at, key=lambda instant: float(value_at(instant, author.constants)))):
+        expected, found = float(value_at(instant, author.constants)), float(times[sample.grid.inner[index]])
+        yield number_item(f"inner time {index + 1}", expected, found)
+        groups.append(at[instant])
+    groups += [getattr(each, "conditions", each) for each in getattr(author.first, "waypoints", ())]
+    for index, group in enumerate(groups):
+        node = sample.grid.inner[index]
+        values = motion(times[node : node + 1]).values
+        found_here = [float(sample.nodes[0, node, i]) for _, other, i in record.inner_conditions if other == index]
+        for relation in relations_of(group):
+            yield _closest_number(f"{relation.name} at inner time {index + 1}", relation.expression, values, found_here)
+
+
+# ---- Simulations ----
+
+
+def _simulation(author: Author) -> Iterator[Finding]:
+    """Compare a module that computes a motion with the author's problem."""
+    module, arguments, phase = author.module, author.arguments, author.first
+    grid = module.make_grid(author.levels[0], **arguments)
+    duration = number_item("T", author.durations[0], grid.h * grid.steps)
+    yield from _verdict("duration", [duration, number_item("number of steps", phase.steps, author.record.steps)])
+    numbers = author.constants
+    start: dict[sympy.Symbol, Any] = {**numbers, author.time: np.zeros(1)}
+    start |= {s: np.array([float(value_at(value, numbers))]) for s, value in phase.start.items()}
+    names = [*author.coordinates, *(f"p_{q}" for q in author.coordinates if author.rates)]
+    expected = _state(author, start)
+    pairs = zip(names, expected, grid.start, strict=True)
+    yield from _verdict("values at the start", [number_item(str(n), a, b) for n, a, b in pairs])
+    motions, energies, generator = list[Item](), list[Item](), np.random.default_rng(5)
+    lengths = [author.durations[0] / phase.steps / 2**i for i in range(1, 6)]
+    moving = [*author.coordinates, *author.rates]
+    for _ in range(3):
+        values: dict[sympy.Symbol, Any] = dict(start)
+        for s in moving:
+            size = abs(start[s]) + 0.1
+            values[s] = start[s] + 0.2 * size * generator.uniform(-1.0, 1.0)
+        t = generator.uniform(0.0, author.durations[0], 1)
+        values[author.time] = t
+        state, terms = _state(author, values), _rates(author, values, t)
+        steps = []
+        for h in lengths:
+            short = module.make_grid(1, **arguments, duration=h)
+            steps.append((np.asarray(module.step(short, state, float(t[0]))) - state) / h)
+        for i, name in enumerate(names):
+            limit, error = extrapolated([row[i] for row in steps])
+            size = sum(abs(term) for term in terms[i]) + 1e-6 * max(abs(x) for row in terms for x in row)
+            motions.append(Item(str(name), sum(terms[i]), limit, LIMIT * size, error))
+        if author.rates and (energy := getattr(module, "energy", None)) is not None:
+            exact, size = _energy(author, values, t)
+            energies.append(Item("H", exact, float(energy(state, float(t[0]), short.parameters)), 1e-10 * size))
+    yield from _verdict("equations of motion", motions)
+    yield from _verdict("energy", energies)
+
+
+def _state(author: Author, values: Values) -> Array:
+    """Return the module's state at values of coordinates and velocities (or momenta, or states)."""
+    t = np.zeros(1)
+    momenta = author.momenta(author.first, values, t) if author.rates else {}
+    parts = [values[q] for q in author.coordinates] + [momenta[q] for q in momenta]
+    return np.array([float(np.ravel(part)[0]) for part in parts])
+
+
+def _rates(author: Author, values: Values, t: Array) -> list[list[float]]:
+    """Return the terms of the derivative of each entry of the state."""
+    phase: Any = author.first
+
+    def number(expression: Any) -> float:
+        return float(values_along(expression, values, t)[0])
+
+    if author.is_first_order:
+        return [[number(phase.dynamics[x])] for x in author.coordinates]
+    function, sign = (phase.hamiltonian, -1.0) if author.is_hamiltonian else (phase.lagrangian, 1.0)
+    rates = [[number(sympy.diff(function, v)) if author.is_hamiltonian else number(v)] for v in author.rates]
+    forces = [[sign * number(sympy.diff(function, q)), number(phase.force.get(q, 0))] for q in author.coordinates]
+    return rates + forces
+
+
+def _energy(author: Author, values: Values, t: Array) -> tuple[float, float]:
+    """Return the Hamiltonian p v - L, and the sum of the moduli of its terms."""
+    phase = author.first
+    if author.is_hamiltonian:
+        terms = [
+            float(values_along(term, values, t)[0]) for term in sympy.Add.make_args(sympy.sympify(phase.hamiltonian))
+        ]
+    else:
+        momenta = author.momenta(phase, values, t)
+        terms = [float(momenta[q][0] * np.ravel(values[q.partner])[0]) for q in author.coordinates]
+        terms.append(-float(values_along(phase.lagrangian, values, t)[0]))
+    return sum(terms), sum(map(abs, terms))
+
+
+# ---- Particles ----
+
+
+def check_particles(written: Connect | Simulate, module: ModuleType) -> Iterator[Finding]:
+    """Compare parameters and the Hamiltonian of a module of particles with the author's pairwise Hamiltonian."""
+    record, pairwise, generator = module.metadata, written.hamiltonian, np.random.default_rng(3)
+    assert isinstance(pairwise, Pairwise), "the problem is one of particles"
+    parameters = {s.name: s for s in quantities_in(written) if isinstance(s, symbols.Parameter)}
+    defaults = {plain(name): value for name, value in record.parameters.items()}
+    items = [number_item(name, float(parameters[name].value), value) for name, value in defaults.items()]
+    yield from _verdict("parameters", [*items, number_item("number of steps", written.steps, record.steps)])
+    first, second = pairwise.pair
+    one = (*first.q, *first.p, *first.own)
+    other = (*second.q, *second.p, *second.own)
+    values = {parameters[name]: value * generator.uniform(0.9, 1.1) for name, value in defaults.items()}
+    energies, count = list[Item](), 4
+    for _ in range(3):
+        state = generator.uniform(-0.6, 0.6, (2, count, len(first.q))) / math.sqrt(len(first.q))
+        rows = [(*state[0, i], *state[1, i], *[1.0] * len(first.own)) for i in range(count)]
+        terms = [
+            _number_at(pairwise.term_of_pair, {**values, **dict(zip((*one, *other), (*a, *b), strict=True))})
+            for a, b in combinations(rows, 2)
+        ]
+        for row in rows:
+            at_one = dict(zip(one, row, strict=True))
+            if pairwise.self_term is not None:
+                terms.append(_number_at(sympy.sympify(pairwise.self_term), {**values, **at_one}))
+                continue
+            # By default a particle acts on itself by half the limit of the pair term.
+            left, right = (
+                (*(x + sign * _NEAR / 2 for x in row[: len(first.q)]), *row[len(first.q) :]) for sign in (-1, 1)
+            )
+            at_both = dict(zip((*one, *other), (*left, *right), strict=True))
+            terms.append(_number_at(pairwise.term_of_pair, {**values, **at_both}) / 2)
+        own, numbers = np.ones((count, len(first.own))), np.array([values[parameters[name]] for name in defaults])
+        found = float(module.hamiltonian(state, own, numbers))
+        energies.append(Item("H", sum(terms), found, 1e-9 * sum(map(abs, terms))))
+    yield from _verdict("Hamiltonian", energies)
