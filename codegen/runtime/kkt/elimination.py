@@ -279,9 +279,7 @@ def eliminate_body(
             if shape.carried:
                 for a in range(shape.condensed):
                     couplings[k, a, rows] = -gradient[first_condensed(shape, k) + a]
-            subtract_schur_complement(
-                shape, tables, couplings[k], inverses[number], padded(border_of(shape)), element
-            )
+            subtract_schur_complement(shape, tables, couplings[k], inverses[number], padded(border_of(shape)), element)
         if HAS_STAGES and shape.stages:
             pivots = eliminate_stages(shape, tables, entries[k], gradient, diagonal, k, kept, room, element)
             if pivots < 0:
