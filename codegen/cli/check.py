@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +30,8 @@ def check(
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Time limit in seconds.")] = CHECK,
 ) -> None:
     """Check the derivation and the generated code. Exit status 1 if a check fails."""
+    from numba.core.errors import NumbaError
+
     from codegen.emit import naming
     from codegen.evidence.checks.base import findings_table, not_applicable, verdict
     from codegen.problem.sources import parse_arguments
@@ -47,13 +49,17 @@ def check(
         # Check an existing module in the folder as it is, even if edited by hand; otherwise a module of the cache.
         choices = naming.chosen(scheme, method, controls.value, sensitivities=sensitivities)
         module = (out or compiler.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
+        is_new = False
         if not module.is_file():
             built = compiler.build(
                 problem, arguments, scheme=choices.scheme, method=choices.method, controls=choices.controls,
                 sensitivities=choices.sensitivities,
             )  # fmt: skip
-            module = built.path
-            for line in processes.require(module, load(module), built.written, nullcontext)[1]:
+            module, is_new = built.path, built.written
+        # Compile before the checks, because their time limits would interrupt the compiler. The checks report code of a
+        # damaged module that cannot be compiled.
+        with suppress(NumbaError):
+            for line in processes.require(module, load(module), is_new, nullcontext)[1]:
                 typer.echo(line, err=True)
         findings = checks.run(
             problem, arguments, scheme=scheme, method=method, controls=controls.value, module=module,

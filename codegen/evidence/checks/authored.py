@@ -149,9 +149,6 @@ def _parameter_items(author: Author) -> Iterator[Item]:
             yield absent(parameter.name)
 
 
-# ---- Limits ----
-
-
 # ---- Optimal control ----
 
 
