@@ -661,7 +661,8 @@ def _simulation(author: Author) -> Iterator[Finding]:
     numbers = author.constants
     start: dict[sympy.Symbol, Any] = {**numbers, author.time: np.zeros(1)}
     start |= {s: np.array([float(value_at(value, numbers))]) for s, value in phase.start.items()}
-    names = [*author.coordinates, *(f"p_{q}" for q in author.coordinates if author.rates)]
+    momenta = author.rates if author.is_hamiltonian else [f"p_{q}" for q in author.coordinates if author.rates]
+    names = [*author.coordinates, *momenta]
     expected = _state(author, start)
     pairs = zip(names, expected, grid.start, strict=True)
     yield from _verdict("values at the start", [number_item(str(n), a, b) for n, a, b in pairs])
