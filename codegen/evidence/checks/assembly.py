@@ -52,6 +52,7 @@ _AMOUNT = 0.05  # relative distance of the point from the guess
 _SOLVED = 1e-8  # residual of the Newton step relative to its terms
 _SHIFTS = (1.0, 1e3, 1e6)  # of the diagonal of the Hessian, in this order
 _DUAL_SHIFT = 1e-3
+_CONSTANT = 1e-12  # largest change of an entry of a constant matrix, relative to the largest entry
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,8 @@ def check_assembly(context: Context) -> Iterator[Finding]:
     second = Agreement("assembly")
     second.compare([f"row of {names[i]}" for i in free], (matrix @ direction)[free], [turned[i] for i in free])
     yield second.finding("KKT matrix", "120-digit second differences along a random direction")
+    if module.problem.structure.linear_quadratic:
+        yield _constant_matrix(grid, unknowns, unknowns + direction * (1.0 + np.abs(unknowns)))
     # Compare the structured elimination with the dense matrix. A shift of the Hessian makes both regular.
     system, step = allocate_system(grid), np.empty_like(unknowns)
     # The last shift is large enough for any units of the Hessian: it makes every row diagonally dominant.
@@ -125,6 +128,19 @@ def check_assembly(context: Context) -> Iterator[Finding]:
     if not passed:
         detail = f"it leaves the row of {names[free[worst]]} by {errors[worst]:.1g} of its terms"
     yield Finding("assembly", "Newton step", passed, detail)
+
+
+def _constant_matrix(grid: Grid, unknowns: Vector, others: Vector) -> Finding:
+    """Return the finding on a KKT matrix that the module takes for constant, from its values at two points."""
+    values, other_values = (
+        np.concatenate([part(grid, at)[2] for part in (point.hessian, point.jacobian)]) for at in (unknowns, others)
+    )
+    change = np.abs(other_values - values).max(initial=0.0)
+    passed = bool(change <= _CONSTANT * np.abs(values).max(initial=0.0))
+    detail = "the same at two points, so that one Newton step solves the problem"
+    if not passed:
+        detail = f"entries change by {change:.1g} between two points, in a problem taken for linear-quadratic"
+    return Finding("assembly", "constant KKT matrix", passed, detail)
 
 
 def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: Grid) -> Iterator[_Share]:
