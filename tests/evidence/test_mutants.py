@@ -14,7 +14,7 @@ FOUND = {
     "the sign of the Lagrangian": "equations of motion: q is",
     "the cost halved": "cost: cost is",
     "upper bounds dropped": "bounds: upper bound of u is",
-    "the start of a simulation 1 % off": "values at the start: p_q is 1.4 as written, 1.414 in the module",
+    "the start of a simulation 1 % off": "values at the start: p is 1.4 as written, 1.414 in the module",
 }
 """What the comparison says about some defects; no other check finds them."""
 
