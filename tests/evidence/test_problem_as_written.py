@@ -81,7 +81,7 @@ def test_modules_agree_with_their_authors(prepared, texts, problem, arguments, c
         ("orbital_transfer", "x12 = h*u_k", "x12 = -h*u_k", "equations of motion", "phi is"),
         ("double_integrator", "= -limit  # f", "= -2*limit  # f", "bounds", r"lower bound of f is -[\d.]+ as"),
         ("double_integrator", "    return T\n", "    return 1.01*T\n", "duration", "T is"),
-        ("pendulum", '"p": 1.4', '"p": 1.41', "values at the start", "p_q is 1.4 as written, 1.41 in the module"),
+        ("pendulum", '"p": 1.4', '"p": 1.41', "values at the start", "p is 1.4 as written, 1.41 in the module"),
         ("pendulum", "return 0.5*p_k**2 - ", "return 0.5*p_k**2 + ", "energy", "H is"),
         ("low_thrust", "w2_k**2 - 1  #", "w2_k**2 + 1  #", "path conditions", r"w1\*\*2 \+ w2\*\*2 <= 1 is"),
     ],
