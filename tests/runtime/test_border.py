@@ -69,3 +69,12 @@ def test_equations_with_diagonals_or_large_curvatures_keep_the_search_for_pivots
     smaller, unknowns = shooting_grid(grid), shooting_unknowns(grid, trial_point(module, grid, 2, 0.1))
     for diagonal in (shifts(module, smaller, 1.0, 1e-2), shifts(module, smaller, 1e12, 0.0)):
         assert_steps_are_dense(module, smaller, diagonal, unknowns)
+
+
+def test_a_null_direction_of_the_hessian_does_not_stall_a_search(interpreted):
+    """Nodal controls have a mode that costs nothing; the optimal cost is that of controls on intervals."""
+    nodal, constant = (interpreted("linear_pendulum", controls=controls) for controls in ("nodal", "interval"))
+    for steps in range(190, 211, 2):
+        solution = nodal.solve(steps)
+        assert solution.status == "solved"
+        assert solution.cost == pytest.approx(constant.solve(steps).cost, rel=1e-9)

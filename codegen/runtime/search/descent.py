@@ -659,8 +659,11 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
             slope, of_rounding, longest, dual_length = measure_step(
                 grid, bounds, x, right, step, distance, duals, mu, barriers[DUAL_STEP]
             )
-            if delta_c == 0.0 and of_rounding:
+            if of_rounding and delta_c == 0.0:
                 delta_c = shift_c
+                continue
+            if of_rounding and delta_w == 0.0:  # a null direction of the Hessian, not of the equations
+                delta_w = least
                 continue
             if not is_bounded and delta_c > 0.0 and last == 0.0 < delta_w < 1.0:
                 size, largest = 0.0, 1.0
