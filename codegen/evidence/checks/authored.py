@@ -81,6 +81,8 @@ _SEEDS = (1, 2)
 """One random motion for each seed."""
 _AMPLITUDES = (0.25, 0.1, 0.03, 0.01)
 """Sizes of the random part of a motion, relative to its quantities, which are tried until all expressions are real."""
+_SCALES = (1.0, 1e-2, 1e-4, 1e-6)
+"""Lengths of the steps whose limit is taken, relative to the problem's own."""
 _MOST_NAMES = 8
 """Largest number of names in the text of a finding that passed."""
 _NEAR = 1e-7
@@ -667,7 +669,6 @@ def _simulation(author: Author) -> Iterator[Finding]:
     pairs = zip(names, expected, grid.start, strict=True)
     yield from _verdict("values at the start", [number_item(str(n), a, b) for n, a, b in pairs])
     motions, energies, generator = list[Item](), list[Item](), np.random.default_rng(5)
-    lengths = [author.durations[0] / phase.steps / 2**i for i in range(1, 6)]
     moving = [*author.coordinates, *author.rates]
     for _ in range(3):
         values: dict[sympy.Symbol, Any] = dict(start)
@@ -677,19 +678,39 @@ def _simulation(author: Author) -> Iterator[Finding]:
         t = generator.uniform(0.0, author.durations[0], 1)
         values[author.time] = t
         state, terms = _state(author, values), _rates(author, values, t)
-        steps = []
-        for h in lengths:
-            short = module.make_grid(1, **arguments, duration=h)
-            steps.append((np.asarray(module.step(short, state, float(t[0]))) - state) / h)
-        for i, name in enumerate(names):
-            limit, error = extrapolated([row[i] for row in steps])
-            size = sum(abs(term) for term in terms[i]) + 1e-6 * max(abs(x) for row in terms for x in row)
-            motions.append(Item(str(name), sum(terms[i]), limit, LIMIT * size, error))
+        sizes = [sum(abs(term) for term in row) for row in terms]
+        sizes = [size + 1e-6 * max(sizes) for size in sizes]
+        limits = _step_limits(author, state, float(t[0]), sizes)
+        for name, row, size, (limit, error) in zip(names, terms, sizes, limits, strict=True):
+            motions.append(Item(str(name), sum(row), limit, LIMIT * size, error))
         if author.rates and (energy := getattr(module, "energy", None)) is not None:
             exact, size = _energy(author, values, t)
-            energies.append(Item("H", exact, float(energy(state, float(t[0]), short.parameters)), 1e-10 * size))
+            parameters = module.make_grid(1, **arguments).parameters
+            energies.append(Item("H", exact, float(energy(state, float(t[0]), parameters)), 1e-10 * size))
     yield from _verdict("equations of motion", motions)
     yield from _verdict("energy", energies)
+
+
+def _step_limits(author: Author, state: Array, t: float, sizes: Sequence[float]) -> list[tuple[float, float]]:
+    """Return, for each entry of the state, the limit of the change per time for short steps, and its error.
+
+    Of several step lengths, down to a millionth of the problem's own, those with the least errors relative to `sizes`
+    are taken: stiff dynamics need short steps, and very short steps have rounding errors.
+    """
+    found = list[list[tuple[float, float]]]()
+    for scale in _SCALES:
+        rows = []
+        for h in (scale * author.durations[0] / author.first.steps / 2**i for i in range(1, 6)):
+            grid = author.module.make_grid(1, **author.arguments, duration=h)
+            rows.append((np.asarray(author.module.step(grid, state, t)) - state) / h)
+        found.append([extrapolated(column) for column in zip(*rows, strict=True)])
+
+    def worst(limits: list[tuple[float, float]]) -> float:
+        """Return the largest relative error, infinite if any error is not a number."""
+        errors = [error / size for (_, error), size in zip(limits, sizes, strict=True)]
+        return max(errors) if all(map(math.isfinite, errors)) else math.inf
+
+    return min(found, key=worst)
 
 
 def _state(author: Author, values: Values) -> Array:
