@@ -662,7 +662,7 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
             if of_rounding and delta_c == 0.0:
                 delta_c = shift_c
                 continue
-            if of_rounding and delta_w == 0.0:  # a null direction of the Hessian, not of the equations
+            if of_rounding and delta_w == 0.0 and not is_bounded:  # a null direction of the Hessian, not of equations
                 delta_w = least
                 continue
             if not is_bounded and delta_c > 0.0 and last == 0.0 < delta_w < 1.0:
