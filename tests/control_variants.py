@@ -8,6 +8,7 @@ import numpy as np
 
 from codegen.runtime.search import point
 from codegen.runtime.search.grid import free_unknowns
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
 
 DOUBLE_PENDULUM = '''"""Double pendulum whose boundary conditions leave coupled velocities free."""
 from sympy import cos, pi
@@ -108,6 +109,20 @@ def dense_kkt(module: Any, grid: Any, unknowns: np.ndarray) -> np.ndarray:
     np.add.at(matrix, (multipliers[rows], primal[columns]), values)
     np.add.at(matrix, (primal[columns], multipliers[rows]), values)
     return matrix
+
+
+def assert_steps_are_dense(module: Any, grid: Any, diagonal: np.ndarray, unknowns: np.ndarray) -> Any:
+    """Compare the steps with and without the right-hand side in the elimination; return the storage of the factors."""
+    free = np.flatnonzero(free_unknowns(grid))
+    right = np.where(free_unknowns(grid), np.random.default_rng(3).normal(size=unknowns.size), 0.0)
+    system, carried, again = allocate_system(grid), np.zeros(unknowns.size), np.zeros(unknowns.size)
+    assert is_factored(factor_kkt(grid, unknowns, 1.0, diagonal, system, right, carried))
+    solve_kkt(grid, system, right, again)
+    matrix = (dense_kkt(module, grid, unknowns) + np.diag(diagonal))[np.ix_(free, free)]
+    expected = np.linalg.solve(matrix, -right[free])
+    for step in (carried, again):
+        np.testing.assert_allclose(step[free], expected, rtol=1e-7, atol=1e-7 * np.abs(expected).max())
+    return system
 
 
 def shifts(module: Any, grid: Any, shift: float, delta_c: float) -> np.ndarray:

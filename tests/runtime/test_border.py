@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from control_variants import VARIANTS, dense_kkt, shifts, trial_point
+from control_variants import VARIANTS, assert_steps_are_dense, shifts, trial_point
 
-from codegen.runtime.search.grid import free_unknowns
-from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.runtime.search.shooting import shooting_grid, shooting_unknowns
 
 STEPS = 17
@@ -26,20 +24,6 @@ def last_bordered(grid, system):
     """Return the number of the last block with a border of the first body, 0 if the border stays to the end."""
     s = grid.problem.structure
     return system.orders[grid.steps * (s.stride - s.condensed - 2 * s.stages) + s.node + s.border.size]
-
-
-def assert_steps_are_dense(module, grid, diagonal, unknowns):
-    """Compare the steps with and without the right-hand side in the elimination; return the storage of the factors."""
-    free = np.flatnonzero(free_unknowns(grid))
-    right = np.where(free_unknowns(grid), np.random.default_rng(3).normal(size=unknowns.size), 0.0)
-    system, carried, again = allocate_system(grid), np.zeros(unknowns.size), np.zeros(unknowns.size)
-    assert is_factored(factor_kkt(grid, unknowns, 1.0, diagonal, system, right, carried))
-    solve_kkt(grid, system, right, again)
-    matrix = (dense_kkt(module, grid, unknowns) + np.diag(diagonal))[np.ix_(free, free)]
-    expected = np.linalg.solve(matrix, -right[free])
-    for step in (carried, again):
-        np.testing.assert_allclose(step[free], expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
-    return system
 
 
 @pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
