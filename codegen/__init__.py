@@ -25,6 +25,7 @@ _MODULES = {
     **dict.fromkeys(["load"], "codegen.solving.loading"),
     **dict.fromkeys(["Solver", "compile"], "codegen.solver"),
     **dict.fromkeys(["solve"], "codegen.solving.api"),
+    **dict.fromkeys(["Solutions", "solve_many"], "codegen.batch.many"),
     **dict.fromkeys(["sweep"], "codegen.batch.sweep"),
 }
 
@@ -38,6 +39,7 @@ __all__ = [
     "Phases",
     "Points",
     "Simulate",
+    "Solutions",
     "Solver",
     "Table",
     "Trajectory",
@@ -60,6 +62,7 @@ __all__ = [
     "particle",
     "particles",
     "solve",
+    "solve_many",
     "state",
     "states",
     "sweep",
@@ -68,6 +71,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from codegen.batch.many import Solutions, solve_many
     from codegen.batch.sweep import sweep
     from codegen.errors import CodegenError
     from codegen.mpc.closed_loop import close_loop

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import cfunc, config, types
+from numba import cfunc, config, typeof, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
@@ -172,6 +172,41 @@ def _calling_with_tuple(returned, address, values):
         return value if returned is types.float64 else context.get_dummy_value()
 
     return returned(address, values), generate
+
+
+def calling_compiled(returned):
+    """Return a function (address, arguments) that calls a function of numba, which returns the type `returned`.
+
+    The function must raise nothing. Its address comes from `address_of_compiled`. The types in the tuple `arguments`
+    must be the types for which it is compiled.
+    """
+
+    @compiled_or(lambda function, arguments: function(*arguments))
+    def calling(typingctx, address, arguments):
+        kinds = tuple(arguments.types)
+
+        def generate(context, builder, _, values):
+            kind = context.call_conv.get_function_type(returned, kinds).as_pointer()
+            function = builder.inttoptr(values[0], kind)
+            given = cgutils.unpack_tuple(builder, values[1])
+            return context.call_conv.call_function(builder, function, returned, kinds, given)[1]
+
+        return returned(types.int64, arguments), generate
+
+    return calling
+
+
+def address_of_compiled(function, arguments):
+    """Return the address of the machine code of a function of numba for the types of `arguments`.
+
+    If numba is switched off, return the function itself.
+    """
+    if config.DISABLE_JIT:
+        return function
+    signature = tuple(typeof(argument) for argument in arguments)
+    function.compile(signature)
+    code = function.overloads[signature]
+    return code.library.get_pointer_to_function(code.fndesc.llvm_func_name)
 
 
 @compiled_or(lambda array: array.ctypes.data)

@@ -1,0 +1,380 @@
+"""The function `codegen.solve_many`: arrays of parameters in, arrays of optima out, on the threads of this machine."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
+
+from codegen.batch.executors import team_size
+from codegen.batch.optima import Limits, optima
+from codegen.errors import ArgumentError, ExtraError, NumericsError, clause, one_line
+from codegen.runtime.search.batch import Optimum
+from codegen.runtime.search.problem import ControlProblem
+from codegen.solving import compiler, loading
+from codegen.solving.loading import ControlModule, Matrix, Vector, is_control
+from codegen.solving.machine_code import processes
+from codegen.solving.progress import building, shown_from_call
+from codegen.solving.request import Request, overridable, require_options, with_values
+from codegen.solving.results.control import control_result
+from codegen.solving.results.result import ControlAttempt, Result, Run, component_names
+from codegen.solving.results.segments import put_together, segments_of
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+SOLVED, UNUSABLE = "solved", "unusable"
+"""Statuses of a case: solved, and numbers with which no grid exists."""
+MOST_AT_ONCE, LEAST_PARTS = 2000, 8
+"""Largest number of cases that a thread takes at a time; least number of such parts for each thread."""
+_OPTIONS = "arguments scheme method controls out tolerance max_iterations time_limit scaling".split()
+"""Options of `codegen.solve` that apply to many cases."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solutions:
+    """The optima of n cases; `solutions[i]` is the Result of case i.
+
+    Attributes
+    ----------
+    status, message : ndarray of str, (n,)
+        The termination status, such as "solved", and its explanation, as of `codegen.solve`. The status is "unusable"
+        for a case whose numbers have no grid, such as a negative duration.
+    cost, residual, stationarity : ndarray, (n,)
+        The cost, and the max-norms of all discrete equations and of the optimality conditions, as of `codegen.solve`.
+        The cost of a case that is not solved is NaN.
+    iterations : ndarray of int, (n,)
+        Numbers of iterations.
+    unknowns : ndarray, (n, m)
+        All unknowns of each case, which `guess` of another call takes. NaN for an unusable case.
+    parameters : dict of str to ndarray (n,)
+        The numbers that differ from those of the problem.
+    steps : int
+        Number of intervals, in each phase or segment.
+    module : module
+        The generated module.
+    """
+
+    status: NDArray[np.str_]
+    message: NDArray[np.object_]
+    cost: Vector
+    residual: Vector
+    stationarity: Vector
+    iterations: NDArray[np.int64]
+    unknowns: Matrix
+    parameters: Mapping[str, Vector]
+    steps: int
+    module: ControlModule
+    limits: Limits = field(default_factory=Limits)
+
+    @property
+    def solved(self) -> NDArray[np.bool_]:
+        """A mask (n,) of the solved cases."""
+        return np.asarray(self.status == SOLVED)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The number of cases of each status, the most frequent first."""
+        return dict(Counter(self.status.tolist()).most_common())
+
+    @cached_property
+    def free(self) -> dict[str, Vector]:
+        """The values (n,) of each free parameter, such as a free duration; NaN for a case that is not solved."""
+        names = self.module.metadata.free_parameters
+        last = self.unknowns.shape[1] - self.module.problem.structure.couplings
+        values = np.where(self.solved[:, None], self.unknowns[:, last - len(names) : last], np.nan)
+        return {name: values[:, i] for i, name in enumerate(names)}
+
+    @property
+    def t(self) -> Matrix:
+        """Times of the nodes, (n, N + 1)."""
+        return self._motions["t"]
+
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """Coordinates or states, (n, N + 1, coordinates); NaN for a case that is not solved."""
+        return self._motions["q"]
+
+    @property
+    def p(self) -> NDArray[np.float64]:
+        """Momenta, (n, N + 1, coordinates)."""
+        return self._motions["p"]
+
+    @property
+    def u(self) -> NDArray[np.float64]:
+        """Controls, (n, rows, controls), with a row for each interval or node as `Result.u` has."""
+        return self._motions["u"]
+
+    @property
+    def multipliers(self) -> NDArray[np.float64]:
+        """Multipliers of the equations, (n, rows, multipliers)."""
+        return self._motions["multipliers"]
+
+    @property
+    def names(self) -> dict[str, tuple[str, ...]]:
+        """The names of the columns of q, p and u."""
+        return dict(self[int(np.argmax(self.solved))].names) if self.solved.any() else component_names(self.module.metadata)
+
+    def __len__(self) -> int:
+        return int(self.status.size)
+
+    def __iter__(self) -> Iterator[Result]:
+        return (self[i] for i in range(len(self)))
+
+    def __getitem__(self, index: int) -> Result:
+        """Return the Result of a case, whose equations are evaluated once more; raises IndexError beyond the end."""
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"case {index} of {len(self)}")
+        if self.status[index] == UNUSABLE:
+            raise NumericsError(clause(f"case {index}: {self.message[index]}"), "look at `status` before")
+        module = with_values(self.module, {name: float(values[index]) for name, values in self.parameters.items()})
+        tolerance = self.limits.tolerance or 1e-10
+        run = Run(self.steps, tolerance=tolerance, scaling=self.limits.scaling)
+        attempt = ControlAttempt(
+            str(self.status[index]), str(self.message[index]), int(self.iterations[index]), self.unknowns[index],
+            tolerance, is_explained=True, generated=True,
+        )  # fmt: skip
+        return put_together(control_result(module, "newton", run, attempt), module.metadata)
+
+    @cached_property
+    def _motions(self) -> dict[str, NDArray[np.float64]]:
+        """The arrays of all motions by name; they are computed from the unknowns on first use."""
+        names, is_whole = ("t", "q", "p", "u", "multipliers"), segments_of(self.module.metadata) is None
+        keys = overridable(self.module)
+        parts: dict[int, Any] = {}
+        for i in np.flatnonzero(self.solved).tolist():
+            if is_whole:
+                own = given(keys, {name: float(values[i]) for name, values in self.parameters.items()})
+                parts[i] = self.module.unpack(self.module.make_grid(self.steps, **own), self.unknowns[i])
+            else:
+                parts[i] = [getattr(self[i], name) for name in names]
+        arrays = {}
+        for j, name in enumerate(names):
+            shape = next((part[j].shape for part in parts.values()), (0,) if name == "t" else (0, 0))
+            arrays[name] = np.full((len(self), *shape), np.nan)
+            for i, part in parts.items():
+                arrays[name][i] = part[j]
+        return arrays
+
+    def to_dataset(self) -> Dataset:
+        """Return the solutions as an xarray data set with the dimension `case`; raises ExtraError without xarray."""
+        try:
+            import xarray
+        except ImportError:
+            raise ExtraError("to_dataset needs xarray, which is not installed", "pip install xarray") from None
+        columns = {"q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier"}
+        data = {
+            name: ("case", getattr(self, name))
+            for name in ("status", "cost", "residual", "stationarity", "iterations")
+        }
+        data["message"] = ("case", self.message.astype(np.str_))
+        data |= {name: ("case", values) for name, values in self.free.items()}
+        names, coordinates = self.names, {name: ("case", values) for name, values in self.parameters.items()}
+        nodes = self.t.shape[1]
+        for name, dim in columns.items():
+            array = getattr(self, name)
+            if not array.size:
+                continue
+            rows = "node" if array.shape[1] == nodes else "interval" if array.shape[1] == nodes - 1 else f"{name} row"
+            data[name] = (("case", rows, dim), array)
+            if name in names:
+                coordinates[dim] = (dim, list(names[name]))
+        coordinates["t"] = (("case", "node"), self.t)
+        return xarray.Dataset(data, coordinates, {"problem": self.module.metadata.problem, "steps": self.steps})
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{count} {status}" for status, count in self.counts.items())
+        varied = ", ".join(self.parameters)
+        return f"Solutions of {len(self)} cases of {self.module.metadata.problem} ({varied}): {counts}"
+
+
+def solve_many(
+    problem: Any,
+    parameters: Mapping[str, ArrayLike],
+    *,
+    steps: int | None = None,
+    guess: ArrayLike | Solutions | None = None,
+    warm: bool = False,
+    threads: int | None = None,
+    **options: Any,
+) -> Solutions:
+    """Solve one optimal control problem for many values of its parameters at once, on the threads of this machine.
+
+    Parameters
+    ----------
+    problem : path, Control, Phases, Solver or module
+        The problem, as for `codegen.solve`.
+    parameters : dict of str to array (n,) or float
+        The numbers of n cases: parameters, durations and prescribed ends by name, as for `codegen.solve`, such as
+        {"m": masses, "start.x": positions}. A number is the same in all cases.
+    steps : int
+        Number of intervals in each phase; by default the number in the problem.
+    guess : array (n, m) or (m,), or Solutions
+        Unknowns of initial guesses; by default each case starts from the problem's own guess.
+    warm : bool
+        True if the guesses are solutions of similar problems: their multipliers are then used.
+    threads : int
+        Number of threads, by default the number of available processors. Results do not depend on it.
+    **options
+        `arguments`, `scheme`, `method`, `controls`, `out`, `tolerance`, `max_iterations`, `time_limit` (of one case) and
+        `scaling`, as for `codegen.solve`.
+
+    Returns
+    -------
+    Solutions
+        Status, cost, unknowns and motions of all cases as arrays. The optima are those of `codegen.solve`. A case that
+        cannot be solved has another status than "solved", and raises nothing.
+
+    Raises
+    ------
+    ArgumentError
+        For an unknown name or option, arrays of different lengths, and a problem that is no optimal control problem.
+    NumericsError
+        For guesses of another shape.
+    CodegenError
+        As `codegen.solve`, for a problem that cannot be read or derived.
+
+    Notes
+    -----
+    A case that the first search solves costs what its compiled search takes, and some 30 microseconds. Other cases,
+    which need a restoration, other scaling factors or a varied guess, are solved again as `codegen.solve` does.
+    """
+    require_options(options)
+    if other := next((name for name in options if name not in _OPTIONS), None):
+        raise ArgumentError(f"codegen.solve_many takes no {other}", f"use one of {', '.join(_OPTIONS)}")
+    request, workers = Request(problem, steps=steps, **options), team_size(threads, None)
+    module = _module(request, building)
+    columns = _columns(module, parameters)
+    number = next((column.size for column in columns.values()), 1)
+    count = module.metadata.steps if steps is None else steps
+    if segments := segments_of(module.metadata):
+        count = segments.steps(count) if steps is not None else count
+    guesses = _guesses(module, count, guess, warm, number)
+    limits = Limits(
+        request.tolerance, request.max_iterations, math.inf if request.time_limit is None else request.time_limit,
+        request.scaling, warm,
+    )  # fmt: skip
+    keys, rows = overridable(module), zip(*(column.tolist() for column in columns.values()), strict=True)
+    arguments = [given(keys, dict(zip(columns, row, strict=True))) for row in rows] or [{}]
+    results: list[Any] = [None] * number
+    size = min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
+
+    def solve(first: int) -> None:
+        part = slice(first, first + size)
+        for block in optima(module, count, arguments[part], guesses[part], limits):
+            results[first : first + len(block)] = block
+            first += len(block)
+
+    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
+        try:
+            for _ in pool.map(solve, range(0, number, size)):
+                pass
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return _solutions(module, columns, count, limits, results)
+
+
+def given(keys: Mapping[str, tuple[str, str]], values: Mapping[str, float]) -> dict[str, Any]:
+    """Return the keyword arguments of `make_grid` for values by name; `keys` is the result of `overridable`."""
+    arguments = dict[str, Any]()
+    for name, value in values.items():
+        argument, quantity = keys[name]
+        if quantity:
+            arguments.setdefault(argument, {})[quantity] = value
+        else:
+            arguments[argument] = value
+    return arguments
+
+
+def _module(request: Request, working: Callable[[str], Any]) -> Any:
+    """Return the module of a request, built and compiled; raises ArgumentError unless its problem has controls."""
+    if request.is_built:
+        is_file = isinstance(request.problem, str | Path)
+        module: Any = loading.load(request.problem) if is_file else request.problem
+    else:
+        with shown_from_call(working, "Deriving") as deriving:
+            build = compiler.build(
+                request.source, request.settings, scheme=request.scheme, method=request.method,
+                controls=request.controls, out=request.out, deriving=deriving,
+            )  # fmt: skip
+        module = loading.load(build.path)
+        processes.require(build.path, module, build.written, working)
+    request.driver_for(module)
+    if not is_control(module):
+        finding = f"{module.metadata.problem} is a {module.metadata.task} problem"
+        raise ArgumentError(clause(finding), "use codegen.sweep, which solves all kinds of problems")
+    if not isinstance(module.problem, ControlProblem):
+        raise ArgumentError("a standalone module solves one case at a time", "build it without --standalone")
+    return module
+
+
+def _columns(module: ControlModule, parameters: Mapping[str, ArrayLike]) -> dict[str, Vector]:
+    """Return the values (n,) of each parameter for all cases; raises ArgumentError for unusable names or shapes."""
+    if not isinstance(parameters, Mapping):
+        raise ArgumentError(clause(f"parameters is {parameters!r}"), 'give arrays by name, as {"m": [1.0, 2.0]}')
+    columns = {}
+    for name, values in parameters.items():
+        try:
+            columns[name] = np.atleast_1d(np.asarray(values, dtype=float))
+        except (TypeError, ValueError):
+            raise ArgumentError(clause(f"{name} is {one_line(repr(values))}"), "give an array of numbers") from None
+        if columns[name].ndim != 1:
+            raise ArgumentError(f"{name} has shape {columns[name].shape}", "give an array with one number for each case")
+    sizes = {name: column.size for name, column in columns.items() if np.ndim(parameters[name])}
+    if len(set(sizes.values())) > 1 or 0 in sizes.values():
+        lengths = ", ".join(f"{name} has {size}" for name, size in sizes.items())
+        raise ArgumentError(f"the numbers of cases differ or are zero: {lengths}", "give arrays of the same length")
+    with suppress(NumericsError):  # the numbers of single cases may be unusable
+        with_values(module, {name: float(column[0]) for name, column in columns.items()})
+    number = next(iter(sizes.values()), 1)
+    return {name: np.ascontiguousarray(np.broadcast_to(column, number)) for name, column in columns.items()}
+
+
+def _guesses(
+    module: ControlModule, steps: int, guess: ArrayLike | Solutions | None, warm: bool, number: int
+) -> list[Vector | None]:
+    """Return a guess (m,) for each case; None for the problem's own guess, also in place of NaN."""
+    if guess is None:
+        if warm:
+            raise ArgumentError("warm without a guess", "give the unknowns of similar solutions as guess")
+        return [None] * number
+    table = guess.unknowns if isinstance(guess, Solutions) else np.asarray(guess, dtype=float)
+    size = module.make_grid(steps).is_multiplier.size
+    if table.shape not in ((size,), (number, size)):
+        finding = f"guess has shape {table.shape}, expected ({size},) or ({number}, {size})"
+        raise NumericsError(finding, "give unknowns of the same problem on as many intervals")
+    rows = np.broadcast_to(table, (number, size))
+    return [row if is_finite else None for row, is_finite in zip(rows, np.isfinite(rows).all(axis=1), strict=True)]
+
+
+def _solutions(
+    module: ControlModule, columns: dict[str, Vector], steps: int, limits: Limits, results: list[Optimum | Exception]
+) -> Solutions:
+    """Return the Solutions with these results."""
+    number, found = len(results), [one for one in results if isinstance(one, Optimum)]
+    size = found[0].unknowns.size if found else 0
+    status, message = np.empty(number, object), np.empty(number, object)
+    cost, residual, stationarity = (np.full(number, np.nan) for _ in range(3))
+    iterations, unknowns = np.zeros(number, np.int64), np.full((number, size), np.nan)
+    for i, one in enumerate(results):
+        if isinstance(one, Optimum):
+            status[i], message[i], iterations[i], unknowns[i] = one.status, one.message, one.iterations, one.unknowns
+            residual[i], stationarity[i] = one.residual, one.stationarity
+            cost[i] = one.cost if one.status == SOLVED else np.nan
+        else:
+            status[i], message[i] = UNUSABLE, f"{UNUSABLE}: {one_line(str(one))}"
+    return Solutions(
+        status.astype(np.str_), message, cost, residual, stationarity, iterations, unknowns, columns, steps, module,
+        limits,
+    )  # fmt: skip

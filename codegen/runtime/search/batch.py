@@ -1,0 +1,570 @@
+"""Many problems of one module that differ in their numbers only: one compiled call solves one after the other.
+
+The compiled function `solve_cases` holds no lock of the Python interpreter. Threads that each solve a block of cases
+therefore work side by side. For each case, it does what `solve.optimise_from` does for a search that succeeds at once:
+scaling factors, Newton's steps, the tests of the solution, and the corrected cost. A case that needs more, such as a
+restoration, other scaling factors or another guess, is marked. It is then solved from the beginning by `solve_on`.
+
+`solve_cases` calls `descent.descend` and other large functions by the addresses of their machine code. Their code would
+otherwise be compiled a second time as part of this function.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, types
+
+from codegen.runtime.addresses import address_of_compiled, calling_compiled
+from codegen.runtime.search import descent
+from codegen.runtime.search.bounds import bounds_of
+from codegen.runtime.search.cascade import WORSE, clip
+from codegen.runtime.search.descent import (
+    COST, DISTANCE, DUALS, ERROR, IS_BESIDE, IS_COSTLESS, ITERATIONS, RESIDUAL, STAGE, STATIONARITY, VIOLATION, G, X,
+)  # fmt: skip
+from codegen.runtime.search.grid import NONE, layout_of, least_duration, views
+from codegen.runtime.search.iterates import FROM_GUESS, finite_bounds, keep_storage, search_on
+from codegen.runtime.search.linear_system import factor_at, fill_entry_factors, solve_at
+from codegen.runtime.search.messages import describe
+from codegen.runtime.search.point import Point, fill, measured_gradient
+from codegen.runtime.search.scaling import fill_scaling_factors, quantities_of, sampled
+from codegen.runtime.search.shooting import kept_unknowns, like_unknowns, shooting_grid, shooting_unknowns
+from codegen.runtime.search.solve import (
+    LARGE_CORRECTION,
+    ROUNDED,
+    ROUNDINGS,
+    SLOW,
+    STEEP,
+    STEEPER,
+    STEEPER_COST,
+    correction,
+    optimise,
+)
+from codegen.runtime.search.termination import GROWTH
+
+VERIFIED = 10.0  # largest residual and stationarity of a solution that is evaluated again, relative to the tolerance
+
+
+class Common(NamedTuple):
+    """What all cases of a batch have in common: the search, and the problem with stages.
+
+    Attributes
+    ----------
+    problem, with_stages : tuple of int
+        Addresses of the loops for gradient and second derivatives and of the linear system, of the problem that is
+        searched. Addresses of the loops for gradient and second derivatives of the problem with stages, and of the loop
+        that computes stages. The last is zero if the search has the stages itself.
+    steps : int
+        The number of intervals.
+    nodes : (N + 1,)
+        Times of the nodes in mean lengths of an interval.
+    is_multiplier, all_are_multiplier : (n,), (m,)
+        Masks of multipliers, among the n unknowns of the search and among all m unknowns with stages.
+    ties, all_ties, is_free, fillings : array
+        See `iterates.arguments_of`.
+    kinds, counts, places, lacks : array
+        See `scaling.sampled`.
+    is_slack : (m,)
+        Mask of slacks.
+    kept, like : (n,), (m,)
+        Indices of the unknowns of the search among all unknowns, and for each of all unknowns the index of one of the
+        search with the same quantity. Both are 0, 1, 2, ... if the search has the stages itself.
+    local_is_multiplier, without_cost : array
+        See `linear_system.with_entry_factors`.
+    is_linear, is_costless, is_scaled : bool
+        True for a linear-quadratic problem, for a problem without a cost, and for automatic scaling factors.
+    """
+
+    problem: tuple[int, int, int]
+    with_stages: tuple[int, int, int]
+    steps: int
+    nodes: np.ndarray
+    is_multiplier: np.ndarray
+    all_are_multiplier: np.ndarray
+    ties: np.ndarray
+    all_ties: np.ndarray
+    is_free: np.ndarray
+    fillings: np.ndarray
+    kinds: np.ndarray
+    counts: np.ndarray
+    places: np.ndarray
+    lacks: np.ndarray
+    is_slack: np.ndarray
+    kept: np.ndarray
+    like: np.ndarray
+    local_is_multiplier: np.ndarray
+    without_cost: np.ndarray
+    is_linear: bool
+    is_costless: bool
+    is_scaled: bool
+
+
+class Numbers(NamedTuple):
+    """The numbers of k cases.
+
+    Attributes
+    ----------
+    h : (k,)
+        Mean lengths of an interval.
+    parameters : (k, bodies, P)
+        Parameters, see `Grid`.
+    guesses : (k, n)
+        The guesses of a search, in the problem's own units.
+    lower, upper : (k, m)
+        Least and greatest values of all unknowns; (k, 0) without bounds.
+    """
+
+    h: np.ndarray
+    parameters: np.ndarray
+    guesses: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+class Found(NamedTuple):
+    """What a batch has found for k cases.
+
+    Attributes
+    ----------
+    is_found : (k,)
+        True if the case is solved, False if it has to be solved by itself.
+    unknowns : (k, n)
+        The unknowns of the search, in the problem's own units.
+    sizes, weights : (k, m), (k,)
+        Scaling factors of all unknowns and of the cost; sizes are ones for a case without scaling factors.
+    are_scaled : (k,)
+        True for a case with scaling factors.
+    costs, stationarities : (k,)
+        The corrected cost, and the stationarity, which is the change of the cost if unknowns change by their factors.
+    iterations : (k,)
+        Numbers of iterations.
+    """
+
+    is_found: np.ndarray
+    unknowns: np.ndarray
+    sizes: np.ndarray
+    weights: np.ndarray
+    are_scaled: np.ndarray
+    costs: np.ndarray
+    stationarities: np.ndarray
+    iterations: np.ndarray
+
+
+_FIVE = types.UniTuple(types.float64, 5)
+call_descend = calling_compiled(types.int64)
+call_begin_beside = calling_compiled(types.none)
+call_scaling = calling_compiled(types.Tuple((types.float64, types.boolean)))
+call_clip = calling_compiled(_FIVE)
+call_terms = calling_compiled(types.UniTuple(types.float64, 2))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def solve_cases(calls, common, quantities, system, numbers, tolerance, limit, is_warm, reals, integers, vectors, barriers,
+                pairs, room, log, entries, factors, found):  # fmt: skip
+    """Solve all cases in turn, and fill `found`.
+
+    Parameters
+    ----------
+    calls : tuple of int
+        Addresses of `descend`, `begin_beside`, `fill_scaling_factors`, `clip` and `terms`.
+    common, numbers, found : Common, Numbers, Found
+        What the cases have in common, their numbers, and the results.
+    quantities : Quantities
+        See `scaling`.
+    system : tuple
+        Storage of the linear system, see `descent.descend`.
+    tolerance, limit, is_warm : float, int, bool
+        Tolerance, largest number of iterations of a case, and True if guesses are solutions of similar problems.
+    reals, integers, vectors, barriers, pairs, room, log : array
+        Work space, see `descent.descend`; `room` is (0, n).
+    entries, factors : array
+        Work space for all second derivatives with stages, and (5, m) for scaling factors.
+    """
+    for case in range(numbers.h.size):
+        found.is_found[case] = False
+        solve_case(
+            case, calls, common, quantities, system, numbers, tolerance, limit, is_warm, reals, integers, vectors,
+            barriers, pairs, room, log, entries, factors, found,
+        )  # fmt: skip
+
+
+@njit(error_model="numpy")
+def solve_case(case, calls, common, quantities, system, numbers, tolerance, limit, is_warm, reals, integers, vectors,
+               barriers, pairs, room, log, entries, factors, found):  # fmt: skip
+    """Solve one case, and fill its row of `found`; return as soon as the case has to be solved by itself."""
+    x, guess, parameters, h = vectors[X], numbers.guesses[case], numbers.parameters[case], numbers.h[case]
+    sizes, work, finer = factors[0], factors[1:4], factors[4]
+    lower, upper, n, kept = numbers.lower[case], numbers.upper[case], x.size, common.kept
+    weight, is_scaled = 1.0, False
+    if common.is_scaled:
+        weight, is_scaled = factors_at(
+            calls, common, quantities, h, parameters, guess, lower, upper, False, entries, work, sizes
+        )
+    found.weights[case], found.are_scaled[case] = weight, is_scaled
+    for i in range(sizes.size):
+        found.sizes[case, i] = sizes[i] if is_scaled else 1.0
+    count = n if is_scaled else 0
+    own_sizes, forces = np.empty(count), np.empty(count)
+    for i in range(count):
+        own_sizes[i] = sizes[kept[i]]
+        forces[i] = weight * own_sizes[i]
+    entry_factors = np.empty((2, common.without_cost.size))
+    scaled, costless = own_sizes[:0], common.without_cost
+    if is_scaled:
+        fill_entry_factors(
+            own_sizes, forces, system[9], system[10], common.local_is_multiplier, common.without_cost, system[7],
+            entry_factors,
+        )  # fmt: skip
+        scaled, costless = entry_factors[0], entry_factors[1]
+    system = (
+        system[0], system[1], system[2], system[3], scaled, costless, system[6], system[7], system[8], system[9],
+        system[10],
+    )  # fmt: skip
+    count = n if lower.size else 0
+    least, greatest = np.empty(count), np.empty(count)
+    for i in range(count):
+        unit = 1.0 if common.is_slack[kept[i]] or not is_scaled else own_sizes[i]
+        least[i], greatest[i] = lower[kept[i]] / unit, upper[kept[i]] / unit
+        if least[i] > greatest[i]:
+            return
+    indices, side, magnitude, value = finite_bounds(least, greatest)
+    if indices.size != barriers.shape[1]:
+        return
+    bounds = indices, side, magnitude, value, least, greatest
+    grid = (
+        common.steps, h, common.nodes, parameters, common.is_multiplier, own_sizes, forces, weight, common.ties,
+        common.is_free, common.fillings,
+    )  # fmt: skip
+    for i in range(n):
+        x[i] = guess[i] / own_sizes[i] if is_scaled else guess[i]
+    if common.is_linear:
+        if not newton_steps(calls, common, grid, system, tolerance, reals, integers, vectors):
+            return
+    elif not searched(
+        calls, common, grid, system, bounds, tolerance, limit, is_warm, reals, integers, vectors, barriers, pairs, room,
+        log,
+    ):  # fmt: skip
+        return
+    found.iterations[case], found.stationarities[case] = integers[ITERATIONS], reals[STATIONARITY] / weight
+    for i in range(n - system[7][5], n):  # linking variables, such as a free duration, may grow without limit
+        if not abs(x[i]) <= GROWTH:
+            return
+    for i in range(n):
+        found.unknowns[case, i] = x[i] * own_sizes[i] if is_scaled else x[i]
+    if is_scaled and are_other_factors(
+        calls, common, quantities, h, parameters, found.unknowns[case], lower, upper, sizes, weight, entries, work,
+        vectors[descent.TRIAL], finer,
+    ):  # fmt: skip
+        return
+    by = 0.0 if common.is_linear else correction(x, vectors[G], common.is_multiplier, least, greatest)
+    if abs(by) > LARGE_CORRECTION * abs(reals[COST]):
+        by = 0.0
+    found.costs[case] = (reals[COST] + by) / weight
+    found.is_found[case] = True
+
+
+@njit(error_model="numpy")
+def factors_at(calls, common, quantities, h, parameters, unknowns, lower, upper, is_solution, entries, work, sizes):
+    """Fill the scaling factors `sizes` (m,) at the `unknowns` (n,) of a search; return what `scaled_grid` uses."""
+    whole = np.empty(sizes.size)
+    for i in range(sizes.size):
+        whole[i] = unknowns[common.like[i]]
+    return call_scaling(
+        calls[2],
+        (
+            quantities, common.with_stages[0], common.with_stages[1], common.steps, h, common.nodes, parameters,
+            common.all_are_multiplier, whole, lower, upper, common.all_ties, common.kinds, common.counts, common.places,
+            common.lacks, is_solution, entries, work, sizes,
+        ),
+    )  # fmt: skip
+
+
+@njit(error_model="numpy")
+def are_other_factors(calls, common, quantities, h, parameters, unknowns, lower, upper, sizes, weight, entries, work,
+                      begin, finer):  # fmt: skip
+    """Return True if scaling factors at a solution are much larger than those at the guess, see `optimise_from`.
+
+    `begin` (n,) and `finer` (m,) are work space.
+    """
+    for i in range(unknowns.size):
+        begin[i] = 0.0 if common.is_multiplier[i] else unknowns[i]
+    finer_weight, is_scaled = factors_at(
+        calls, common, quantities, h, parameters, begin, lower, upper, True, entries, work, finer
+    )
+    for i in common.kept:
+        force = finer_weight * finer[i] if is_scaled else 1.0
+        if force > (STEEPER if common.all_are_multiplier[i] else STEEPER_COST) * weight * sizes[i]:
+            return True
+    return False
+
+
+@njit(error_model="numpy")
+def searched(calls, common, grid, system, bounds, tolerance, limit, is_warm, reals, integers, vectors, barriers, pairs,
+             room, log):  # fmt: skip
+    """Search from the unknowns in the work space as `newton.descend` does; return True if the search succeeds at once.
+
+    The iterate, with unknowns inside their bounds, stays in the work space.
+    """
+    problem, x, g, is_bounded = common.problem, vectors[X], vectors[G], bounds[0].size > 0
+    reals[:] = 0.0
+    integers[:] = 0
+    reals[descent.LEAST_RELAXATION], integers[IS_COSTLESS] = descent.LEAST_RELAXED, common.is_costless
+    if is_warm:
+        call_begin_beside(calls[1], (problem, grid, bounds, tolerance, reals, integers, vectors, barriers))
+        integers[STAGE] = descent.WITH_ITERATE
+        reals[descent.SHORTEST], reals[descent.FUNNEL] = FROM_GUESS[3], FROM_GUESS[4]
+    else:
+        for i in range(x.size):
+            if common.is_multiplier[i]:
+                x[i] = 0.0
+        reals[descent.MU], reals[descent.PUSH] = FROM_GUESS[0] if is_bounded else 0.0, FROM_GUESS[1]
+        integers[descent.LOOKS], integers[STAGE] = 1, descent.WITH_UNKNOWNS
+        reals[descent.SHORTEST], reals[descent.FUNNEL] = FROM_GUESS[3], FROM_GUESS[4]
+    status = descent.CONTINUE
+    while status == descent.CONTINUE and integers[ITERATIONS] < limit:
+        status = call_descend(
+            calls[0],
+            (
+                problem, grid, system, bounds, tolerance, limit, log.shape[0] - 1, reals, integers, vectors, barriers,
+                pairs, room, log,
+            ),
+        )  # fmt: skip
+    if status != descent.SOLVED:
+        return False
+    known = reals[COST], reals[RESIDUAL], reals[VIOLATION], reals[STATIONARITY], reals[ERROR]
+    if is_bounded:
+        inside = call_clip(
+            calls[3], (problem, grid, bounds, known, barriers[DISTANCE], barriers[DUALS], vectors, x, g)
+        )
+        if not inside[4] <= max(tolerance, WORSE * known[4]):
+            return False
+        reals[COST], reals[RESIDUAL], reals[STATIONARITY] = inside[0], inside[1], inside[3]
+    return reals[STATIONARITY] <= STEEP and reals[RESIDUAL] <= ROUNDED
+
+
+@njit(error_model="numpy")
+def newton_steps(calls, common, grid, system, tolerance, reals, integers, vectors):
+    """Solve a linear-quadratic problem as `solve.solve_linear_quadratic` does; return True on success."""
+    steps, h, nodes, parameters, is_multiplier, sizes, _, _, _, _, _ = grid
+    tables, factors, orders, entries, scaled, _, inverses, counts, equations, _, _ = system
+    problem, x, g, step, none = common.problem, vectors[X], vectors[G], vectors[descent.STEP], vectors[descent.DIAGONAL]
+    none[:] = 0.0
+    for iteration in range(4):
+        measures = measured_gradient(
+            problem[0], x, sizes, 1.0, steps, h, nodes, parameters, is_multiplier, vectors[descent.SCALED][:0], g
+        )
+        if not measures[4] < np.inf:
+            return False
+        if iteration == 0:
+            excess = factor_at(
+                problem[1], problem[2], x, sizes, vectors[descent.SCALED], scaled, steps, h, nodes, parameters, tables,
+                entries, g, none, equations, factors, orders, inverses, counts, step, True, True,
+            )  # fmt: skip
+            if excess != 0:
+                return False
+        else:
+            of_equations, of_slopes = call_terms(calls[4], (problem, grid, system, x, int(common.is_costless), vectors))
+            if is_rounded(measures[1], of_equations, tolerance) and is_rounded(measures[3], of_slopes, tolerance):
+                reals[COST], reals[RESIDUAL], reals[STATIONARITY] = measures[0], measures[1], measures[3]
+                integers[ITERATIONS] = iteration
+                for i in range(x.size):  # the Lagrangian is the cost at the nearby point where the equations hold
+                    reals[COST] += x[i] * g[i] if is_multiplier[i] else 0.0
+                return True
+            solve_at(problem[2], steps, tables, g, equations, factors, orders, inverses, counts, step)
+        for i in range(x.size):
+            x[i] += step[i]
+    return False
+
+
+@njit(error_model="numpy")
+def is_rounded(value, size, tolerance):
+    """Return True if a residual is zero to the tolerance, or to rounding; see `termination.is_small`."""
+    return value <= max(tolerance * min(1.0, size), ROUNDINGS * descent.UNIT_ROUNDOFF * size, descent.VANISHED)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def verify_cases(common, numbers, tolerance, found, gradient, whole, residuals):
+    """Evaluate all solutions again, in the problem's own units and with stages, and fill `whole` and `residuals`.
+
+    `whole` (k, m) has all unknowns: with stages if the search has none, otherwise they are given. `residuals` (k,) are
+    the largest moduli of residuals. A solution whose residual or stationarity exceeds VERIFIED times the tolerance, in
+    scaled units, is no longer found. `gradient` (m,) is work space.
+    """
+    for case in range(found.is_found.size):
+        if not found.is_found[case]:
+            continue
+        x, parameters, h = whole[case], numbers.parameters[case], numbers.h[case]
+        if common.with_stages[2] != 0:
+            fill(common.with_stages[2], found.unknowns[case], common.steps, h, common.nodes, parameters, x)
+        measures = measured_gradient(
+            common.with_stages[0], x, gradient[:0], 1.0, common.steps, h, common.nodes, parameters,
+            common.all_are_multiplier, gradient[:0], gradient,
+        )  # fmt: skip
+        residuals[case], worst = measures[1], 0.0
+        for i in range(x.size):
+            error = abs(gradient[i]) * found.weights[case] * found.sizes[case, i]
+            if numbers.lower.shape[1] and not common.all_are_multiplier[i]:
+                # A slope of the Lagrangian is permitted at a bound beyond which the cost falls.
+                below, above = x[i] - numbers.lower[case, i], numbers.upper[case, i] - x[i]
+                distance = (below if gradient[i] > 0.0 else above) / found.sizes[case, i]
+                error *= min(max(distance, 0.0), 1.0)
+            worst = max(worst, error)
+        found.is_found[case] = worst <= VERIFIED * tolerance
+
+
+class Optimum(NamedTuple):
+    """The outcome for one case: status, message, corrected cost, residual, stationarity, iterations, unknowns (m,)."""
+
+    status: str
+    message: str
+    cost: float
+    residual: float
+    stationarity: float
+    iterations: int
+    unknowns: np.ndarray
+
+
+def solve_grids(grids, guesses, tolerance, max_iterations, warm, scaling, log):
+    """Find a local minimum on each of several grids; return a list of Optimum.
+
+    The optima are those that `solution.solve_on` finds.
+
+    Parameters
+    ----------
+    grids : list of Grid
+        Grids of one problem, with as many intervals.
+    guesses : list of (m,)
+        Unknowns of initial guesses, with prescribed values.
+    tolerance, max_iterations, warm, scaling
+        See `solution.solve_on`.
+    log : callable
+        () -> Log, for a case that is solved by itself.
+    """
+    results = [None] * len(grids)
+    for alike in groups(grids):
+        of_group = solve_alike([grids[i] for i in alike], [guesses[i] for i in alike], tolerance, max_iterations, warm, scaling)
+        for i, result in zip(alike, of_group, strict=True):
+            results[i] = result
+    for i, (grid, guess) in enumerate(zip(grids, guesses, strict=True)):
+        if results[i] is None:
+            outcome = optimise(grid, guess, tolerance, max_iterations, warm, scaling, log())
+            status, message, point, iterations, _ = outcome
+            results[i] = Optimum(
+                status, message, float(point.cost), float(point.residual), float(point.stationarity), iterations,
+                point.unknowns,
+            )  # fmt: skip
+    return results
+
+
+def groups(grids):
+    """Return lists of indices of grids that differ in their numbers only: same nodes, and as many parameters."""
+    found = {}
+    for i, grid in enumerate(grids):
+        nodes = b"" if grid.is_uniform else grid.nodes.tobytes()
+        found.setdefault((grid.steps, nodes, grid.inner, grid.parameters.shape), []).append(i)
+    return list(found.values())
+
+
+def solve_alike(grids, guesses, tolerance, max_iterations, warm, scaling):
+    """Return a list of Optimum for grids of one group; None for each case that has to be solved by itself."""
+    grid, k = grids[0], len(grids)
+    problem, m = grid.problem, grid.is_multiplier.size
+    if problem.variable_bounds is not None:
+        grids = [own._replace(bounds=problem.variable_bounds(own)) for own in grids]
+        lower, upper = (np.array([own.bounds[side] for own in grids]) for side in (0, 1))
+    else:
+        lower = upper = np.empty((k, 0))
+    numbers = Numbers(
+        np.array([float(own.h) for own in grids]), np.array([own.parameters for own in grids]),
+        np.array([shooting_unknowns(grid, guess) for guess in guesses]), lower, upper,
+    )  # fmt: skip
+    search = search_on(shooting_grid(grids[0]))
+    common, work, n = common_of(grid, search, scaling), search.work, search.grid.is_multiplier.size
+    found = Found(
+        np.zeros(k, bool), np.empty((k, n)), np.empty((k, m)), np.ones(k), np.zeros(k, bool), np.empty(k), np.empty(k),
+        np.zeros(k, np.int64),
+    )  # fmt: skip
+    entries, factors = np.zeros(problem.structure.entry_count(grid.steps)), np.empty((5, m))
+    quantities = quantities_of(problem)
+    solve_cases(
+        calls_of(search, common, quantities, numbers, entries, factors, tolerance), common, quantities,
+        search.arguments[2], numbers, tolerance, min(SLOW, max_iterations), warm, work.reals, work.integers,
+        work.vectors, work.barriers, work.pairs, np.empty((0, n)), work.log, entries, factors, found,
+    )  # fmt: skip
+    keep_storage(search)
+    whole = found.unknowns
+    if problem.shooting is not None:
+        whole = np.empty((k, m))
+    else:
+        for case in np.flatnonzero(found.is_found):
+            problem.pin_values(grids[case], whole[case], views(grids[case], whole[case])[0])
+    residuals = np.empty(k)
+    verify_cases(common, numbers, tolerance, found, np.empty(m), whole, residuals)
+    return [
+        optimum_of(grids[case], guesses[case], whole[case], float(residuals[case]), found, case)
+        if found.is_found[case] else None
+        for case in range(k)
+    ]  # fmt: skip
+
+
+def optimum_of(grid, guess, unknowns, residual, found, case):
+    """Return the Optimum of a case that has been found; None if a free duration is not positive."""
+    if grid.problem.structure.shared and not least_duration(grid, unknowns) > 0.0:
+        return None
+    cost, stationarity = float(found.costs[case]), float(found.stationarities[case])
+    point = Point(unknowns, NONE, cost, residual, np.nan, stationarity, max(residual, stationarity))
+    status, message = describe(grid, guess, point, "solved")
+    return Optimum(status, message, cost, residual, stationarity, int(found.iterations[case]), unknowns)
+
+
+def common_of(grid, search, scaling):
+    """Return what all cases have in common; `grid` has stages, and `search` is on the grid of a search."""
+    problem, s, steps, searched = grid.problem, grid.problem.structure, grid.steps, search.grid
+    kinds, places, lacks, counts = sampled(problem, steps, grid.inner)
+    is_whole, everything = problem.shooting is None, np.arange(grid.is_multiplier.size)
+    own = searched.problem.structure
+    return Common(
+        search.arguments[0],
+        (problem.gradient.address, problem.hessians.address, 0 if is_whole else problem.shooting.stages.address),
+        steps, grid.nodes, searched.is_multiplier, grid.is_multiplier, own.ties(steps), s.ties(steps),
+        layout_of(searched).is_free, own.fillings(steps), kinds, counts, places, lacks,
+        quantities_of(problem).is_slack[kinds], everything if is_whole else kept_unknowns(s, steps),
+        everything if is_whole else like_unknowns(problem, steps), own.local_is_multiplier, own.without_cost,
+        bool(own.linear_quadratic), bool(own.costless), scaling == "auto" and not own.linear_quadratic,
+    )  # fmt: skip
+
+
+ADDRESSES = []
+"""The addresses of the functions that `solve_cases` calls; empty before the first batch."""
+
+
+def calls_of(search, common, quantities, numbers, entries, factors, tolerance):
+    """Return the addresses of the functions that `solve_cases` calls.
+
+    The arguments are examples. The types of their parts are the same for all problems, and so are the addresses.
+    """
+    if ADDRESSES:
+        return ADDRESSES[0]
+    problem, grid, system, bounds = search.arguments
+    work, parameters = search.work, numbers.parameters[0]
+    duals, lower = work.barriers[DUALS], numbers.lower[0]
+    room = np.empty((0, work.vectors.shape[1]))
+    arguments = (
+        (descent.descend, (
+            problem, grid, system, bounds, tolerance, 1, 1, work.reals, work.integers, work.vectors, work.barriers,
+            work.pairs, room, work.log,
+        )),
+        (descent.begin_beside, (
+            problem, grid, bounds, tolerance, work.reals, work.integers, work.vectors, work.barriers,
+        )),
+        (fill_scaling_factors, (
+            quantities, *common.with_stages[:2], common.steps, 1.0, common.nodes, parameters,
+            common.all_are_multiplier, factors[0], lower, lower, common.all_ties, common.kinds, common.counts,
+            common.places, common.lacks, True, entries, factors[1:4], factors[0],
+        )),
+        (clip, (
+            problem, grid, bounds, (0.0,) * 5, duals, duals, work.vectors, work.vectors[X], work.vectors[G],
+        )),
+        (descent.terms, (problem, grid, system, work.vectors[X], 1, work.vectors)),
+    )  # fmt: skip
+    ADDRESSES.append(tuple(address_of_compiled(function, given) for function, given in arguments))
+    return ADDRESSES[0]
