@@ -23,12 +23,17 @@ from numpy.typing import NDArray
 
 from codegen.batch.executors.chunks import LOST, SOLVED
 from codegen.batch.layout import Shapes
+from codegen.batch.optima import Limits, optima
 from codegen.batch.request import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
 from codegen.errors import CodegenError, one_line
+from codegen.runtime.search.batch import Optimum
+from codegen.runtime.search.problem import ControlProblem
 from codegen.solving.drivers import find
+from codegen.solving.drivers.newton import TOLERANCE
 from codegen.solving.loading import ControlModule, Matrix, Vector, is_connect
 from codegen.solving.request import with_arguments
-from codegen.solving.results.result import STATUSES, Outline, Run
+from codegen.solving.results.control import outline_of_optimum
+from codegen.solving.results.result import STATUSES, ControlAttempt, Outline, Run
 from codegen.solving.results.segments import segments_of
 from codegen.solving.tasks import task_of
 from codegen.solving.warm_start import transferred
@@ -186,6 +191,13 @@ def failed(status: str, message: str) -> Attempt:
     return Attempt(Outline(status, one_line(message), None, math.nan, {}, None), 0, 0, 0.0)
 
 
+def unusable(error: Exception, values: Mapping[Quantity, float]) -> Attempt:
+    """Return the attempt at a case whose numbers raise an error."""
+    reason = error.args[-1] if error.args else type(error).__name__
+    described = ", ".join(f"{quantity.name} = {value:g}" for quantity, value in values.items())
+    return failed(UNUSABLE, f"{UNUSABLE}: {reason} ({described})")
+
+
 class Varied:
     """A module whose parameter overrides change from case to case, its driver, and the options `run` of each solve.
 
@@ -218,9 +230,7 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start | 
     """
     module = varied.given(values)
     of_kind = {quantity.kind: value for quantity, value in values.items()}
-    steps = int(of_kind.get(STEPS, varied.run.steps))
-    if segments := segments_of(module.metadata):
-        steps = segments.steps(steps)
+    steps = _steps(varied, values)
     try:
         begin = time.perf_counter()
         run = replace(varied.run, steps=steps)
@@ -237,12 +247,65 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start | 
     except CodegenError as error:
         return failed(UNUSABLE, str(error))
     except (ValueError, ArithmeticError) as error:  # generated modules raise built-in exceptions
-        reason = error.args[-1] if error.args else type(error).__name__
-        described = ", ".join(f"{quantity.name} = {value:g}" for quantity, value in values.items())
-        return failed(UNUSABLE, f"{UNUSABLE}: {reason} ({described})")
+        return unusable(error, values)
     if varied.wanted is None or not attempt.is_solved:
         return attempt
     return replace(attempt, rates=varied.wanted.of_solution(module, varied.driver, run, result, values))
+
+
+def is_batched(varied: Varied) -> bool:
+    """Return True if `solve_batch` can solve cases of a module: optimisations by the generated solver."""
+    return varied.driver == "newton" and isinstance(varied.module.problem, ControlProblem)
+
+
+def solve_batch(
+    varied: Varied, cases: Sequence[Mapping[Quantity, float]], is_wanted: Callable[[], bool]
+) -> list[tuple[Optimum | Exception, float]]:
+    """Solve cases with as many steps from their own guesses; return the optimum of each, or its error, and its seconds.
+
+    `attempt_of` makes an attempt of both. The seconds of a case are its part of the time of its block. Raises Abandoned
+    once `is_wanted` returns False.
+    """
+    steps, run = _steps(varied, cases[0]), varied.run
+    guesses = [_guess(varied, steps, values) for values in cases]
+    limits = Limits(run.tolerance, run.max_iterations, run.time_limit, run.scaling)
+    found, begin = list[tuple[Optimum | Exception, float]](), time.perf_counter()
+    arguments = [given_to(values) for values in cases]
+    for block in optima(varied.module, steps, arguments, guesses, limits, is_wanted):
+        seconds = (time.perf_counter() - begin) / len(block)
+        found += [(result, seconds) for result in block]
+        begin = time.perf_counter()
+    return found
+
+
+def _steps(varied: Varied, values: Mapping[Quantity, float]) -> int:
+    """Return the number of intervals of a case, in each phase or segment."""
+    steps = int(next((value for own, value in values.items() if own.kind == STEPS), varied.run.steps))
+    segments = segments_of(varied.module.metadata)
+    return segments.steps(steps) if segments else steps
+
+
+def _guess(varied: Varied, steps: int, values: Mapping[Quantity, float]) -> Vector | None:
+    """Return the guess of a case, or None for the problem's own."""
+    number = int(next((value for own, value in values.items() if own.kind == GUESS), 1))
+    return None if number == 1 else varied_guess(varied.given(values), steps, number - 1)
+
+
+def attempt_of(varied: Varied, values: Mapping[Quantity, float], found: Optimum | Exception, seconds: float) -> Attempt:
+    """Return the attempt at a case of a batch, which has evaluated its optimum outside the search."""
+    if isinstance(found, Exception):
+        return unusable(found, values)
+    module, run = varied.given(values), replace(varied.run, steps=_steps(varied, values))
+    tolerance = TOLERANCE if run.tolerance is None else run.tolerance
+    own = ControlAttempt(found.status, found.message, found.iterations, found.unknowns, tolerance, generated=True)
+    if found.status != SOLVED or segments_of(module.metadata):
+        outline = varied.task.outline(module, varied.driver, run, own)
+    else:
+        outline = outline_of_optimum(module, run, found)
+    attempt = Attempt(outline, run.steps, found.iterations, seconds)
+    if varied.wanted is None or not attempt.is_solved:
+        return attempt
+    return replace(attempt, rates=varied.wanted.of_solution(module, varied.driver, run, own, values))
 
 
 def _unknowns(module: ControlModule, steps: int, start: Start, values: Mapping[Quantity, float]) -> Vector:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +20,8 @@ from threadpoolctl import threadpool_limits
 from codegen.batch.executors import team_size
 from codegen.batch.optima import Limits, optima
 from codegen.errors import ArgumentError, ExtraError, NumericsError, clause, one_line
-from codegen.runtime.search.batch import Optimum
+from codegen.runtime.kept_code import is_kept
+from codegen.runtime.search.batch import Optimum, solve_cases
 from codegen.runtime.search.problem import ControlProblem
 from codegen.solving import compiler, loading
 from codegen.solving.loading import ControlModule, Matrix, Vector, is_control
@@ -123,7 +125,11 @@ class Solutions:
     @property
     def names(self) -> dict[str, tuple[str, ...]]:
         """The names of the columns of q, p and u."""
-        return dict(self[int(np.argmax(self.solved))].names) if self.solved.any() else component_names(self.module.metadata)
+        return (
+            dict(self[int(np.argmax(self.solved))].names)
+            if self.solved.any()
+            else component_names(self.module.metadata)
+        )
 
     def __len__(self) -> int:
         return int(self.status.size)
@@ -174,8 +180,7 @@ class Solutions:
             raise ExtraError("to_dataset needs xarray, which is not installed", "pip install xarray") from None
         columns = {"q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier"}
         data = {
-            name: ("case", getattr(self, name))
-            for name in ("status", "cost", "residual", "stationarity", "iterations")
+            name: ("case", getattr(self, name)) for name in ("status", "cost", "residual", "stationarity", "iterations")
         }
         data["message"] = ("case", self.message.astype(np.str_))
         data |= {name: ("case", values) for name, values in self.free.items()}
@@ -226,7 +231,7 @@ def solve_many(
     threads : int
         Number of threads, by default the number of available processors. Results do not depend on it.
     **options
-        `arguments`, `scheme`, `method`, `controls`, `out`, `tolerance`, `max_iterations`, `time_limit` (of one case) and
+        `arguments`, `scheme`, `method`, `controls`, `out`, `tolerance`, `max_iterations`, `time_limit` (of a case) and
         `scaling`, as for `codegen.solve`.
 
     Returns
@@ -266,21 +271,24 @@ def solve_many(
     )  # fmt: skip
     keys, rows = overridable(module), zip(*(column.tolist() for column in columns.values()), strict=True)
     arguments = [given(keys, dict(zip(columns, row, strict=True))) for row in rows] or [{}]
-    results: list[Any] = [None] * number
+    results, ended = list[Any]([None] * number), threading.Event()
     size = min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
 
     def solve(first: int) -> None:
         part = slice(first, first + size)
-        for block in optima(module, count, arguments[part], guesses[part], limits):
+        for block in optima(module, count, arguments[part], guesses[part], limits, lambda: not ended.is_set()):
             results[first : first + len(block)] = block
             first += len(block)
 
+    with building("Compiling what solves many cases, once") if not is_kept(solve_cases.py_func) else nullcontext():
+        next(optima(module, count, arguments[:1], guesses[:1], limits, lambda: True))
     with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         try:
             for _ in pool.map(solve, range(0, number, size)):
                 pass
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
+        except BaseException:  # such as an interrupt
+            ended.set()
+            pool.shutdown(cancel_futures=True)
             raise
     return _solutions(module, columns, count, limits, results)
 
@@ -330,7 +338,9 @@ def _columns(module: ControlModule, parameters: Mapping[str, ArrayLike]) -> dict
         except (TypeError, ValueError):
             raise ArgumentError(clause(f"{name} is {one_line(repr(values))}"), "give an array of numbers") from None
         if columns[name].ndim != 1:
-            raise ArgumentError(f"{name} has shape {columns[name].shape}", "give an array with one number for each case")
+            raise ArgumentError(
+                f"{name} has shape {columns[name].shape}", "give an array with one number for each case"
+            )
     sizes = {name: column.size for name, column in columns.items() if np.ndim(parameters[name])}
     if len(set(sizes.values())) > 1 or 0 in sizes.values():
         lengths = ", ".join(f"{name} has {size}" for name, size in sizes.items())

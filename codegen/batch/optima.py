@@ -7,10 +7,11 @@ solve a block each work side by side.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from codegen.batch.executors.chunks import Abandoned
 from codegen.runtime.search.batch import Optimum, solve_grids
 from codegen.runtime.search.solution import Log
 from codegen.solving.drivers.newton import TOLERANCE
@@ -35,11 +36,12 @@ class Limits:
 
 def optima(
     module: ControlModule, steps: int, arguments: Sequence[Mapping[str, Any]], guesses: Sequence[Vector | None],
-    limits: Limits,
+    limits: Limits, is_wanted: Callable[[], bool],
 ) -> Iterator[list[Optimum | Exception]]:  # fmt: skip
     """Yield, block by block, the optimum of each case, or the error of a case whose numbers cannot be used.
 
-    `arguments` are keyword arguments of `make_grid` of the module. A guess that is None is the problem's own.
+    `arguments` are keyword arguments of `make_grid` of the module. A guess that is None is the problem's own. Raises
+    Abandoned once `is_wanted` returns False.
     """
     grids, starts, results = list[Any](), list[Vector](), list[Optimum | Exception | None]()
     for own, guess in zip(arguments, guesses, strict=True):
@@ -53,20 +55,23 @@ def optima(
         grids.append(grid)
         starts.append(start)
         if len(grids) * start.size >= BLOCK:
-            yield _solved(grids, starts, results, limits)
+            yield _solved(grids, starts, results, limits, is_wanted)
             grids, starts, results = [], [], []
     if results:
-        yield _solved(grids, starts, results, limits)
+        yield _solved(grids, starts, results, limits, is_wanted)
 
 
 def _solved(
-    grids: list[Any], starts: list[Vector], results: list[Optimum | Exception | None], limits: Limits
-) -> list[Optimum | Exception]:
+    grids: list[Any], starts: list[Vector], results: list[Optimum | Exception | None], limits: Limits,
+    is_wanted: Callable[[], bool],
+) -> list[Optimum | Exception]:  # fmt: skip
     """Return `results` with the optimum on the next grid in place of each None."""
-    found = iter(
-        solve_grids(
-            grids, starts, limits.tolerance or TOLERANCE, limits.max_iterations or MOST_ITERATIONS, limits.is_warm,
-            limits.scaling, lambda: Log(limits.time_limit),
-        )
-    )  # fmt: skip
+
+    def log() -> Log:
+        if not is_wanted():
+            raise Abandoned
+        return Log(limits.time_limit)
+
+    tolerance, most = limits.tolerance or TOLERANCE, limits.max_iterations or MOST_ITERATIONS
+    found = iter(solve_grids(grids, starts, tolerance, most, limits.is_warm, limits.scaling, log) if grids else ())
     return [next(found) if result is None else result for result in results]

@@ -21,7 +21,19 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.case import NOT_BUILT, Attempt, Continuation, Start, Variant, Varied, failed, solve_case
+from codegen.batch.case import (
+    NOT_BUILT,
+    Attempt,
+    Continuation,
+    Start,
+    Variant,
+    Varied,
+    attempt_of,
+    failed,
+    is_batched,
+    solve_batch,
+    solve_case,
+)
 from codegen.batch.cases import Cases, rows_of
 from codegen.batch.executors import Working
 from codegen.batch.executors.chunks import (
@@ -40,6 +52,7 @@ from codegen.batch.layout import JUMPS, RATE, Chunks, Layout, Piece, free_label,
 from codegen.batch.request import GUESS, STEPS, Quantity, Wanted, as_argument, quantities, require_fitting
 from codegen.errors import ArgumentError, CodegenError
 from codegen.files import write_text
+from codegen.runtime.search.batch import Optimum
 from codegen.solving import compiler, loading
 from codegen.solving.drivers import DRIVERS
 from codegen.solving.machine_code import processes
@@ -197,6 +210,13 @@ class Work:
     sink: Sink | None = None
     module: GeneratedModule | None = None
 
+    @property
+    def is_compiled(self) -> bool:
+        """True if all cases are solved in batches, see `solve_batch`, without derivatives and warm starts."""
+        is_single = self.warm_starts or self.layout.has_rates
+        varied = None if is_single else [self._varied(variant) for variant in self.variants.values()]
+        return varied is not None and all(own is None or is_batched(own) for own in varied)
+
     def piece(self, number: int) -> Piece:
         """Return the data of a chunk that a worker needs in addition to the work."""
         indices = self.chunks.cases(number)
@@ -241,7 +261,10 @@ class Work:
         assert varied is not None, "a case that is solved has a module"
         if not DRIVERS[self.driver].generated:  # external drivers call other functions of the module
             varied.task.warm_up(varied.module, varied.run.steps)
-        return solve_case(varied, self._module_values(self.cases.values(np.array([index]))[0]), None)
+        values = self._module_values(self.cases.values(np.array([index]))[0])
+        if is_batched(varied):
+            return attempt_of(varied, values, *solve_batch(varied, [values], lambda: True)[0])
+        return solve_case(varied, values, None)
 
     def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
         """Solve the cases of a chunk along a path through neighbours, and cases at jumps of the cost again.
@@ -259,12 +282,16 @@ class Work:
         modules = {key: self._varied(self.variants[key]) for key in dict.fromkeys(keys)}
         module_values = [self._module_values(of_case) for of_case in values]
 
+        first = {} if self.warm_starts else self._from_guesses(keys, modules, module_values, is_wanted)
+
         def attempt(index: int, start: Start | None) -> Attempt:
             if not is_wanted():
                 raise Abandoned
             module = modules[keys[index]]
             if module is None:
                 return failed(NOT_BUILT, self.variants[keys[index]].message)
+            if start is None and index in first:
+                return attempt_of(module, module_values[index], *first.pop(index))
             return solve_case(module, module_values[index], start)
 
         def attempt_in_rows(index: int, start: Start | None) -> Attempt:
@@ -304,6 +331,26 @@ class Work:
             if outcome.is_solved:
                 rows["cost"][index] = outcome.cost
         return self._finished(piece.region, rows)
+
+    def _from_guesses(
+        self,
+        keys: Sequence[tuple[str, ...]],
+        modules: Mapping[tuple[str, ...], Varied | None],
+        values: Sequence[Mapping[Quantity, float]],
+        is_wanted: Callable[[], bool],
+    ) -> dict[int, tuple[Optimum | Exception, float]]:
+        """Return optimum and seconds from the problem's own guess, for cases that a compiled call solves together."""
+        groups: dict[tuple[object, ...], list[int]] = {}
+        for index, of_case in enumerate(values):
+            steps = next((value for own, value in of_case.items() if own.kind == STEPS), None)
+            groups.setdefault((keys[index], steps), []).append(index)
+        first = dict[int, tuple[Optimum | Exception, float]]()
+        for indices in groups.values():
+            varied = modules[keys[indices[0]]]
+            if varied is not None and is_batched(varied):
+                found = solve_batch(varied, [values[index] for index in indices], is_wanted)
+                first |= dict(zip(indices, found, strict=True))
+        return first
 
     def _improve(
         self,

@@ -334,6 +334,7 @@ class BatchWork:
     dimensions: tuple[int, ...] = (2,)
     is_remote: bool = False
     run_one: Callable[[Job, Options], Outcome] = run
+    is_compiled = False  # images are read, warped and written by Python code
 
     @property
     def chunks(self) -> range:

@@ -20,6 +20,7 @@ class StandIn:
     once: tuple[int, ...] = ()
     always: tuple[int, ...] = ()
     broken: tuple[int, ...] = ()
+    is_compiled: bool = False
 
     def loaded(self):
         return self

@@ -17,7 +17,7 @@ from codegen.batch.executors.processes import TRIES
 
 
 def solved(work, workers, numbers):
-    with executor_for(workers)(work, workers) as solve:
+    with executor_for(work, workers)(work, workers) as solve:
         return sorted((number, done.tally.counts) for number, done in solve(numbers))
 
 

@@ -37,6 +37,8 @@ class Empty:
     def parcel(self):
         return self
 
+    is_compiled = False
+
     def unpacked(self):
         return self, ()
 
@@ -55,7 +57,8 @@ class Empty:
 
 def milliseconds_of_chunk(cluster: str | None, chunks: int) -> float:
     """What a chunk takes, by the clock, once workers are ready."""
-    with executor_for(2, cluster)(Empty(), 2) as solve:
+    work = Empty()
+    with executor_for(work, 2, cluster)(work, 2) as solve:
         found = sum(1 for _ in solve(range(100)))
         begin = time.perf_counter()
         found += sum(1 for _ in solve(range(100, 100 + chunks)))

@@ -55,7 +55,7 @@ def assert_same_images(out: Path, whole: Path) -> None:
 
 @pytest.mark.parametrize("name", EXECUTORS)
 def test_every_executor_makes_the_bits_of_one_process(source, whole, tmp_path, name):
-    where = {"serial": {}, "processes": {"workers": 2}, "dask": {"workers": 2, "cluster": "local"}}
+    where = {"threads": {}, "processes": {"workers": 2}, "dask": {"workers": 2, "cluster": "local"}}
     done = batch(source, tmp_path / "out", **where[name])
     assert_same_images(tmp_path / "out", whole[0])
     assert told(done) == told(whole[1])

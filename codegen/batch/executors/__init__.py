@@ -45,7 +45,7 @@ LOCAL = "local"
 EXECUTORS = {
     row.name: row
     for row in (
-        Row("serial", "one chunk after the other in this process"),
+        Row("threads", "threads of this process"),
         Row("processes", "processes on this machine, each with one thread"),
         Row("dask", "workers of a cluster of dask, on any machines"),
     )
@@ -53,12 +53,16 @@ EXECUTORS = {
 """All executors by name; tests cover each of them."""
 
 
-def executor_for(workers: int, cluster: object = None) -> Executor:
-    """Return the dask executor if a cluster is given, else the executor for this number of workers."""
+def executor_for(work: Work, workers: int, cluster: object = None) -> Executor:
+    """Return the dask executor if a cluster is given, else threads or processes.
+
+    Threads share compiled code and data, and nothing is sent between them. But only one thread at a time runs Python
+    code: work that is not mostly compiled is done in processes.
+    """
     if cluster is not None:
         running: Any = EXECUTORS["dask"].running
         return partial(running, cluster=cluster)
-    return EXECUTORS["serial" if workers == 1 else "processes"].running
+    return EXECUTORS["threads" if work.is_compiled or workers == 1 else "processes"].running
 
 
 def connected(cluster: object) -> AbstractContextManager[object]:
@@ -89,7 +93,7 @@ def silent(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
 
 @dataclass(frozen=True)
 class Team:
-    """The workers of a sweep (a number of processes, or a cluster), the display of progress, and notes of workers."""
+    """The workers (threads or processes of this machine, or a cluster), the display of progress, and their notes."""
 
     workers: int
     cluster: object = None
@@ -108,7 +112,7 @@ class Team:
         if not numbers:
             return before
         used, tally, begin = min(self.workers, len(numbers)), before, time.perf_counter()
-        with executor_for(used, self.cluster)(work, used) as solve, self.progress(what[0], total) as shown:
+        with executor_for(work, used, self.cluster)(work, used) as solve, self.progress(what[0], total) as shown:
             for number, done in solve(numbers):
                 keep(number, done)
                 tally = tally + done.tally
@@ -120,7 +124,7 @@ class Team:
 
 
 def team_size(workers: object, cluster: object) -> int:
-    """Return the number of worker processes, by default the number of available processors.
+    """Return the number of workers, by default the number of available processors.
 
     Raises NumericsError for an invalid number, ArgumentError for a number with a cluster that has its own workers.
     """

@@ -126,6 +126,10 @@ class Done:
 class Work(Protocol):
     """The interface of work that executors can do."""
 
+    @property
+    def is_compiled(self) -> bool:
+        """True if nearly all time is spent in compiled code, which holds no lock of the interpreter."""
+
     def loaded(self) -> Work:
         """Prepare this process for solves, for example load machine code, and return the work."""
 

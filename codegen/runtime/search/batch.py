@@ -16,10 +16,20 @@ from numba import njit, types
 
 from codegen.runtime.addresses import address_of_compiled, calling_compiled
 from codegen.runtime.search import descent
-from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.cascade import WORSE, clip
 from codegen.runtime.search.descent import (
-    COST, DISTANCE, DUALS, ERROR, IS_BESIDE, IS_COSTLESS, ITERATIONS, RESIDUAL, STAGE, STATIONARITY, VIOLATION, G, X,
+    COST,
+    DISTANCE,
+    DUALS,
+    ERROR,
+    IS_COSTLESS,
+    ITERATIONS,
+    RESIDUAL,
+    STAGE,
+    STATIONARITY,
+    VIOLATION,
+    G,
+    X,
 )  # fmt: skip
 from codegen.runtime.search.grid import NONE, layout_of, least_duration, views
 from codegen.runtime.search.iterates import FROM_GUESS, finite_bounds, keep_storage, search_on
@@ -158,8 +168,8 @@ call_terms = calling_compiled(types.UniTuple(types.float64, 2))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def solve_cases(calls, common, quantities, system, numbers, tolerance, limit, is_warm, reals, integers, vectors, barriers,
-                pairs, room, log, entries, factors, found):  # fmt: skip
+def solve_cases(calls, common, quantities, system, numbers, tolerance, limit, is_warm, reals, integers, vectors,
+                barriers, pairs, room, log, entries, factors, found):  # fmt: skip
     """Solve all cases in turn, and fill `found`.
 
     Parameters
@@ -332,9 +342,7 @@ def searched(calls, common, grid, system, bounds, tolerance, limit, is_warm, rea
         return False
     known = reals[COST], reals[RESIDUAL], reals[VIOLATION], reals[STATIONARITY], reals[ERROR]
     if is_bounded:
-        inside = call_clip(
-            calls[3], (problem, grid, bounds, known, barriers[DISTANCE], barriers[DUALS], vectors, x, g)
-        )
+        inside = call_clip(calls[3], (problem, grid, bounds, known, barriers[DISTANCE], barriers[DUALS], vectors, x, g))
         if not inside[4] <= max(tolerance, WORSE * known[4]):
             return False
         reals[COST], reals[RESIDUAL], reals[STATIONARITY] = inside[0], inside[1], inside[3]
@@ -441,7 +449,9 @@ def solve_grids(grids, guesses, tolerance, max_iterations, warm, scaling, log):
     """
     results = [None] * len(grids)
     for alike in groups(grids):
-        of_group = solve_alike([grids[i] for i in alike], [guesses[i] for i in alike], tolerance, max_iterations, warm, scaling)
+        of_group = solve_alike(
+            [grids[i] for i in alike], [guesses[i] for i in alike], tolerance, max_iterations, warm, scaling
+        )
         for i, result in zip(alike, of_group, strict=True):
             results[i] = result
     for i, (grid, guess) in enumerate(zip(grids, guesses, strict=True)):

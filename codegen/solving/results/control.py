@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -10,12 +11,13 @@ from numpy.typing import NDArray
 
 from codegen.runtime.record import ControlRecord
 from codegen.runtime.search import point as derivatives
+from codegen.runtime.search.batch import Optimum
 from codegen.runtime.search.bounds import bounds_of, prescribed_beyond
 from codegen.runtime.search.grid import plain_grid
 from codegen.runtime.search.messages import OUTSIDE_TABLE, REMEDIES, tables_beyond, worst_row
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import STEEP, corrected_cost
-from codegen.solving.loading import ControlModule, Entries, Grid, Vector, time_grid
+from codegen.solving.loading import ControlModule, Entries, Grid, Matrix, Vector, time_grid
 from codegen.solving.results.estimates import AT_BOUND, estimates_of
 from codegen.solving.results.result import (
     ControlAttempt,
@@ -148,10 +150,21 @@ def control_outline(module: ControlModule, driver: str, run: Run, attempt: Contr
         return replace(outline, free=_free_parameters(module, attempt.unknowns))
     grid = time_grid(module, run.steps, run.grid)
     verdict = control_verdict(module, driver, run, attempt, grid)
+    return _outline(module, grid, verdict, attempt.unknowns, attempt.trajectories)
+
+
+def outline_of_optimum(module: ControlModule, run: Run, optimum: Optimum) -> Outline:
+    """Return the outline of an optimum that the compiled batch has found, and evaluated outside its search."""
+    return _outline(module, time_grid(module, run.steps, run.grid), optimum, optimum.unknowns)
+
+
+def _outline(
+    module: ControlModule, grid: Grid, verdict: Verdict | Optimum, unknowns: Vector, trajectories: Sequence[Matrix] = ()
+) -> Outline:
     names = ("t", "q", "p", "u", "multipliers")
-    arrays = dict(zip(names, attempt.trajectories or module.unpack(grid, attempt.unknowns), strict=True))
-    free = _free_parameters(module, attempt.unknowns) if module.metadata.free_parameters else {}
-    return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, attempt.unknowns, free)
+    arrays = dict(zip(names, trajectories or module.unpack(grid, unknowns), strict=True))
+    free = _free_parameters(module, unknowns) if module.metadata.free_parameters else {}
+    return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, unknowns, free)
 
 
 def control_numbers(metadata: ControlRecord, run: Run) -> int:
