@@ -179,12 +179,13 @@ class Solutions:
         except ImportError:
             raise ExtraError("to_dataset needs xarray, which is not installed", "pip install xarray") from None
         columns = {"q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier"}
-        data = {
+        data: dict[str, Any] = {
             name: ("case", getattr(self, name)) for name in ("status", "cost", "residual", "stationarity", "iterations")
         }
         data["message"] = ("case", self.message.astype(np.str_))
         data |= {name: ("case", values) for name, values in self.free.items()}
-        names, coordinates = self.names, {name: ("case", values) for name, values in self.parameters.items()}
+        coordinates: dict[str, Any] = {name: ("case", values) for name, values in self.parameters.items()}
+        names = self.names
         nodes = self.t.shape[1]
         for name, dim in columns.items():
             array = getattr(self, name)
@@ -308,8 +309,9 @@ def given(keys: Mapping[str, tuple[str, str]], values: Mapping[str, float]) -> d
 def _module(request: Request, working: Callable[[str], Any]) -> Any:
     """Return the module of a request, built and compiled; raises ArgumentError unless its problem has controls."""
     if request.is_built:
-        is_file = isinstance(request.problem, str | Path)
-        module: Any = loading.load(request.problem) if is_file else request.problem
+        module: Any = request.problem
+        if isinstance(module, str | Path):
+            module = loading.load(module)
     else:
         with shown_from_call(working, "Deriving") as deriving:
             build = compiler.build(
@@ -365,7 +367,7 @@ def _guesses(
         finding = f"guess has shape {table.shape}, expected ({size},) or ({number}, {size})"
         raise NumericsError(finding, "give unknowns of the same problem on as many intervals")
     rows = np.broadcast_to(table, (number, size))
-    return [row if is_finite else None for row, is_finite in zip(rows, np.isfinite(rows).all(axis=1), strict=True)]
+    return [row if np.isfinite(row).all() else None for row in rows]
 
 
 def _solutions(

@@ -1,4 +1,4 @@
-"""A sweep: many solves of one problem, for a grid, a table or samples of cases, in several processes, as one data set.
+"""A sweep: many solves of one problem, for a grid, a table or samples of cases, by several workers, as one data set.
 
 The steps are: derive the modules, choose the layout of the arrays and the chunks, solve the chunks by an executor, and
 mark the jumps of the cost that remain.
@@ -76,8 +76,9 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
         d_t, d_q, d_p, d_u and d_multipliers. By default all arrays but these derivatives are stored, or only t, q and u
         if all arrays would take more than 250 MB without compression.
     workers : int, optional
-        Number of processes, by default the number of processors. Results do not depend on this number. Where processes
-        are spawned, as on Windows and macOS, a script needs `if __name__ == "__main__"`.
+        Number of threads, or of processes where Python code takes much of the time; by default the number of
+        processors. Results do not depend on this number. Where processes are spawned, as on Windows and macOS, a script
+        needs `if __name__ == "__main__"`.
     cluster : str or distributed.Client, optional
         The address of a scheduler of dask, a client, or "local" for a new cluster on this machine.
     warm_starts : bool

@@ -1,4 +1,4 @@
-"""The command `codegen sweep`: solve many cases of one problem in several processes, and store them in one file."""
+"""The command `codegen sweep`: solve many cases of one problem by several workers, and store them in one file."""
 
 from __future__ import annotations
 
@@ -72,7 +72,8 @@ def sweep(
         ),
     ] = "",
     workers: Annotated[
-        int | None, typer.Option(parser=positive, metavar="N", help="Processes. [default: one for each processor]")
+        int | None,
+        typer.Option(parser=positive, metavar="N", help="Threads or processes. [default: one for each processor]"),
     ] = None,
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to start one.")

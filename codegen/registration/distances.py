@@ -198,6 +198,7 @@ class DistanceWork:
     shapes: NDArray[np.float64]
     names: tuple[str, ...]
     size: int
+    is_compiled = False  # Python code takes much of the time of a short registration
 
     @property
     def chunks(self) -> range:

@@ -543,7 +543,7 @@ def common_of(grid, search, scaling):
     )  # fmt: skip
 
 
-ADDRESSES = []
+ADDRESSES: list[tuple[int, ...]] = []
 """The addresses of the functions that `solve_cases` calls; empty before the first batch."""
 
 
