@@ -295,14 +295,14 @@ def attempt_of(varied: Varied, values: Mapping[Quantity, float], found: Optimum 
     """Return the attempt at a case of a batch, which has evaluated its optimum outside the search."""
     if isinstance(found, Exception):
         return unusable(found, values)
-    module, run = varied.given(values), replace(varied.run, steps=_steps(varied, values))
+    steps, is_whole = _steps(varied, values), segments_of(varied.module.metadata) is None
+    if found.status == SOLVED and is_whole and varied.wanted is None:  # the most frequent case
+        grid = varied.module.make_grid(steps, **given_to(values))
+        return Attempt(outline_of_optimum(varied.module, grid, found), steps, found.iterations, seconds)
+    module, run = varied.given(values), replace(varied.run, steps=steps)
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
     own = ControlAttempt(found.status, found.message, found.iterations, found.unknowns, tolerance, generated=True)
-    if found.status != SOLVED or segments_of(module.metadata):
-        outline = varied.task.outline(module, varied.driver, run, own)
-    else:
-        outline = outline_of_optimum(module, run, found)
-    attempt = Attempt(outline, run.steps, found.iterations, seconds)
+    attempt = Attempt(varied.task.outline(module, varied.driver, run, own), steps, found.iterations, seconds)
     if varied.wanted is None or not attempt.is_solved:
         return attempt
     return replace(attempt, rates=varied.wanted.of_solution(module, varied.driver, run, own, values))

@@ -73,7 +73,7 @@ def sweep(
     ] = "",
     workers: Annotated[
         int | None,
-        typer.Option(parser=positive, metavar="N", help="Threads or processes. [default: one for each processor]"),
+        typer.Option(parser=positive, metavar="N", help="Threads or processes. [default: all processors]"),
     ] = None,
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to start one.")

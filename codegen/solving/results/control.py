@@ -153,9 +153,9 @@ def control_outline(module: ControlModule, driver: str, run: Run, attempt: Contr
     return _outline(module, grid, verdict, attempt.unknowns, attempt.trajectories)
 
 
-def outline_of_optimum(module: ControlModule, run: Run, optimum: Optimum) -> Outline:
+def outline_of_optimum(module: ControlModule, grid: Grid, optimum: Optimum) -> Outline:
     """Return the outline of an optimum that the compiled batch has found, and evaluated outside its search."""
-    return _outline(module, time_grid(module, run.steps, run.grid), optimum, optimum.unknowns)
+    return _outline(module, grid, optimum, optimum.unknowns)
 
 
 def _outline(
