@@ -9,7 +9,7 @@ restoration, other scaling factors or another guess, is marked. It is then solve
 otherwise be compiled a second time as part of this function.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, types
@@ -25,6 +25,7 @@ from codegen.runtime.search.descent import (
     IS_COSTLESS,
     ITERATIONS,
     RESIDUAL,
+    SCALED,
     STAGE,
     STATIONARITY,
     VIOLATION,
@@ -36,7 +37,7 @@ from codegen.runtime.search.iterates import FROM_GUESS, finite_bounds, keep_stor
 from codegen.runtime.search.linear_system import factor_at, fill_entry_factors, solve_at
 from codegen.runtime.search.messages import describe
 from codegen.runtime.search.point import Point, fill, measured_gradient
-from codegen.runtime.search.scaling import fill_scaling_factors, quantities_of, sampled
+from codegen.runtime.search.scaling import Quantities, fill_scaling_factors, quantities_of, sampled
 from codegen.runtime.search.shooting import kept_unknowns, like_unknowns, shooting_grid, shooting_unknowns
 from codegen.runtime.search.solve import (
     LARGE_CORRECTION,
@@ -51,6 +52,7 @@ from codegen.runtime.search.solve import (
 )
 from codegen.runtime.search.termination import GROWTH
 
+SHORTEST, FUNNEL = FROM_GUESS.shortest, FROM_GUESS.funnel
 VERIFIED = 10.0  # largest residual and stationarity of a solution that is evaluated again, relative to the tolerance
 
 
@@ -63,6 +65,8 @@ class Common(NamedTuple):
         Addresses of the loops for gradient and second derivatives and of the linear system, of the problem that is
         searched. Addresses of the loops for gradient and second derivatives of the problem with stages, and of the loop
         that computes stages. The last is zero if the search has the stages itself.
+    quantities : Quantities
+        See `scaling`.
     steps : int
         The number of intervals.
     nodes : (N + 1,)
@@ -86,6 +90,7 @@ class Common(NamedTuple):
 
     problem: tuple[int, int, int]
     with_stages: tuple[int, int, int]
+    quantities: Quantities
     steps: int
     nodes: np.ndarray
     is_multiplier: np.ndarray
@@ -130,6 +135,31 @@ class Numbers(NamedTuple):
     upper: np.ndarray
 
 
+class Space(NamedTuple):
+    """The work space of a batch.
+
+    Attributes
+    ----------
+    system : tuple
+        Storage of the linear system, see `descent.descend`.
+    reals, integers, vectors, barriers, pairs, room, log : array
+        See `descent.descend`; `room` is (0, n).
+    entries, factors : array
+        Space for all second derivatives with stages, and (5, m) for scaling factors.
+    """
+
+    system: tuple[Any, ...]
+    reals: np.ndarray
+    integers: np.ndarray
+    vectors: np.ndarray
+    barriers: np.ndarray
+    pairs: np.ndarray
+    room: np.ndarray
+    log: np.ndarray
+    entries: np.ndarray
+    factors: np.ndarray
+
+
 class Found(NamedTuple):
     """What a batch has found for k cases.
 
@@ -141,8 +171,6 @@ class Found(NamedTuple):
         The unknowns of the search, in the problem's own units.
     sizes, weights : (k, m), (k,)
         Scaling factors of all unknowns and of the cost; sizes are ones for a case without scaling factors.
-    are_scaled : (k,)
-        True for a case with scaling factors.
     costs, stationarities : (k,)
         The corrected cost, and the stationarity, which is the change of the cost if unknowns change by their factors.
     iterations : (k,)
@@ -153,7 +181,6 @@ class Found(NamedTuple):
     unknowns: np.ndarray
     sizes: np.ndarray
     weights: np.ndarray
-    are_scaled: np.ndarray
     costs: np.ndarray
     stationarities: np.ndarray
     iterations: np.ndarray
@@ -168,48 +195,38 @@ call_terms = calling_compiled(types.UniTuple(types.float64, 2))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def solve_cases(calls, common, quantities, system, numbers, tolerance, limit, is_warm, reals, integers, vectors,
-                barriers, pairs, room, log, entries, factors, found):  # fmt: skip
+def solve_cases(calls, common, numbers, tolerance, limit, is_warm, space, found):
     """Solve all cases in turn, and fill `found`.
 
     Parameters
     ----------
     calls : tuple of int
         Addresses of `descend`, `begin_beside`, `fill_scaling_factors`, `clip` and `terms`.
-    common, numbers, found : Common, Numbers, Found
-        What the cases have in common, their numbers, and the results.
-    quantities : Quantities
-        See `scaling`.
-    system : tuple
-        Storage of the linear system, see `descent.descend`.
+    common, numbers, space, found : Common, Numbers, Space, Found
+        What the cases have in common, their numbers, work space, and the results.
     tolerance, limit, is_warm : float, int, bool
         Tolerance, largest number of iterations of a case, and True if guesses are solutions of similar problems.
-    reals, integers, vectors, barriers, pairs, room, log : array
-        Work space, see `descent.descend`; `room` is (0, n).
-    entries, factors : array
-        Work space for all second derivatives with stages, and (5, m) for scaling factors.
     """
     for case in range(numbers.h.size):
-        found.is_found[case] = False
-        solve_case(
-            case, calls, common, quantities, system, numbers, tolerance, limit, is_warm, reals, integers, vectors,
-            barriers, pairs, room, log, entries, factors, found,
-        )  # fmt: skip
+        found.is_found[case] = is_case_solved(case, calls, common, numbers, tolerance, limit, is_warm, space, found)
 
 
 @njit(error_model="numpy")
-def solve_case(case, calls, common, quantities, system, numbers, tolerance, limit, is_warm, reals, integers, vectors,
-               barriers, pairs, room, log, entries, factors, found):  # fmt: skip
-    """Solve one case, and fill its row of `found`; return as soon as the case has to be solved by itself."""
-    x, guess, parameters, h = vectors[X], numbers.guesses[case], numbers.parameters[case], numbers.h[case]
-    sizes, work, finer = factors[0], factors[1:4], factors[4]
-    lower, upper, n, kept = numbers.lower[case], numbers.upper[case], x.size, common.kept
+def is_case_solved(case, calls, common, numbers, tolerance, limit, is_warm, space, found):
+    """Solve one case and fill its row of `found`; return False if the case has to be solved by itself."""
+    reals, integers, vectors, system, sizes = (
+        space.reals,
+        space.integers,
+        space.vectors,
+        space.system,
+        space.factors[0],
+    )
+    x, guess, parameters, h = (vectors[X], numbers.guesses[case], numbers.parameters[case], numbers.h[case])
+    lower, upper, n, kept = (numbers.lower[case], numbers.upper[case], x.size, common.kept)
     weight, is_scaled = 1.0, False
     if common.is_scaled:
-        weight, is_scaled = factors_at(
-            calls, common, quantities, h, parameters, guess, lower, upper, False, entries, work, sizes
-        )
-    found.weights[case], found.are_scaled[case] = weight, is_scaled
+        weight, is_scaled = factors_at(calls, common, h, parameters, guess, lower, upper, False, space, sizes)
+    found.weights[case] = weight
     for i in range(sizes.size):
         found.sizes[case, i] = sizes[i] if is_scaled else 1.0
     count = n if is_scaled else 0
@@ -235,10 +252,10 @@ def solve_case(case, calls, common, quantities, system, numbers, tolerance, limi
         unit = 1.0 if common.is_slack[kept[i]] or not is_scaled else own_sizes[i]
         least[i], greatest[i] = lower[kept[i]] / unit, upper[kept[i]] / unit
         if least[i] > greatest[i]:
-            return
+            return False
     indices, side, magnitude, value = finite_bounds(least, greatest)
-    if indices.size != barriers.shape[1]:
-        return
+    if indices.size != space.barriers.shape[1]:
+        return False
     bounds = indices, side, magnitude, value, least, greatest
     grid = (
         common.steps, h, common.nodes, parameters, common.is_multiplier, own_sizes, forces, weight, common.ties,
@@ -247,33 +264,30 @@ def solve_case(case, calls, common, quantities, system, numbers, tolerance, limi
     for i in range(n):
         x[i] = guess[i] / own_sizes[i] if is_scaled else guess[i]
     if common.is_linear:
-        if not newton_steps(calls, common, grid, system, tolerance, reals, integers, vectors):
-            return
-    elif not searched(
-        calls, common, grid, system, bounds, tolerance, limit, is_warm, reals, integers, vectors, barriers, pairs, room,
-        log,
-    ):  # fmt: skip
-        return
-    found.iterations[case], found.stationarities[case] = integers[ITERATIONS], reals[STATIONARITY] / weight
+        is_solved = is_solved_by_newton_steps(calls, common, grid, system, tolerance, space)
+    else:
+        is_solved = is_solved_at_once(calls, common, grid, system, bounds, tolerance, limit, is_warm, space)
+    if not is_solved:
+        return False
+    found.iterations[case], found.stationarities[case] = (integers[ITERATIONS], reals[STATIONARITY] / weight)
     for i in range(n - system[7][5], n):  # linking variables, such as a free duration, may grow without limit
         if not abs(x[i]) <= GROWTH:
-            return
+            return False
     for i in range(n):
         found.unknowns[case, i] = x[i] * own_sizes[i] if is_scaled else x[i]
     if is_scaled and are_other_factors(
-        calls, common, quantities, h, parameters, found.unknowns[case], lower, upper, sizes, weight, entries, work,
-        vectors[descent.TRIAL], finer,
+        calls, common, h, parameters, found.unknowns[case], lower, upper, weight, space
     ):  # fmt: skip
-        return
+        return False
     by = 0.0 if common.is_linear else correction(x, vectors[G], common.is_multiplier, least, greatest)
     if abs(by) > LARGE_CORRECTION * abs(reals[COST]):
         by = 0.0
     found.costs[case] = (reals[COST] + by) / weight
-    found.is_found[case] = True
+    return True
 
 
 @njit(error_model="numpy")
-def factors_at(calls, common, quantities, h, parameters, unknowns, lower, upper, is_solution, entries, work, sizes):
+def factors_at(calls, common, h, parameters, unknowns, lower, upper, is_solution, space, sizes):
     """Fill the scaling factors `sizes` (m,) at the `unknowns` (n,) of a search; return what `scaled_grid` uses."""
     whole = np.empty(sizes.size)
     for i in range(sizes.size):
@@ -281,25 +295,20 @@ def factors_at(calls, common, quantities, h, parameters, unknowns, lower, upper,
     return call_scaling(
         calls[2],
         (
-            quantities, common.with_stages[0], common.with_stages[1], common.steps, h, common.nodes, parameters,
+            common.quantities, common.with_stages[0], common.with_stages[1], common.steps, h, common.nodes, parameters,
             common.all_are_multiplier, whole, lower, upper, common.all_ties, common.kinds, common.counts, common.places,
-            common.lacks, is_solution, entries, work, sizes,
+            common.lacks, is_solution, space.entries, space.factors[1:4], sizes,
         ),
     )  # fmt: skip
 
 
 @njit(error_model="numpy")
-def are_other_factors(calls, common, quantities, h, parameters, unknowns, lower, upper, sizes, weight, entries, work,
-                      begin, finer):  # fmt: skip
-    """Return True if scaling factors at a solution are much larger than those at the guess, see `optimise_from`.
-
-    `begin` (n,) and `finer` (m,) are work space.
-    """
+def are_other_factors(calls, common, h, parameters, unknowns, lower, upper, weight, space):
+    """Return True if scaling factors at a solution are much larger than those at the guess, see `optimise_from`."""
+    begin, sizes, finer = (space.vectors[descent.TRIAL], space.factors[0], space.factors[4])
     for i in range(unknowns.size):
         begin[i] = 0.0 if common.is_multiplier[i] else unknowns[i]
-    finer_weight, is_scaled = factors_at(
-        calls, common, quantities, h, parameters, begin, lower, upper, True, entries, work, finer
-    )
+    finer_weight, is_scaled = factors_at(calls, common, h, parameters, begin, lower, upper, True, space, finer)
     for i in common.kept:
         force = finer_weight * finer[i] if is_scaled else 1.0
         if force > (STEEPER if common.all_are_multiplier[i] else STEEPER_COST) * weight * sizes[i]:
@@ -308,72 +317,78 @@ def are_other_factors(calls, common, quantities, h, parameters, unknowns, lower,
 
 
 @njit(error_model="numpy")
-def searched(calls, common, grid, system, bounds, tolerance, limit, is_warm, reals, integers, vectors, barriers, pairs,
-             room, log):  # fmt: skip
+def is_solved_at_once(calls, common, grid, system, bounds, tolerance, limit, is_warm, space):
     """Search from the unknowns in the work space as `newton.descend` does; return True if the search succeeds at once.
 
     The iterate, with unknowns inside their bounds, stays in the work space.
     """
-    problem, x, g, is_bounded = common.problem, vectors[X], vectors[G], bounds[0].size > 0
+    reals, integers, vectors, barriers = (space.reals, space.integers, space.vectors, space.barriers)
+    problem, x, g, is_bounded = (common.problem, vectors[X], vectors[G], bounds[0].size > 0)
     reals[:] = 0.0
     integers[:] = 0
-    reals[descent.LEAST_RELAXATION], integers[IS_COSTLESS] = descent.LEAST_RELAXED, common.is_costless
+    reals[descent.LEAST_RELAXATION], integers[IS_COSTLESS] = (descent.LEAST_RELAXED, common.is_costless)
+    reals[descent.SHORTEST], reals[descent.FUNNEL] = SHORTEST, FUNNEL
     if is_warm:
         call_begin_beside(calls[1], (problem, grid, bounds, tolerance, reals, integers, vectors, barriers))
         integers[STAGE] = descent.WITH_ITERATE
-        reals[descent.SHORTEST], reals[descent.FUNNEL] = FROM_GUESS[3], FROM_GUESS[4]
     else:
         for i in range(x.size):
             if common.is_multiplier[i]:
                 x[i] = 0.0
-        reals[descent.MU], reals[descent.PUSH] = FROM_GUESS[0] if is_bounded else 0.0, FROM_GUESS[1]
+        reals[descent.MU], reals[descent.PUSH] = (descent.AT_GUESS[0] if is_bounded else 0.0, descent.AT_GUESS[1])
         integers[descent.LOOKS], integers[STAGE] = 1, descent.WITH_UNKNOWNS
-        reals[descent.SHORTEST], reals[descent.FUNNEL] = FROM_GUESS[3], FROM_GUESS[4]
     status = descent.CONTINUE
     while status == descent.CONTINUE and integers[ITERATIONS] < limit:
         status = call_descend(
             calls[0],
             (
-                problem, grid, system, bounds, tolerance, limit, log.shape[0] - 1, reals, integers, vectors, barriers,
-                pairs, room, log,
+                problem, grid, system, bounds, tolerance, limit, space.log.shape[0] - 1, reals, integers, vectors,
+                barriers, space.pairs, space.room, space.log,
             ),
         )  # fmt: skip
     if status != descent.SOLVED:
         return False
-    known = reals[COST], reals[RESIDUAL], reals[VIOLATION], reals[STATIONARITY], reals[ERROR]
+    known = (reals[COST], reals[RESIDUAL], reals[VIOLATION], reals[STATIONARITY], reals[ERROR])
     if is_bounded:
         inside = call_clip(calls[3], (problem, grid, bounds, known, barriers[DISTANCE], barriers[DUALS], vectors, x, g))
         if not inside[4] <= max(tolerance, WORSE * known[4]):
             return False
-        reals[COST], reals[RESIDUAL], reals[STATIONARITY] = inside[0], inside[1], inside[3]
+        reals[COST], reals[RESIDUAL], reals[STATIONARITY] = (inside[0], inside[1], inside[3])
     return reals[STATIONARITY] <= STEEP and reals[RESIDUAL] <= ROUNDED
 
 
 @njit(error_model="numpy")
-def newton_steps(calls, common, grid, system, tolerance, reals, integers, vectors):
+def is_solved_by_newton_steps(calls, common, grid, system, tolerance, space):
     """Solve a linear-quadratic problem as `solve.solve_linear_quadratic` does; return True on success."""
     steps, h, nodes, parameters, is_multiplier, sizes, _, _, _, _, _ = grid
     tables, factors, orders, entries, scaled, _, inverses, counts, equations, _, _ = system
-    problem, x, g, step, none = common.problem, vectors[X], vectors[G], vectors[descent.STEP], vectors[descent.DIAGONAL]
+    problem, reals, vectors = common.problem, space.reals, space.vectors
+    x, g, step, none, spare = (
+        vectors[X],
+        vectors[G],
+        vectors[descent.STEP],
+        vectors[descent.DIAGONAL],
+        vectors[SCALED],
+    )
     none[:] = 0.0
     for iteration in range(4):
         measures = measured_gradient(
-            problem[0], x, sizes, 1.0, steps, h, nodes, parameters, is_multiplier, vectors[descent.SCALED][:0], g
+            problem[0], x, sizes, 1.0, steps, h, nodes, parameters, is_multiplier, spare[:0], g
         )
         if not measures[4] < np.inf:
             return False
         if iteration == 0:
             excess = factor_at(
-                problem[1], problem[2], x, sizes, vectors[descent.SCALED], scaled, steps, h, nodes, parameters, tables,
-                entries, g, none, equations, factors, orders, inverses, counts, step, True, True,
+                problem[1], problem[2], x, sizes, spare, scaled, steps, h, nodes, parameters, tables, entries, g, none,
+                equations, factors, orders, inverses, counts, step, True, True,
             )  # fmt: skip
             if excess != 0:
                 return False
         else:
             of_equations, of_slopes = call_terms(calls[4], (problem, grid, system, x, int(common.is_costless), vectors))
             if is_rounded(measures[1], of_equations, tolerance) and is_rounded(measures[3], of_slopes, tolerance):
-                reals[COST], reals[RESIDUAL], reals[STATIONARITY] = measures[0], measures[1], measures[3]
-                integers[ITERATIONS] = iteration
+                reals[COST], reals[RESIDUAL], reals[STATIONARITY] = (measures[0], measures[1], measures[3])
+                space.integers[ITERATIONS] = iteration
                 for i in range(x.size):  # the Lagrangian is the cost at the nearby point where the equations hold
                     reals[COST] += x[i] * g[i] if is_multiplier[i] else 0.0
                 return True
@@ -412,7 +427,7 @@ def verify_cases(common, numbers, tolerance, found, gradient, whole, residuals):
             error = abs(gradient[i]) * found.weights[case] * found.sizes[case, i]
             if numbers.lower.shape[1] and not common.all_are_multiplier[i]:
                 # A slope of the Lagrangian is permitted at a bound beyond which the cost falls.
-                below, above = x[i] - numbers.lower[case, i], numbers.upper[case, i] - x[i]
+                below, above = (x[i] - numbers.lower[case, i], numbers.upper[case, i] - x[i])
                 distance = (below if gradient[i] > 0.0 else above) / found.sizes[case, i]
                 error *= min(max(distance, 0.0), 1.0)
             worst = max(worst, error)
@@ -488,18 +503,17 @@ def solve_alike(grids, guesses, tolerance, max_iterations, warm, scaling):
         np.array([shooting_unknowns(grid, guess) for guess in guesses]), lower, upper,
     )  # fmt: skip
     search = search_on(shooting_grid(grids[0]))
-    common, work, n = common_of(grid, search, scaling), search.work, search.grid.is_multiplier.size
+    common, work, n = (common_of(grid, search, scaling), search.work, search.grid.is_multiplier.size)
     found = Found(
-        np.zeros(k, bool), np.empty((k, n)), np.empty((k, m)), np.ones(k), np.zeros(k, bool), np.empty(k), np.empty(k),
+        np.zeros(k, bool), np.empty((k, n)), np.empty((k, m)), np.ones(k), np.empty(k), np.empty(k),
         np.zeros(k, np.int64),
     )  # fmt: skip
-    entries, factors = np.zeros(problem.structure.entry_count(grid.steps)), np.empty((5, m))
-    quantities = quantities_of(problem)
-    solve_cases(
-        calls_of(search, common, quantities, numbers, entries, factors, tolerance), common, quantities,
-        search.arguments[2], numbers, tolerance, min(SLOW, max_iterations), warm, work.reals, work.integers,
-        work.vectors, work.barriers, work.pairs, np.empty((0, n)), work.log, entries, factors, found,
+    space = Space(
+        search.arguments[2], work.reals, work.integers, work.vectors, work.barriers, work.pairs, np.empty((0, n)),
+        work.log, np.zeros(problem.structure.entry_count(grid.steps)), np.empty((5, m)),
     )  # fmt: skip
+    calls = calls_of(search, common, numbers, space, tolerance)
+    solve_cases(calls, common, numbers, tolerance, min(SLOW, max_iterations), warm, space, found)
     keep_storage(search)
     whole = found.unknowns
     if problem.shooting is not None:
@@ -528,15 +542,15 @@ def optimum_of(grid, guess, unknowns, residual, found, case):
 
 def common_of(grid, search, scaling):
     """Return what all cases have in common; `grid` has stages, and `search` is on the grid of a search."""
-    problem, s, steps, searched = grid.problem, grid.problem.structure, grid.steps, search.grid
+    problem, s, steps, searched = (grid.problem, grid.problem.structure, grid.steps, search.grid)
     kinds, places, lacks, counts = sampled(problem, steps, grid.inner)
     is_whole, everything = problem.shooting is None, np.arange(grid.is_multiplier.size)
     own = searched.problem.structure
     return Common(
         search.arguments[0],
         (problem.gradient.address, problem.hessians.address, 0 if is_whole else problem.shooting.stages.address),
-        steps, grid.nodes, searched.is_multiplier, grid.is_multiplier, own.ties(steps), s.ties(steps),
-        layout_of(searched).is_free, own.fillings(steps), kinds, counts, places, lacks,
+        quantities_of(problem), steps, grid.nodes, searched.is_multiplier, grid.is_multiplier, own.ties(steps),
+        s.ties(steps), layout_of(searched).is_free, own.fillings(steps), kinds, counts, places, lacks,
         quantities_of(problem).is_slack[kinds], everything if is_whole else kept_unknowns(s, steps),
         everything if is_whole else like_unknowns(problem, steps), own.local_is_multiplier, own.without_cost,
         bool(own.linear_quadratic), bool(own.costless), scaling == "auto" and not own.linear_quadratic,
@@ -547,7 +561,7 @@ ADDRESSES: list[tuple[int, ...]] = []
 """The addresses of the functions that `solve_cases` calls; empty before the first batch."""
 
 
-def calls_of(search, common, quantities, numbers, entries, factors, tolerance):
+def calls_of(search, common, numbers, space, tolerance):
     """Return the addresses of the functions that `solve_cases` calls.
 
     The arguments are examples. The types of their parts are the same for all problems, and so are the addresses.
@@ -555,26 +569,21 @@ def calls_of(search, common, quantities, numbers, entries, factors, tolerance):
     if ADDRESSES:
         return ADDRESSES[0]
     problem, grid, system, bounds = search.arguments
-    work, parameters = search.work, numbers.parameters[0]
-    duals, lower = work.barriers[DUALS], numbers.lower[0]
-    room = np.empty((0, work.vectors.shape[1]))
+    reals, integers, vectors, barriers, factors = space[1:5] + space[-1:]
+    duals, lower = barriers[DUALS], numbers.lower[0]
     arguments = (
         (descent.descend, (
-            problem, grid, system, bounds, tolerance, 1, 1, work.reals, work.integers, work.vectors, work.barriers,
-            work.pairs, room, work.log,
+            problem, grid, system, bounds, tolerance, 1, 1, reals, integers, vectors, barriers, space.pairs, space.room,
+            space.log,
         )),
-        (descent.begin_beside, (
-            problem, grid, bounds, tolerance, work.reals, work.integers, work.vectors, work.barriers,
-        )),
+        (descent.begin_beside, (problem, grid, bounds, tolerance, reals, integers, vectors, barriers)),
         (fill_scaling_factors, (
-            quantities, *common.with_stages[:2], common.steps, 1.0, common.nodes, parameters,
+            common.quantities, *common.with_stages[:2], common.steps, 1.0, common.nodes, numbers.parameters[0],
             common.all_are_multiplier, factors[0], lower, lower, common.all_ties, common.kinds, common.counts,
-            common.places, common.lacks, True, entries, factors[1:4], factors[0],
+            common.places, common.lacks, True, space.entries, factors[1:4], factors[0],
         )),
-        (clip, (
-            problem, grid, bounds, (0.0,) * 5, duals, duals, work.vectors, work.vectors[X], work.vectors[G],
-        )),
-        (descent.terms, (problem, grid, system, work.vectors[X], 1, work.vectors)),
+        (clip, (problem, grid, bounds, (0.0,) * 5, duals, duals, vectors, vectors[X], vectors[G])),
+        (descent.terms, (problem, grid, system, vectors[X], 1, vectors)),
     )  # fmt: skip
     ADDRESSES.append(tuple(address_of_compiled(function, given) for function, given in arguments))
     return ADDRESSES[0]
