@@ -20,8 +20,7 @@ from threadpoolctl import threadpool_limits
 from codegen.batch.executors import team_size
 from codegen.batch.optima import Limits, optima
 from codegen.errors import ArgumentError, ExtraError, NumericsError, clause, one_line
-from codegen.runtime.kept_code import is_kept
-from codegen.runtime.search.batch import Optimum, solve_cases
+from codegen.runtime.search.batch import Optimum, is_ready
 from codegen.runtime.search.problem import ControlProblem
 from codegen.solving import compiler, loading
 from codegen.solving.loading import ControlModule, Matrix, Vector, is_control
@@ -281,7 +280,7 @@ def solve_many(
             results[first : first + len(block)] = block
             first += len(block)
 
-    with building("Compiling what solves many cases, once") if not is_kept(solve_cases.py_func) else nullcontext():
+    with building("Compiling what solves many cases, once") if not is_ready() else nullcontext():
         next(optima(module, count, arguments[:1], guesses[:1], limits, lambda: True))
     with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         try:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -142,3 +145,16 @@ def test_unusable_arguments_are_refused_in_one_line(name):
 def test_simulations_are_refused_with_the_command_that_takes_them():
     with pytest.raises(ArgumentError, match=r"codegen\.sweep"):
         codegen.solve_many(PROBLEMS / "pendulum.py", {"start.q": [0.1, 0.2]})
+
+
+def test_the_interpreter_finds_the_same_optima_without_machine_code():
+    code = (
+        "import codegen\n"
+        f"found = codegen.solve_many({str(PROBLEMS / 'double_integrator_effort.py')!r}, {{'x_f': [1.0, 2.0]}}, steps=4)\n"
+        "print(*found.cost)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert [float(word) for word in done.stdout.split()] == pytest.approx([12.8, 51.2], rel=1e-12)

@@ -12,9 +12,10 @@ otherwise be compiled a second time as part of this function.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import config, njit, types
 
 from codegen.runtime.addresses import address_of_compiled, calling_compiled
+from codegen.runtime.kept_code import is_kept
 from codegen.runtime.search import descent
 from codegen.runtime.search.cascade import WORSE, clip
 from codegen.runtime.search.descent import (
@@ -555,6 +556,11 @@ def common_of(grid, search, scaling):
         everything if is_whole else like_unknowns(problem, steps), own.local_is_multiplier, own.without_cost,
         bool(own.linear_quadratic), bool(own.costless), scaling == "auto" and not own.linear_quadratic,
     )  # fmt: skip
+
+
+def is_ready():
+    """Return True if machine code of `solve_cases` is on the disk, or if numba is switched off."""
+    return bool(config.DISABLE_JIT) or is_kept(solve_cases.py_func)
 
 
 ADDRESSES: list[tuple[int, ...]] = []
