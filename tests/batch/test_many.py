@@ -148,13 +148,9 @@ def test_simulations_are_refused_with_the_command_that_takes_them():
 
 
 def test_the_interpreter_finds_the_same_optima_without_machine_code():
-    code = (
-        "import codegen\n"
-        f"found = codegen.solve_many({str(PROBLEMS / 'double_integrator_effort.py')!r}, {{'x_f': [1.0, 2.0]}}, steps=4)\n"
-        "print(*found.cost)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True
-    )
+    code = "import codegen, sys\nprint(*codegen.solve_many(sys.argv[1], {'x_f': [1.0, 2.0]}, steps=4).cost)"
+    words = [sys.executable, "-c", code, str(PROBLEMS / "double_integrator_effort.py")]
+    interpreted = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(words, env=interpreted, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert [float(word) for word in done.stdout.split()] == pytest.approx([12.8, 51.2], rel=1e-12)
