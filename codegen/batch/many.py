@@ -7,7 +7,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -38,6 +38,8 @@ SOLVED, UNUSABLE = "solved", "unusable"
 """Statuses of a case: solved, and numbers with which no grid exists."""
 MOST_AT_ONCE, LEAST_PARTS = 2000, 8
 """Largest number of cases that a thread takes at a time; least number of such parts for each thread."""
+LONGEST_STATUS = "<U24"
+"""The type of a status in an array."""
 _OPTIONS = "arguments scheme method controls out tolerance max_iterations time_limit scaling".split()
 """Options of `codegen.solve` that apply to many cases."""
 
@@ -271,17 +273,19 @@ def solve_many(
     )  # fmt: skip
     keys, rows = overridable(module), zip(*(column.tolist() for column in columns.values()), strict=True)
     arguments = [given(keys, dict(zip(columns, row, strict=True))) for row in rows] or [{}]
-    results, ended = list[Any]([None] * number), threading.Event()
+    solutions, ended = _empty(module, columns, count, limits, number), threading.Event()
     size = min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
 
     def solve(first: int) -> None:
         part = slice(first, first + size)
         for block in optima(module, count, arguments[part], guesses[part], limits, lambda: not ended.is_set()):
-            results[first : first + len(block)] = block
+            for index, result in enumerate(block, first):
+                _put(solutions, index, result)
             first += len(block)
 
-    with building("Compiling what solves many cases, once") if not is_ready() else nullcontext():
-        next(optima(module, count, arguments[:1], guesses[:1], limits, lambda: True))
+    if not is_ready():
+        with building("Compiling what solves many cases, once"):
+            next(optima(module, count, arguments[:1], guesses[:1], limits, lambda: True))
     with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         try:
             for _ in pool.map(solve, range(0, number, size)):
@@ -290,7 +294,7 @@ def solve_many(
             ended.set()
             pool.shutdown(cancel_futures=True)
             raise
-    return _solutions(module, columns, count, limits, results)
+    return solutions
 
 
 def given(keys: Mapping[str, tuple[str, str]], values: Mapping[str, float]) -> dict[str, Any]:
@@ -369,23 +373,25 @@ def _guesses(
     return [row if np.isfinite(row).all() else None for row in rows]
 
 
-def _solutions(
-    module: ControlModule, columns: dict[str, Vector], steps: int, limits: Limits, results: list[Optimum | Exception]
-) -> Solutions:
-    """Return the Solutions with these results."""
-    number, found = len(results), [one for one in results if isinstance(one, Optimum)]
-    size = found[0].unknowns.size if found else 0
-    status, message = np.empty(number, object), np.empty(number, object)
+def _empty(module: ControlModule, columns: dict[str, Vector], steps: int, limits: Limits, number: int) -> Solutions:
+    """Return Solutions without results."""
+    try:
+        size = module.make_grid(steps).is_multiplier.size
+    except ValueError as error:
+        raise NumericsError(f"{module.metadata.problem}: {error}", "give other values") from error
     cost, residual, stationarity = (np.full(number, np.nan) for _ in range(3))
-    iterations, unknowns = np.zeros(number, np.int64), np.full((number, size), np.nan)
-    for i, one in enumerate(results):
-        if isinstance(one, Optimum):
-            status[i], message[i], iterations[i], unknowns[i] = one.status, one.message, one.iterations, one.unknowns
-            residual[i], stationarity[i] = one.residual, one.stationarity
-            cost[i] = one.cost if one.status == SOLVED else np.nan
-        else:
-            status[i], message[i] = UNUSABLE, f"{UNUSABLE}: {one_line(str(one))}"
     return Solutions(
-        status.astype(np.str_), message, cost, residual, stationarity, iterations, unknowns, columns, steps, module,
-        limits,
+        np.full(number, "", LONGEST_STATUS), np.full(number, "", object), cost, residual, stationarity, np.zeros(number, np.int64),
+        np.full((number, size), np.nan), columns, steps, module, limits,
     )  # fmt: skip
+
+
+def _put(solutions: Solutions, index: int, result: Optimum | Exception) -> None:
+    """Write the result of a case into the arrays."""
+    if isinstance(result, Exception):
+        solutions.status[index], solutions.message[index] = UNUSABLE, f"{UNUSABLE}: {one_line(str(result))}"
+        return
+    solutions.status[index], solutions.message[index] = result.status, result.message
+    solutions.cost[index] = result.cost if result.status == SOLVED else np.nan
+    solutions.residual[index], solutions.stationarity[index] = result.residual, result.stationarity
+    solutions.iterations[index], solutions.unknowns[index] = result.iterations, result.unknowns
