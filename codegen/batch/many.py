@@ -381,8 +381,8 @@ def _empty(module: ControlModule, columns: dict[str, Vector], steps: int, limits
         raise NumericsError(f"{module.metadata.problem}: {error}", "give other values") from error
     cost, residual, stationarity = (np.full(number, np.nan) for _ in range(3))
     return Solutions(
-        np.full(number, "", LONGEST_STATUS), np.full(number, "", object), cost, residual, stationarity, np.zeros(number, np.int64),
-        np.full((number, size), np.nan), columns, steps, module, limits,
+        np.full(number, "", LONGEST_STATUS), np.full(number, "", object), cost, residual, stationarity,
+        np.zeros(number, np.int64), np.full((number, size), np.nan), columns, steps, module, limits,
     )  # fmt: skip
 
 
