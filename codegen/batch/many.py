@@ -30,6 +30,7 @@ from codegen.solving.request import Request, overridable, require_options, with_
 from codegen.solving.results.control import control_result
 from codegen.solving.results.result import ControlAttempt, Result, Run, component_names
 from codegen.solving.results.segments import put_together, segments_of
+from codegen.solving.results.sensitivities import rates_at, require_sensitive
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -40,7 +41,7 @@ MOST_AT_ONCE, LEAST_PARTS = 2000, 8
 """Largest number of cases that a thread takes at a time; least number of such parts for each thread."""
 LONGEST_STATUS = "<U24"
 """The type of a status in an array."""
-_OPTIONS = "arguments scheme method controls out tolerance max_iterations time_limit scaling".split()
+_OPTIONS = "arguments scheme method controls out sensitivities tolerance max_iterations time_limit scaling".split()
 """Options of `codegen.solve` that apply to many cases."""
 
 
@@ -123,6 +124,24 @@ class Solutions:
         """Multipliers of the equations, (n, rows, multipliers)."""
         return self._motions["multipliers"]
 
+    @cached_property
+    def d_cost(self) -> dict[str, Vector]:
+        """Derivatives (n,) of the cost by the name of a parameter, a prescribed value or a duration.
+
+        Parameters that vary are independent of each other, even if formulas of the problem relate them. NaN for a case
+        that is not solved, or without derivatives. Raises ArgumentError unless the cases are solved with
+        `sensitivities=True`.
+        """
+        require_sensitive(self.module)
+        names = self.module.metadata.sensitivities or ()
+        rates = np.full((len(self), len(names)), np.nan)
+        fixed = [name for name in self.parameters if name in names]
+        for i in np.flatnonzero(self.solved).tolist():
+            with suppress(ValueError, ArithmeticError):  # a derivative can be infinite at a finite solution
+                own = with_values(self.module, self._values(i))
+                rates[i] = rates_at(own, self.steps, self.unknowns[i], fixed).sensitivities.costs
+        return {name: rates[:, j] for j, name in enumerate(names)}
+
     @property
     def names(self) -> dict[str, tuple[str, ...]]:
         """The names of the columns of q, p and u."""
@@ -144,7 +163,7 @@ class Solutions:
             raise IndexError(f"case {index} of {len(self)}")
         if self.status[index] == UNUSABLE:
             raise NumericsError(clause(f"case {index}: {self.message[index]}"), "look at `status` before")
-        module = with_values(self.module, {name: float(values[index]) for name, values in self.parameters.items()})
+        module = with_values(self.module, self._values(index))
         tolerance = self.limits.tolerance or 1e-10
         run = Run(self.steps, tolerance=tolerance, scaling=self.limits.scaling)
         attempt = ControlAttempt(
@@ -152,6 +171,10 @@ class Solutions:
             tolerance, is_explained=True, generated=True,
         )  # fmt: skip
         return put_together(control_result(module, "newton", run, attempt), module.metadata)
+
+    def _values(self, index: int) -> dict[str, float]:
+        """Return the numbers of a case by name."""
+        return {name: float(values[index]) for name, values in self.parameters.items()}
 
     @cached_property
     def _motions(self) -> dict[str, NDArray[np.float64]]:
@@ -161,7 +184,7 @@ class Solutions:
         parts: dict[int, Any] = {}
         for i in np.flatnonzero(self.solved).tolist():
             if is_whole:
-                own = given(keys, {name: float(values[i]) for name, values in self.parameters.items()})
+                own = given(keys, self._values(i))
                 parts[i] = self.module.unpack(self.module.make_grid(self.steps, **own), self.unknowns[i])
             else:
                 parts[i] = [getattr(self[i], name) for name in names]
@@ -233,8 +256,8 @@ def solve_many(
     threads : int
         Number of threads, by default the number of available processors. Results do not depend on it.
     **options
-        `arguments`, `scheme`, `method`, `controls`, `out`, `tolerance`, `max_iterations`, `time_limit` (of a case) and
-        `scaling`, as for `codegen.solve`.
+        `arguments`, `scheme`, `method`, `controls`, `out`, `sensitivities`, `tolerance`, `max_iterations`, `time_limit`
+        (of a case) and `scaling`, as for `codegen.solve`.
 
     Returns
     -------
@@ -276,20 +299,22 @@ def solve_many(
     solutions, ended = _empty(module, columns, count, limits, number), threading.Event()
     size = min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
 
-    def solve(first: int) -> None:
+    def solve(first: int) -> int:
         part = slice(first, first + size)
         for block in optima(module, count, arguments[part], guesses[part], limits, lambda: not ended.is_set()):
             for index, result in enumerate(block, first):
                 _put(solutions, index, result)
             first += len(block)
+        return first
 
     if not is_ready():
         with building("Compiling what solves many cases, once"):
             next(optima(module, count, arguments[:1], guesses[:1], limits, lambda: True))
-    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
+    with building("Solving") as line, threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         try:
-            for _ in pool.map(solve, range(0, number, size)):
-                pass
+            for done in pool.map(solve, range(0, number, size)):
+                if line is not None:
+                    line.update(f"Solving: {done} of {number} cases ...")
         except BaseException:  # such as an interrupt
             ended.set()
             pool.shutdown(cancel_futures=True)
@@ -319,7 +344,7 @@ def _module(request: Request, working: Callable[[str], Any]) -> Any:
         with shown_from_call(working, "Deriving") as deriving:
             build = compiler.build(
                 request.source, request.settings, scheme=request.scheme, method=request.method,
-                controls=request.controls, out=request.out, deriving=deriving,
+                controls=request.controls, out=request.out, sensitivities=request.sensitivities, deriving=deriving,
             )  # fmt: skip
         module = loading.load(build.path)
         processes.require(build.path, module, build.written, working)
@@ -327,6 +352,8 @@ def _module(request: Request, working: Callable[[str], Any]) -> Any:
     if not is_control(module):
         finding = f"{module.metadata.problem} is a {module.metadata.task} problem"
         raise ArgumentError(clause(finding), "use codegen.sweep, which solves all kinds of problems")
+    if request.sensitivities:
+        require_sensitive(module)
     if not isinstance(module.problem, ControlProblem):
         raise ArgumentError("a standalone module solves one case at a time", "build it without --standalone")
     return module

@@ -59,6 +59,17 @@ def test_costs_are_those_of_the_closed_form():
     np.testing.assert_allclose(found.q[:, -1, 0], places, rtol=1e-12)
 
 
+def test_derivatives_of_the_cost_are_those_of_the_closed_form():
+    places, times = np.array([0.5, 1.0, 2.0]), np.array([1.0, 0.8, 2.0])
+    problem = PROBLEMS / "double_integrator_effort.py"
+    found = codegen.solve_many(problem, {"x_f": places, "T": times}, steps=40, sensitivities=True)
+    np.testing.assert_allclose(found.d_cost["x_f"], 2.0 * found.cost / places, rtol=1e-8)
+    np.testing.assert_allclose(found.d_cost["T"], -3.0 * found.cost / times, rtol=1e-8)
+    plain = codegen.solve_many(problem, {"x_f": places})
+    with pytest.raises(ArgumentError, match="sensitivities"):
+        plain.d_cost  # noqa: B018
+
+
 def test_results_do_not_depend_on_the_number_of_threads():
     solver, radii = solver_of("orbital_transfer"), np.linspace(5.2, 6.8, 97)
     one, *others = (codegen.solve_many(solver, {"r1": radii}, steps=30, threads=threads) for threads in (1, 2, 5))
