@@ -47,17 +47,23 @@ def test_all_figures_and_tables_of_the_thesis_have_an_entry():
 def test_every_entry_has_commands_that_exist(entry):
     from codegen.cli import main
 
-    assert sum(map(len, (MOTIONS, REGISTRATIONS, ERRATA))) == len(ENTRIES), "a name occurs twice"
-    assert entry.shown_commands
-    values = {"N": 1, "T": 1, "R": 1, "H": 3, "E": 1e-3, "q": 0, "p": 0, "nc": 3, "path": "arc", "folder": "."}
-    for command in entry.shown_commands:
-        program, *arguments = shlex.split(command.format(**values))
-        if program == "codegen":
+    commands = RECORD["entries"][entry.name]["commands"]
+    assert len(commands) == max(1, len(entry.commands))
+    for number, command in enumerate(commands):
+        program, *arguments = shlex.split(command["last"])
+        if entry.commands:
+            template = re.sub(r"\\{\w+\\}", r"\\S*", re.escape(entry.commands[number].replace("{folder}/", "")))
+            assert re.fullmatch(template, command["last"])
+            assert program == "codegen"
             parser = typer.main.get_command(main).commands[arguments[0]]
             parser.make_context(arguments[0], [own.replace("problems/", f"{ROOT}/problems/") for own in arguments[1:]])
         else:
             assert (ROOT / arguments[0]).is_file()
             assert arguments[1:] == ["--only", entry.name]
+
+
+def test_names_of_entries_are_different():
+    assert len(MOTIONS) + len(REGISTRATIONS) + len(ERRATA) == len(ENTRIES)
 
 
 @pytest.mark.parametrize("entry", PROOFS)

@@ -78,8 +78,11 @@ def section(kind: Kind, entries: tuple[Entry, ...], record: dict[str, Any]) -> I
         if entry.kind is not kind:
             continue
         yield f"### `{entry.name}`: {entry.place}\n\n{entry.says} **{entry.agreement.capitalize()}.**\n"
-        commands = "\n".join(command.replace("{folder}/", "") for command in entry.shown_commands)
-        yield f"```text\n{commands}\n```\n"
+        yield "```text"
+        for command in record["entries"][entry.name]["commands"]:
+            others = command["runs"] - 1
+            yield command["last"] + (f"  # and {others} similar run{'s' * (others > 1)}" if others else "")
+        yield "```\n"
         yield "| quantity | thesis | here | limits | |\n|---|---|---|---|---|"
         yield from (table_row(row) for row in rows_of(entry, record))
         yield f"\n{entry.remark}\n" if entry.remark else ""

@@ -22,7 +22,6 @@ from scipy.integrate import solve_ivp
 ROOT = Path(__file__).resolve().parents[2]
 REGISTRATION = ROOT / "problems" / "image_registration.py"
 TRILOBITES = ROOT / "problems" / "data" / "trilobite40.csv"
-SCRIPT = "python tests/benchmarks/thesis.py --only"
 
 Vector = NDArray[np.float64]
 
@@ -79,11 +78,6 @@ class Entry:
     remark: str
     agreement: Agreement
 
-    @property
-    def shown_commands(self) -> tuple[str, ...]:
-        """The commands for the page: those of `codegen`, or the one that measures this entry alone."""
-        return self.commands or (f"{SCRIPT} {self.name}",)
-
 
 @dataclass(frozen=True)
 class Outcome:
@@ -106,10 +100,14 @@ class Outcome:
 
 
 class Runs:
-    """Runs the commands of an entry in this process, from the root of the repository."""
+    """Runs the commands of an entry in this process, from the root of the repository.
+
+    `commands` has, for each command of the entry, the texts that were run.
+    """
 
     def __init__(self, entry: Entry, folder: Path) -> None:
-        self.entry, self.folder, self.used = entry, folder, set[int]()
+        self.entry, self.folder = entry, folder
+        self.commands: list[list[str]] = [[] for _ in entry.commands]
 
     def __call__(self, number: int, **values: object) -> Outcome:
         """Run a command of the entry; `codegen solve` also prints JSON and saves its arrays."""
@@ -117,8 +115,9 @@ class Runs:
 
         from codegen.cli import main
 
-        self.used.add(number)
-        _, command, *arguments = shlex.split(self.entry.commands[number].format(**values))
+        text = self.entry.commands[number].format(**values)
+        self.commands[number].append(text.replace(f"{self.folder}/", ""))
+        _, command, *arguments = shlex.split(text)
         saved = self.folder / "arrays.npz"
         options = {"solve": ["--json", "--save", str(saved)], "warp": ["--json"]}.get(command, [])
         done = typer.testing.CliRunner().invoke(main, [command, *arguments, *options])

@@ -446,8 +446,8 @@ def _(run: Runs) -> Iterator[Row]:
 
 @question(
     "question-dimension", "Chapter 6", "How do the methods scale with the number of spatial dimensions?",
-    remark="100 random landmarks with smooth displacements in the disc and in the ball, explicit Euler, N = 10. Only the "
-    "operations of a pair of landmarks grow.",
+    remark="100 random landmarks with smooth displacements in the disc and in the ball, explicit Euler, N = 10. Only "
+    "the operations of a pair of landmarks grow.",
 )  # fmt: skip
 def _(run: Runs) -> Iterator[Row]:
     import codegen
