@@ -320,8 +320,8 @@ erratum(
     "green-cancellation", "Listings E.2.5 and E.2.6",
     "Coded: A is formed, then its logarithm. G is a difference of nearly equal numbers near the unit circle. Correct: "
     "$G = ab/2 - s\\log(1 + ab/s)/2$. The defect is the relative error of G at a distance of 1e-7 from the circle.",
-    remark="The absolute error is small, because G vanishes on the circle. Near-coincident points lose no digits: at "
-    "distances from 1e-1 to 1e-12 both forms have 15.",
+    remark="The absolute error is small, because G vanishes on the circle. Near-coincident points lose no digits, "
+    "as the claim `green` shows.",
 )(Proof(_near_circle, coded_green, lambda a, b: float(green(a, b))))  # fmt: skip
 
 # ---- Chapter 5 and appendix E ----

@@ -36,7 +36,7 @@ from thesis.entries import (
     points_file,
     trilobites,
 )
-from thesis.errata import averaged_cost, laplacian, plate, x, y
+from thesis.errata import averaged_cost, coded_green, laplacian, plate, x, y
 
 REGISTRATIONS: list[Entry] = []
 figure, table = collected(Kind.FIGURE, REGISTRATIONS), collected(Kind.TABLE, REGISTRATIONS)
@@ -69,6 +69,9 @@ def _(run: Runs) -> Iterator[Row]:
     yield Row("largest slope on the circle", np.abs(green_slope(circle, inner)).max(), "0", high=1e-14)
     near = green(inner, inner + 1e-9)[0] / (0.5 * (0.13 - 1) ** 2) - 1
     yield Row("limit at the source, relative difference", abs(near), "0", high=1e-8)
+    close = inner[0], inner[0] + np.array([1e-9, 0.0])
+    difference = coded_green(*close) / float(green(*close)) - 1
+    yield Row("E.2.5 at points 1e-9 apart, relative difference", abs(difference), "", high=1e-13)
     a, b = np.array([0.3, 0.2]), np.array([-0.5, 0.25])
     ratio = (a @ a * (b @ b) - 2 * a @ b + 1) / ((a - b) @ (a - b))
     printed = (a * (b @ b) - b) * (1 - 1 / ratio) - (a - b) * np.log(ratio)
@@ -196,7 +199,9 @@ def _routes(run: Runs, names: tuple[str, ...], own: float, action: float) -> Ite
         yield Row(f"nc = {count}, stepping and full, relative spread of costs", worst, "close", high=own)
         worst = max(abs(c / first - 1) for name, c in costs.items() if name.startswith("optimal"))
         yield Row(f"nc = {count}, optimal control, relative difference of costs", worst, "close", high=action)
-        others = [each.seconds for name, each in done.items() if name not in ("stepping, Newton", "stepping, fsolve")]
+        others = [
+            each.seconds for name, each in done.items() if not name.endswith("Newton") and name != "stepping, fsolve"
+        ]
         yield Row(f"nc = {count}, next best time by that of stepping with fsolve",
                   min(others) / done["stepping, fsolve"].seconds, "above 1")  # fmt: skip
         paths = {name: each.arrays["q"] for name, each in done.items() if not name.endswith(("fmin", "SLSQP"))}
@@ -303,8 +308,9 @@ def _(run: Runs) -> Iterator[Row]:
     *(f"{LANDMARKS} --scheme {own} --set landmarks=tests/thesis/landmarks_{{nc}}.csv --repeat 5"
       for own in ("midpoint --steps 100", "lsoda --tolerance 1e-6", "explicit-euler --steps 100")),
     LANDMARKS + " --scheme dop853 --tolerance 1e-12 --set landmarks=tests/thesis/landmarks_{nc}.csv",
-    remark="LSODA of scipy, an Adams code as ode113, in its place. N = 100. Compiled steps are faster than LSODA.",
-    agreement=Agreement.OTHER_DATA,
+    remark="LSODA of scipy, an Adams code as ode113, in its place. N = 100. Its accuracy is as stated. Its speed is not, because "
+    "the steps of Euler are compiled here.",
+    agreement=Agreement.DIFFERENT,
 )  # fmt: skip
 def _(run: Runs) -> Iterator[Row]:
     for count in (3, 4, 5):
@@ -313,7 +319,7 @@ def _(run: Runs) -> Iterator[Row]:
             done = run(number, nc=count)
             limit = 1e-2 if name == "explicit Euler" else 1e-4
             yield Row(f"nc = {count}, {name}, relative error of the cost", abs(done.cost / exact - 1), "", high=limit)
-            yield Row(f"nc = {count}, {name}, ms", 1e3 * done.seconds, "midpoint is the slowest" if number == 0 else "")
+            yield Row(f"nc = {count}, {name}, ms", 1e3 * done.seconds, "slowest" if number == 0 else "")
 
 
 @table(
@@ -349,8 +355,8 @@ def _(run: Runs) -> Iterator[Row]:
     "ode113 at tolerances from 1e-6 to 1e-2, forty points: the error of the cost never exceeds 4e-6.",
     LANDMARKS + " --scheme lsoda --tolerance {E}", LANDMARKS + " --scheme dop853 --tolerance {E}",
     remark="`as printed` compares both costs by the midpoint rule on the nodes, as E.5.3 does. The true error compares "
-    "2 H. LSODA is in place of ode113.",
-    agreement=Agreement.OTHER_DATA,
+    "2 H. LSODA is in place of ode113, and its errors exceed 4e-6 at tolerances of 1e-4 and more.",
+    agreement=Agreement.DIFFERENT,
 )  # fmt: skip
 def _(run: Runs) -> Iterator[Row]:
     exact = run(1, E=1e-13)
@@ -361,7 +367,9 @@ def _(run: Runs) -> Iterator[Row]:
     benchmark = averaged_cost(*shaped(exact))
     for tolerance in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
         done = run(0, E=tolerance)
-        yield Row(f"{tolerance:g}, error as printed", abs(averaged_cost(*shaped(done)) - benchmark), "at most 4e-6")
+        limits = {"high": 4e-6} if tolerance < 5e-5 else {"low": 4e-6}
+        error = abs(averaged_cost(*shaped(done)) - benchmark)
+        yield Row(f"{tolerance:g}, error as printed", error, "at most 4e-6", **limits)
         yield Row(f"{tolerance:g}, true error", abs(float(done.record["cost"]) - exact.cost), "")
         yield Row(f"{tolerance:g}, ms", 1e3 * done.seconds, "60 to 140 s")
 
@@ -515,8 +523,12 @@ def _(run: Runs) -> Iterator[Row]:
         elif case.name in wanted:
             values, (tolerance, steps) = case.measure(), wanted[case.name]
             name = f"tolerance {tolerance:g}, N = {steps}"
-            yield Row(f"{name}, error of the cost", values["error"], "less accurate for large N")
-            yield Row(f"{name}, iterations", values["iterations"], "faster for large N")
+            is_loose = tolerance > 1e-10
+            there = ("less accurate for large N", "faster for large N") if is_loose else ("", "")
+            limits = {"low": 1e-6} if is_loose else {"high": 1e-7}
+            yield Row(f"{name}, error of the cost", values["error"], there[0], **limits)
+            limits = {"high": 50} if is_loose else {"low": 100}
+            yield Row(f"{name}, iterations", values["iterations"], there[1], **limits)
 
 
 @question(
