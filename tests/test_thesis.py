@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer.main
-from prose import prose_of
+from prose import AVOIDED, prose_of
 from thesis import ENTRIES
 from thesis.control import MOTIONS, exact_pendulum
 from thesis.entries import Kind, Runs, every, points_file
@@ -86,9 +86,11 @@ def test_the_record_has_all_entries_and_no_value_outside_its_limits():
         assert [row for row in kept["rows"] if not thesis_page.holds(row)] == [], name
 
 
-def test_the_sentences_of_the_page_are_short():
+def test_the_sentences_of_the_page_are_short_and_plain():
     prose = prose_of(thesis_page.page())
     assert prose.too_long() == []
+    assert prose.indirect() == []
+    assert not prose.containing(AVOIDED)
     assert prose.mean < 18
     assert len(prose.sentences) > 100
 
