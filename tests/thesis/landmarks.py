@@ -559,7 +559,7 @@ def _(run: Runs) -> Iterator[Row]:
 
 
 @question(
-    "question-compiled", "Chapter 6", "How fast is an optimised version in Fortran or C?",
+    "question-compiled", "Chapter 6", "How fast is an optimised version in C or Fortran?",
     LANDMARKS + " --scheme explicit-euler --steps 10 --repeat 20", LANDMARKS + " --scheme explicit-euler --steps 100",
     remark="The modules are compiled to machine code by numba, forty landmarks. The machine is 20 years younger, too.",
 )  # fmt: skip
