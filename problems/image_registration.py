@@ -2,8 +2,9 @@
 
 Landmarks q_i with momenta p_i move by H = 1/2 sum_ij p_i . p_j G(q_i, q_j). With `plate`, G is the Green's function of
 the clamped plate that fills the unit disc, so that the map which moves the points moves nothing on the circle and
-beyond, does not fold, and has the least bending energy (in units in which G is 4 pi times that of the biharmonic
-operator). In space it is that of the unit ball. With `gauss`, G is a Gaussian of width sigma and space has no boundary.
+beyond, does not fold, and has the least bending energy (in units in which G is 8 pi times that of the biharmonic
+operator). In space it is that of the unit ball, times 16 pi. With `gauss`, G is a Gaussian of width sigma and space
+has no boundary.
 Source: Camion and Younes (2001), Geodesic interpolating splines; Mills and Marsland (2005); Mills, Shardlow and
 Marsland (2006), Computing the geodesic interpolating spline; Boggio (1905) for both Green's functions, of which the
 second is written without differences of roots. All quantities are nondimensional.

@@ -53,7 +53,7 @@ FAST = frozenset(
     " refinement limits tasks delays segments inner_times samples damaged_samples estimates measured sensitivities"
     " sweep_cases sweep_continuation worker_processes sweep_jumps scattered_jumps sweep_figure sweep_sensitivities"
     " pareto first_order tornado shift controller closed_loop refused_controllers controller_delay preparation site"
-    " prose warm_start barrier polynomials both_sides journal tally columns".split()
+    " prose thesis warm_start barrier polynomials both_sides journal tally columns".split()
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
 

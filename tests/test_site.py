@@ -20,7 +20,7 @@ from codegen.solving.results.result import STATUSES
 ROOT = PROBLEMS.parent
 DOCS = ROOT / "docs"
 OBJECTS = DOCS / "reference" / "objects"
-MADE = {DOCS / "reference" / "commands.md", DOCS / "gallery" / "index.md", DOCS / "benchmarks.md"}
+MADE = {DOCS / "reference" / "commands.md", DOCS / "gallery" / "index.md", DOCS / "benchmarks.md", DOCS / "thesis.md"}
 MADE |= {DOCS / "gallery" / f"{path.stem}.md" for path in problem_files()}
 MADE |= {OBJECTS / f"{name}{'-class' * name[0].isupper()}.md" for name in ("index", "Result", *codegen.__all__)}
 """Pages that are made when the site is built."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import benchmarks
+import thesis_page
 from references import PROBLEMS, ROOT, STORED, Known, digest, known_of, misses, problem_files
 from signature import page_of, text
 from speed import read_speed, speed_section
@@ -298,6 +299,7 @@ def make(app: Any) -> None:
     for name, page in object_pages().items():
         write(DOCS / "reference" / "objects" / f"{name}.md", page)
     write(DOCS / "benchmarks.md", benchmarks.page())
+    write(DOCS / "thesis.md", thesis_page.page())
 
 
 def setup(app: Any) -> dict[str, bool]:
