@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from codegen.errors import ArgumentError
-from codegen.evidence.report import drift, modules, optima, simulations, thesis
+from codegen.evidence.report import drift, modules, optima, simulations, thesis, timing
 from codegen.evidence.report.building import MODULES, SURVEYS, Variant, Workshop, build_one, gather, survey_of, workers
 from codegen.evidence.report.orders import Measured
 from codegen.evidence.report.page import Section, Table, number, page, seconds
@@ -161,8 +161,7 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
             ]
     title = "Problems, measured" if len(selection) > 1 else _title_of(selection[0].problem)
     introduction = (
-        "Every number was measured by the run that made this page; measurements.csv has all numbers. "
-        "A scheme has one colour in all figures. Run times are of one solve with warm machine code, the least of a few."
+        f"Every number was measured by the run that made this page; measurements.csv has all numbers. {timing.RULE}"
     )
     if extent.quick:
         introduction += " This is the quick form: few schemes, short ladders."

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import CodegenError
+from codegen.evidence.report import timing
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.orders import (
     ABOVE_REFERENCE,
@@ -61,16 +62,13 @@ from codegen.evidence.report.store import Case, Extent, Store, Values, section_o
 from codegen.runtime.search import point
 from codegen.solving import api
 from codegen.solving.arcs import order_of_optima
-from codegen.solving.drivers import DRIVERS as REGISTERED
-from codegen.solving.loading import ControlModule, GeneratedModule, Vector
+from codegen.solving.loading import ControlModule, Vector
 from codegen.solving.results.control import bound_distances
 from codegen.solving.results.result import Result
 
 DRIVERS = ("newton", "slsqp", "trust-constr", "fsolve")
 MOST_STEPS = 20_000
 """The first grid is derived from the problem's own number of steps, or from this number if it is smaller."""
-QUICKLY = 0.01
-"""The seconds of a solve below which ten times as many solves are timed."""
 NEAR = 0.01
 """The reference's error is drawn if it exceeds this fraction of the least error of the schemes."""
 OTHER_OPTIMUM = 0.1
@@ -80,12 +78,16 @@ OTHER_OPTIMUM = 0.1
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """Yield cases: every scheme on ever finer grids, mesh sequences, the reference, drivers on the coarsest grid."""
     store, modules = workshop.store, {v: workshop.control(v) for v in workshop.built(variants)}
+    runs: dict[str, Callable[[], object]] = {}
     for variant, module in modules.items():
         first = _first_steps(module)
         for steps in (first * 2**k for k in range(extent.control_doublings + 1)):
-            yield Case(section_of(problem, "optima"), variant.run(steps), partial(solved, module, steps, extent.repeat))
-            values = store.get(section_of(problem, "optima"), variant.run(steps)) or {}
-            if (values.get("seconds") or 0.0) > extent.limit:
+            name = variant.run(steps)
+            yield Case(section_of(problem, "optima"), name, partial(solved, module, steps))
+            values = store.get(section_of(problem, "optima"), name) or {}
+            if values["status"] != "refused":
+                runs[name] = timing.solver(module, steps)
+            if (values["seconds of first solve"] or 0.0) > extent.limit:
                 break
         yield Case(
             section_of(problem, "mesh sequences"),
@@ -101,11 +103,12 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     yield Case(section_of(problem, "reference"), "cost", partial(_reference, store, problem, trusted, exact))
     module = modules[default]
     steps = _first_steps(module)
-    if module.initial_guess(module.make_grid(steps)).size > extent.driver_unknowns:
-        return
-    for driver in DRIVERS:
-        repeat = extent.repeat if REGISTERED[driver].generated else 1
-        yield Case(section_of(problem, "drivers"), driver, partial(solved, module, steps, repeat, driver))
+    if module.initial_guess(module.make_grid(steps)).size <= extent.driver_unknowns:
+        for driver in DRIVERS:
+            yield Case(section_of(problem, "drivers"), driver, partial(solved, module, steps, driver))
+            if (store.get(section_of(problem, "drivers"), driver) or {})["status"] != "refused":
+                runs[f"driver {driver}"] = timing.solver(module, steps, driver)
+    yield from timing.cases(problem, runs, store, extent.time_budget)
 
 
 def _first_steps(module: ControlModule) -> int:
@@ -113,27 +116,23 @@ def _first_steps(module: ControlModule) -> int:
     return max(5, min(MOST_STEPS, module.metadata.steps) // 4)
 
 
-def solved(module: ControlModule, steps: int, repeat: int, driver: str = "newton") -> Values:
-    """Return status, cost, times and residuals of a solve from the problem's own initial guess."""
+def solved(module: ControlModule, steps: int, driver: str = "newton", budget: float = 0.0) -> Values:
+    """Return status, cost and residuals of a solve from the problem's own initial guess; its time if `budget` > 0."""
     try:
-        result = well_timed(module, driver, repeat, steps=steps)
+        result = api.solve(module, driver, steps=steps)
     except CodegenError as error:  # such as too little memory, or a driver that does not apply
-        keys = ("cost", "seconds", "iterations", "residual", "stationarity", "order", "expected order", "load seconds")
+        keys = ("cost", "seconds of first solve", "iterations", "residual", "stationarity", "order", "expected order")
         return {**dict.fromkeys(keys), "status": "refused", "message": str(error), "steps": steps}
-    return {
-        "status": result.status, "steps": steps, "cost": result.cost, "seconds": result.seconds_solve,
+    values = {
+        "status": result.status, "steps": steps, "cost": result.cost, "seconds of first solve": result.seconds_solve,
         "iterations": result.iterations, "residual": result.residual, "stationarity": result.stationarity,
         "order": module.metadata.order, "expected order": order_of_optima(module),
         "load seconds": result.seconds_code,
     }  # fmt: skip
-
-
-def well_timed(module: GeneratedModule, driver: str, repeat: int, **options: Any) -> Result:
-    """Return a result with the least time of `repeat` solves, or of ten times as many if a solve takes milliseconds."""
-    result = api.solve(module, driver, repeat=1, **options)
-    if repeat > 1 and result.seconds_solve < 1.0:
-        return api.solve(module, driver, repeat=10 * repeat if result.seconds_solve < QUICKLY else repeat, **options)
-    return result
+    if budget:
+        measured = timing.timed(timing.solver(module, steps, driver), budget)
+        values |= {"seconds": measured.processor, "wall seconds": measured.wall, "spread": measured.spread}
+    return values
 
 
 def _reference(store: Store, problem: Path, trusted: Sequence[Variant], exact: float | None) -> Values:
@@ -429,7 +428,7 @@ def measured(store: Store, problem: Path, variant: Variant) -> Measured:
     Errors are None if a solve failed or if there is no reference. The expected order is the order of the scheme, but at
     most 2 where controls are constant on intervals.
     """
-    rows = variant.rows(store, section_of(problem, "optima"))
+    rows = timing.timed_rows(store, problem, variant, "optima")
     exact = (store.get(section_of(problem, "reference"), "cost") or {}).get("cost")
     expected = next((int(order) for v in rows if (order := v.get("expected order")) is not None), variant.order)
     convergence = convergence_of(store, problem, variant, expected)
@@ -494,7 +493,10 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
             "remarks")  # fmt: skip
     caption = "The finest solve of every scheme from the problem's own guess, on the grids that the figure shows."
     tables.append(Table(caption, head, tuple(runs)).without_empty_columns())
-    by_driver = dict(store.rows(section_of(problem, "drivers")))
+    by_driver, by_name = dict(store.rows(section_of(problem, "drivers"))), timing.times(store, problem)
+    for name, values in by_driver.items():
+        of_driver = by_name.get(f"driver {name}")
+        by_driver[name] = {**values, "seconds": of_driver and of_driver.processor}
     if by_driver:
         newton = (by_driver.get("newton") or {}).get("seconds") or math.nan
         rows, refused = [], list[str]()

@@ -21,8 +21,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from codegen.errors import CodegenError
+from codegen.evidence.report import timing
 from codegen.evidence.report.building import Variant, Workshop
-from codegen.evidence.report.optima import well_timed
 from codegen.evidence.report.orders import (
     ABOVE_REFERENCE,
     LEAST_RANGE,
@@ -37,6 +37,7 @@ from codegen.evidence.report.orders import (
 from codegen.evidence.report.page import Line, Picture, Section, Table, listed, number, seconds, svg, work_precision
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.runtime.record import Form
+from codegen.solving import api
 from codegen.solving.loading import Matrix, SimulateModule, Vector
 
 TIGHT, LOOSE = 3e-14, 1e-13
@@ -78,6 +79,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
         durations = dict.fromkeys(min(duration, factor * unit) for factor in SPANS)
         return order_values(module, map(span, durations), extent.limit)
 
+    runs: dict[str, Callable[[], object]] = {}
     for variant, module in modules.items():
         yield Case(section_of(problem, "orders"), variant.label, partial(order, module))
         first = CHECKPOINTS * max(1, round(int(module.metadata.steps) / 2**BELOW / CHECKPOINTS))
@@ -86,15 +88,14 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
         for doublings in range(extent.simulation_doublings + 1):
             steps.append(first * 2**doublings)
             name = variant.run(steps[-1])
-            yield Case(
-                section_of(problem, "errors"),
-                name,
-                partial(_errors, module, euler, reference, steps[-1], extent.repeat),
-            )
+            yield Case(section_of(problem, "errors"), name, partial(_errors, module, euler, reference, steps[-1]))
             values = store.get(section_of(problem, "errors"), name) or {}
             errors.append(values.get("trajectory"))
-            if (values.get("seconds") or 0.0) > extent.limit or is_exhausted(steps, errors):
+            if values.get("status") == "solved":
+                runs[name] = timing.solver(module, steps[-1], every=steps[-1] // CHECKPOINTS)
+            if (values.get("seconds of first solve") or 0.0) > extent.limit or is_exhausted(steps, errors):
                 break
+    yield from timing.cases(problem, runs, store, extent.time_budget)
 
 
 @dataclass(frozen=True)
@@ -266,15 +267,15 @@ def _reference(module: SimulateModule) -> Values:
     }  # fmt: skip
 
 
-def _errors(module: SimulateModule, euler: SimulateModule, reference: Values, steps: int, repeat: int) -> Values:
+def _errors(module: SimulateModule, euler: SimulateModule, reference: Values, steps: int) -> Values:
     """Return the largest relative errors at the checkpoints: of the state, the energy and the conserved momenta."""
     try:
-        result = well_timed(module, "newton", repeat, steps=steps, every=steps // CHECKPOINTS)
+        result = api.solve(module, steps=steps, every=steps // CHECKPOINTS)
     except CodegenError as error:  # such as too little memory
-        return {"status": "refused", "message": str(error), "steps": steps, "seconds": None}
+        return {"status": "refused", "message": str(error), "steps": steps}
     values: dict[str, float | str | None] = {
-        "status": result.status, "steps": steps, "seconds": result.seconds_solve, "iterations": result.iterations,
-        "residual": result.residual, "order": module.metadata.order,
+        "status": result.status, "steps": steps, "seconds of first solve": result.seconds_solve,
+        "iterations": result.iterations, "residual": result.residual, "order": module.metadata.order,
     }  # fmt: skip
     if not result.solved:
         return values
@@ -294,10 +295,8 @@ def _errors(module: SimulateModule, euler: SimulateModule, reference: Values, st
 
 def measured(store: Store, problem: Path, variant: Variant) -> Measured:
     """Return the solves of a scheme, the errors of their trajectories, and the order measured on a short span."""
-    rows, values = (
-        variant.rows(store, section_of(problem, "errors")),
-        store.get(section_of(problem, "orders"), variant.label),
-    )
+    rows = timing.timed_rows(store, problem, variant, "errors")
+    values = store.get(section_of(problem, "orders"), variant.label)
     order = None if values is None else measured_order(values["steps"], values["errors"], values["floor"])
     errors = [row.get("trajectory") for row in rows]
     return Measured(rows, errors, order, variant.order, verdict(order, variant.order))

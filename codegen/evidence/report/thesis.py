@@ -9,7 +9,6 @@ not depend on the generated code.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -20,7 +19,7 @@ from matplotlib.projections.polar import PolarAxes
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from codegen.evidence.report import landmark_study
+from codegen.evidence.report import landmark_study, timing
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.optima import solved
 from codegen.evidence.report.orders import measured_order, order_text, verdict
@@ -40,16 +39,16 @@ HOVERCRAFT_STEPS = 20
 def hovercraft_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """Yield a case for each number of craft."""
     for variant, count in zip(variants, CRAFT, strict=True):
-        yield Case(HOVERCRAFT_SECTION, f"{count} craft", partial(_formation, workshop, variant, extent.repeat))
+        yield Case(HOVERCRAFT_SECTION, f"{count} craft", partial(_formation, workshop, variant, extent.time_budget))
 
 
-def _formation(workshop: Workshop, variant: Variant, repeat: int) -> Values:
+def _formation(workshop: Workshop, variant: Variant, budget: float) -> Values:
     """Return a solution with the positions and headings of the initial guess and of the optimum."""
     module = workshop.control(variant)
     grid, shape = module.make_grid(HOVERCRAFT_STEPS), (HOVERCRAFT_STEPS + 1, module.metadata.bodies, 3)
     _, guess, *_ = module.unpack(grid, module.initial_guess(grid))
     optimum = module.solve(HOVERCRAFT_STEPS).q
-    values = solved(module, HOVERCRAFT_STEPS, repeat)
+    values = solved(module, HOVERCRAFT_STEPS, budget=budget)
     return {**values, "guess": guess.reshape(shape), "optimum": optimum.reshape(shape)}
 
 
@@ -126,7 +125,7 @@ def linear_pendulum_cases(
     """Yield a case for each transcription and N = 10, 15, ..., 200, or every fourth N in a quick report."""
 
     def measure(variant: Variant, steps: int) -> Values:
-        return solved(workshop.control(variant), steps, extent.repeat)
+        return solved(workshop.control(variant), steps, budget=extent.time_budget)
 
     for variant, (label, *_) in zip(variants, LINEAR_METHODS, strict=True):
         for steps in LINEAR_STEPS[::4] if extent.quick else LINEAR_STEPS:
@@ -204,7 +203,7 @@ def orbit_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, 
         for revolutions, sweep in SWEEPS.items():
             wanted = sorted({*(sweep[::3] if extent.quick else sweep), *FORCES[revolutions]})
             for steps in wanted:
-                measure = partial(_transfer, workshop, variant, revolutions, steps, extent.repeat)
+                measure = partial(_transfer, workshop, variant, revolutions, steps, extent.time_budget)
                 yield Case(ORBIT_SECTION, _name(label, revolutions, steps), measure)
 
 
@@ -212,16 +211,13 @@ def _name(label: str, revolutions: int, steps: int) -> str:
     return f"{label}; {revolutions} revolutions; N {steps}"
 
 
-def _transfer(workshop: Workshop, variant: Variant, revolutions: int, steps: int, repeat: int) -> Values:
-    """Return a solution and its least time; for the midpoint rule also the motion by R-K."""
+def _transfer(workshop: Workshop, variant: Variant, revolutions: int, steps: int, budget: float) -> Values:
+    """Return a solution and its time; for the midpoint rule also the motion by R-K."""
     module = workshop.control(variant)
-    best = math.inf
-    for _ in range(3 * repeat + 1):
-        begin = time.perf_counter()
-        solution = module.solve(steps, revolutions=float(revolutions))
-        best = min(best, time.perf_counter() - begin)
+    solve = partial(module.solve, steps, revolutions=float(revolutions))
+    solution, measured = solve(), timing.timed(solve, budget)
     values: dict[str, object] = {
-        "status": solution.status, "cost": solution.cost, "seconds": best, "steps": steps,
+        "status": solution.status, "cost": solution.cost, "seconds": measured.processor, "steps": steps,
         "iterations": solution.iterations, "residual": solution.residual,
     }  # fmt: skip
     if variant.scheme == "midpoint":
