@@ -67,7 +67,7 @@ def problem() -> Simulate:
     )
 '''
 TINY = Extent(
-    quick=True, simulation_doublings=4, control_doublings=3, most_schemes=2, most_simulated=3, limit=9.0, time_budget=0.01,
+    quick=True, simulation_doublings=4, control_doublings=3, reference_seconds=2.0, most_schemes=2, most_simulated=3, limit=9.0, time_budget=0.01,
     drift_steps=2000, sequence_seconds=1.0,
     driver_unknowns=200,
 )  # fmt: skip

@@ -14,6 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from codegen.errors import CodegenError
 from codegen.evidence.report.store import Case, Store, Values
@@ -29,7 +30,11 @@ from codegen.solving.loading import (
     machine_code_counts,
 )
 
+if TYPE_CHECKING:
+    from codegen.discretise.schemes import Scheme
+
 WORKERS = 2
+_PLACES = {"interval": "", "stages": ", controls at stages", "linear": ", linear controls"}
 MODULES, SURVEYS = "modules", "surveys"
 """The sections of the store with the properties of modules and of problem files."""
 
@@ -39,6 +44,7 @@ class Variant:
     """The inputs of one generated module: problem file, method, scheme with its stated order, arguments of problem().
 
     `general` asks for the general form of the module, which also contains the parts that the problem does not need.
+    `controls` are constant on each "interval", at "stages", or "linear" between nodes.
     """
 
     problem: Path
@@ -47,12 +53,14 @@ class Variant:
     order: int
     arguments: tuple[tuple[str, str], ...] = ()
     general: bool = False
+    controls: str = "interval"
 
     @property
     def label(self) -> str:
-        """Return method, scheme and arguments as text."""
+        """Return method, scheme, place of controls and arguments as text."""
         settings = "".join(f", {name} = {value}" for name, value in self.arguments)
-        return f"{self.method} {self.scheme}{settings}{', general form' if self.general else ''}"
+        form = ", general form" if self.general else ""
+        return f"{self.method} {self.scheme}{_PLACES[self.controls]}{settings}{form}"
 
     @property
     def case(self) -> str:
@@ -140,9 +148,10 @@ def _prepare_worker() -> None:
 def survey_of(problem: Path) -> Values:
     """Return the properties of a problem file for the store: task, form, number of phases, schemes, optimal cost.
 
-    A scheme is a row (method, name, order, True if it is symplectic); the default of the problem comes first. Only a
-    build shows if a scheme applies. The optimal cost is None unless the maximum principle has a closed-form solution.
-    For a file that cannot be read, the status is "refused". The function runs in a worker process.
+    A scheme is a row (method, name, order, True if it is symplectic, place of controls); the default of the problem
+    comes first. Only a build shows if a scheme applies. The optimal cost is None unless the maximum principle has a
+    closed-form solution. For a file that cannot be read, the status is "refused". The function runs in a worker
+    process.
     """
     from codegen.discretise import schemes
     from codegen.discretise.model.definitions import Model
@@ -162,7 +171,11 @@ def survey_of(problem: Path) -> Values:
             usable = [scheme for scheme in PARTICLE_SCHEMES.values() if not scheme.adaptive]
             rows = [(method, scheme) for method in methods for scheme in usable]
         rows.sort(key=lambda row: (row[0] != methods[0], row[1].name != "midpoint"))
-        listed = [[method, scheme.name, scheme.order, scheme.symplectic] for method, scheme in rows]
+        listed = [
+            [method, scheme.name, scheme.order, scheme.symplectic, place]
+            for method, scheme in rows
+            for place in (_places(scheme) if model.task == "control" and not phases else ("interval",))
+        ]
         cost = None
         if isinstance(model, Model) and model.task == "control":
             # Bounds, for example, and controls that the maximum principle does not determine, have no closed form.
@@ -174,6 +187,19 @@ def survey_of(problem: Path) -> Values:
     return {
         "status": "read", "task": model.task, "schemes": listed, "form": form, "phases": phases, "exact cost": cost,
     }  # fmt: skip
+
+
+def _places(scheme: Scheme) -> tuple[str, ...]:
+    """Return the places of controls that differ for a scheme.
+
+    Controls at stages raise the order of the optimum above 2. Compositions and tables with negative weights are left
+    out: a cost of controls at stages then has no minimum. Linear controls have at most the order 4.
+    """
+    if scheme.parts:
+        return ("interval",)
+    is_positive = scheme.variational or min(map(float, scheme.step().tableau.weights)) >= 0.0
+    stages = ("stages",) if scheme.order > 2 and is_positive else ()
+    return ("interval", *stages, *(("linear",) if 2 <= scheme.order <= 4 and scheme.resolves_lines else ()))
 
 
 def build_one(variant: Variant, folder: Path) -> Values:
@@ -204,7 +230,9 @@ def build_one(variant: Variant, folder: Path) -> Values:
     times = {}
     for name, general in (("plain", False), ("general", True)) if variant.general else ():
         begin = time.process_time()
-        generate(variant.problem, dict(variant.arguments), Choices(variant.scheme, variant.method, general=general))
+        generate(
+            variant.problem, dict(variant.arguments), Choices(variant.scheme, variant.method, variant.controls, general)
+        )
         times[f"{name} derivation processor seconds"] = time.process_time() - begin
     # Kernel lines are the first part of the module, which is specific to the problem.
     text = path.read_text(encoding="utf-8")
@@ -232,5 +260,11 @@ def _derived(variant: Variant, folder: Path) -> Path:
 
     arguments = dict(variant.arguments)
     return build(
-        variant.problem, arguments, scheme=variant.scheme, method=variant.method, general=variant.general, out=folder
+        variant.problem,
+        arguments,
+        scheme=variant.scheme,
+        method=variant.method,
+        controls=variant.controls,
+        general=variant.general,
+        out=folder,
     ).path

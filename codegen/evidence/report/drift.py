@@ -138,7 +138,7 @@ def section(store: Store, problem: Path, variants: Sequence[Variant], title: str
     }
     if not measured:
         return []
-    symplectic = {(m, s) for m, s, _, claimed in (store.get(SURVEYS, problem.stem) or {})["schemes"] if claimed}
+    symplectic = {(m, s) for m, s, _, claimed, _ in (store.get(SURVEYS, problem.stem) or {})["schemes"] if claimed}
     rows = []
     for variant, values in measured.items():
         claim = "yes" if (variant.method, variant.scheme) in symplectic else "no"

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from codegen.errors import ArgumentError
-from codegen.evidence.report import drift, modules, optima, simulations, thesis, timing
+from codegen.evidence.report import drift, modules, optima, simulations, thesis
 from codegen.evidence.report.building import MODULES, SURVEYS, Variant, Workshop, build_one, gather, survey_of, workers
 from codegen.evidence.report.orders import Measured
 from codegen.evidence.report.page import Section, Table, number, page, seconds
@@ -96,13 +96,16 @@ def choose(problem: Path, store: Store, extent: Extent) -> Chosen:
     task = survey.get("task", "")
     if task not in KINDS:
         return Chosen(problem, task, (), ())
-    rows = [Variant(problem, method, scheme, order) for method, scheme, order, _ in survey["schemes"]]
+    rows = [
+        Variant(problem, method, scheme, order, controls=place) for method, scheme, order, _, place in survey["schemes"]
+    ]
     most = extent.most_simulated if task == "simulate" else extent.most_schemes
     if survey["phases"] and extent.only_default_of_phases:
         most = 1
     usable = [v for v in rows if task == "simulate" or v.order <= extent.most_order]
     lowest = min(usable, key=lambda v: (v.order, v.scheme != "explicit-euler"))
-    first = [rows[0], max(usable, key=lambda v: (v.order, v.method == rows[0].method)), lowest]
+    highest = max(usable, key=lambda v: (v.order, v.method == rows[0].method, v.controls == "stages"))
+    first = [rows[0], highest, lowest]
     kept = list(dict.fromkeys([*first, *usable]))[:most]
     omitted = tuple(v.label for v in rows if v not in kept)
     return Chosen(problem, task, tuple(v for v in rows if v in kept), omitted)
@@ -160,9 +163,7 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
                 *modules.omissions(store, problem, chosen.variants, f"{name}: parts that its modules do not need"),
             ]
     title = "Problems, measured" if len(selection) > 1 else _title_of(selection[0].problem)
-    introduction = (
-        f"Every number was measured by the run that made this page; measurements.csv has all numbers. {timing.RULE}"
-    )
+    introduction = "Every number was measured by the run that made this page; measurements.csv has all numbers."
     if extent.quick:
         introduction += " This is the quick form: few schemes, short ladders."
     path = folder / "index.html"

@@ -32,7 +32,8 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import CodegenError
-from codegen.evidence.report import timing
+from codegen.evidence.report import comparison as compare
+from codegen.evidence.report import reference, timing
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.orders import (
     ABOVE_REFERENCE,
@@ -47,16 +48,15 @@ from codegen.evidence.report.orders import (
 )
 from codegen.evidence.report.page import (
     SUPERSCRIPTS,
-    Line,
     Picture,
     Section,
     Table,
     listed,
     number,
+    power_of_ten,
     seconds,
     svg,
     times_of_drivers,
-    work_precision,
 )
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.runtime.search import point
@@ -69,55 +69,75 @@ from codegen.solving.results.result import Result
 DRIVERS = ("newton", "slsqp", "trust-constr", "fsolve")
 MOST_STEPS = 20_000
 """The first grid is derived from the problem's own number of steps, or from this number if it is smaller."""
-NEAR = 0.01
-"""The reference's error is drawn if it exceeds this fraction of the least error of the schemes."""
+LEAST_STEPS, ROUNDING = 5, 1e-12
+"""The least number of intervals of a grid, and the error of states and controls below which no finer grid follows."""
+MOST_TRIED = 4
+"""The number of schemes that are tried for the reference."""
+STRANGE = 2.0
+"""Iterations are strange if they exceed this multiple of those of the median scheme on the same grid."""
 OTHER_OPTIMUM = 0.1
 """The relative error of the cost on the finest grid above which a remark names possible reasons."""
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Yield cases: every scheme on ever finer grids, mesh sequences, the reference, drivers on the coarsest grid."""
+    """Yield cases: the references, every scheme on ever finer grids, mesh sequences, drivers, times, iterations."""
     store, modules = workshop.store, {v: workshop.control(v) for v in workshop.built(variants)}
-    runs: dict[str, Callable[[], object]] = {}
-    for variant, module in modules.items():
-        first = _first_steps(module)
-        for steps in (first * 2**k for k in range(extent.control_doublings + 1)):
-            name = variant.run(steps)
-            yield Case(section_of(problem, "optima"), name, partial(solved, module, steps))
-            values = store.get(section_of(problem, "optima"), name) or {}
-            if values["status"] != "refused":
-                runs[name] = timing.solver(module, steps)
-            if (values["seconds of first solve"] or 0.0) > extent.limit:
-                break
-        yield Case(
-            section_of(problem, "mesh sequences"),
-            variant.label,
-            partial(sequence, module, first, extent.sequence_seconds),
-        )
     if not modules:
         return
-    # Costs by all schemes of order 2 or more converge alike; among these the problem's own scheme comes first.
+    optima, references = section_of(problem, "optima"), section_of(problem, "reference")
+    # Controls at stages converge with the order of the scheme. Among equal orders the problem's own scheme comes first.
     default = next(iter(modules))
-    trusted = sorted(modules, key=lambda v: (-min(v.order, 2), v != default))
+    trusted = sorted(modules, key=lambda v: (-order_of_optima(modules[v]), v != default))
+    first = _first_steps(modules[default])
+    if modules[default].metadata.phases == 1:
+        candidates = [(v.label, modules[v]) for v in trusted[:MOST_TRIED]]
+        yield Case(references, "motion", partial(reference.refined, candidates, first, extent.reference_seconds))
+    motion = store.get(references, "motion") or {}
+    trajectory = reference.read_trajectory(motion) if motion.get("label") else None
+    runs: dict[str, Callable[[], object]] = {}
+    for variant, module in modules.items():
+        for steps in (max(LEAST_STEPS, first // 2) * 2**k for k in range(extent.control_doublings + 1)):
+            name = variant.run(steps)
+            yield Case(optima, name, partial(solved, module, steps, trajectory=trajectory))
+            values = store.get(optima, name) or {}
+            if values["status"] == "solved":
+                runs[name] = timing.solver(module, steps)
+            worst = max((values[key] for key in ("states", "controls") if values.get(key) is not None), default=1.0)
+            if (values["seconds of first solve"] or 0.0) > extent.limit or worst < ROUNDING:
+                break
+    for variant, module in modules.items():
+        sequenced = partial(sequence, module, first, extent.sequence_seconds)
+        yield Case(section_of(problem, "mesh sequences"), variant.label, sequenced)
     exact = (store.get(SURVEYS, problem.stem) or {}).get("exact cost")
-    yield Case(section_of(problem, "reference"), "cost", partial(_reference, store, problem, trusted, exact))
+    yield Case(references, "cost", partial(_reference, store, problem, trusted, exact))
     module = modules[default]
-    steps = _first_steps(module)
-    if module.initial_guess(module.make_grid(steps)).size <= extent.driver_unknowns:
+    if module.initial_guess(module.make_grid(first)).size <= extent.driver_unknowns:
         for driver in DRIVERS:
-            yield Case(section_of(problem, "drivers"), driver, partial(solved, module, steps, driver))
+            yield Case(section_of(problem, "drivers"), driver, partial(solved, module, first, driver))
             if (store.get(section_of(problem, "drivers"), driver) or {})["status"] != "refused":
-                runs[f"driver {driver}"] = timing.solver(module, steps, driver)
+                runs[f"driver {driver}"] = timing.solver(module, first, driver)
     yield from timing.cases(problem, runs, store, extent.time_budget)
+    for variant, steps in _strange(store, problem, list(modules)):
+        yield Case(section_of(problem, "iterations"), variant.run(steps), partial(_searched, modules[variant], steps))
 
 
 def _first_steps(module: ControlModule) -> int:
-    """Return the number of intervals of the coarsest grid: a quarter of the problem's own number, at least 5."""
-    return max(5, min(MOST_STEPS, module.metadata.steps) // 4)
+    """Return the number of intervals of mesh sequences and drivers: a quarter of the problem's own number."""
+    return max(LEAST_STEPS, min(MOST_STEPS, module.metadata.steps) // 4)
 
 
-def solved(module: ControlModule, steps: int, driver: str = "newton", budget: float = 0.0) -> Values:
-    """Return status, cost and residuals of a solve from the problem's own initial guess; its time if `budget` > 0."""
+def solved(
+    module: ControlModule,
+    steps: int,
+    driver: str = "newton",
+    budget: float = 0.0,
+    trajectory: reference.Trajectory | None = None,
+) -> Values:
+    """Return status, cost and residuals of a solve from the problem's own initial guess.
+
+    With a `budget` in seconds its time is measured, and with a `trajectory`, the reference, the errors of the states
+    and of the controls.
+    """
     try:
         result = api.solve(module, driver, steps=steps)
     except CodegenError as error:  # such as too little memory, or a driver that does not apply
@@ -129,21 +149,62 @@ def solved(module: ControlModule, steps: int, driver: str = "newton", budget: fl
         "order": module.metadata.order, "expected order": order_of_optima(module),
         "load seconds": result.seconds_code,
     }  # fmt: skip
+    if trajectory is not None and result.solved:
+        values |= trajectory.errors(reference.trajectory_of(result))
     if budget:
         measured = timing.timed(timing.solver(module, steps, driver), budget)
         values |= {"seconds": measured.processor, "wall seconds": measured.wall, "spread": measured.spread}
     return values
 
 
+def _strange(store: Store, problem: Path, variants: Sequence[Variant]) -> list[tuple[Variant, int]]:
+    """Return the schemes with more than STRANGE times the iterations of the median scheme, and the worst grid."""
+    counts: dict[int, dict[Variant, int]] = {}
+    for variant in variants:
+        for row in variant.rows(store, section_of(problem, "optima")):
+            if row["status"] == "solved":
+                counts.setdefault(row["steps"], {})[variant] = row["iterations"]
+    worst: dict[Variant, tuple[float, int]] = {}
+    for steps, by_variant in counts.items():
+        median = max(1.0, float(np.median(list(by_variant.values()))))
+        for variant, count in by_variant.items():
+            if count > STRANGE * median:
+                worst[variant] = max(worst.get(variant, (0.0, 0)), (count / median, steps))
+    return [(variant, steps) for variant, (_, steps) in worst.items()]
+
+
+def _searched(module: ControlModule, steps: int) -> Values:
+    """Return the number of iterations of a solve, of shortened steps and of shifted Hessians."""
+    result = api.solve(module, steps=steps, log=True)
+    assert result.log is not None
+    shifts, lengths = result.log[1:, -2], result.log[1:, -1]
+    return {
+        "iterations": result.iterations, "shortened": int((lengths < 1.0).sum()), "shifted": int((shifts > 0.0).sum()),
+        "first residual": float(result.log[0, 1]),
+    }  # fmt: skip
+
+
 def _reference(store: Store, problem: Path, trusted: Sequence[Variant], exact: float | None) -> Values:
-    """Return the reference cost: `exact`, else the limit of the first mesh sequence of `trusted` that has a limit."""
+    """Return the reference cost: `exact`, else the most accurate of the refined motion and the mesh sequences' limits.
+
+    The limit is that of the first mesh sequence of `trusted` that has a limit.
+    """
     if exact is not None:
         return {"cost": exact, "error": 1e-15 * abs(exact), "how": "closed form of the maximum principle"}
+    found = list[Values]()
+    motion = store.get(section_of(problem, "reference"), "motion") or {}
+    if motion.get("label"):
+        error = motion["errors"]["cost"] * (abs(motion["cost"]) or 1.0) + 1e-15 * abs(motion["cost"])
+        how = f"{motion['label']} on {motion['steps']} intervals"
+        found.append({"cost": motion["cost"], "error": error, "how": how, "scheme": motion["label"]})
     for variant in trusted:
         values = store.get(section_of(problem, "mesh sequences"), variant.label)
         if values is not None and (limit := _limit(values)) is not None:
             how = f"{variant.label} on {values['steps'][0]} to {values['steps'][-1]} intervals, {limit.how}"
-            return {"cost": limit.value, "error": limit.error, "how": how, "scheme": variant.label}
+            found.append({"cost": limit.value, "error": limit.error, "how": how, "scheme": variant.label})
+            break
+    if found:
+        return min(found, key=lambda values: float(values["error"]))
     return {"cost": None, "error": None, "how": "no scheme has optima on three successive grids"}
 
 
@@ -413,6 +474,12 @@ _ORDERS = (
     "expected. Superconvergent are schemes whose first error cancels in the cost, as where they differ from one of "
     "higher order by an impulse at the ends."
 )
+_ERRORS = (
+    "Errors are relative to the largest value of each component: of states and momenta the largest at the nodes, of "
+    "controls the root mean square at stages, at nodes, or at midpoints of intervals with a constant control."
+)
+LARGE_RESIDUAL = 10.0
+"""The residual of the initial guess above which it is named as a reason for many iterations."""
 _SWITCHING = (
     "This optimum is not smooth: bounds of {names} become active or inactive within the motion. The interval in which "
     "that happens holds one mean value of the control, which moves the state by a multiple of h² that depends on the "
@@ -442,38 +509,71 @@ def _error(values: Values, exact: float | None) -> float | None:
     return float(abs(values["cost"] - exact) / (abs(exact) or 1.0))
 
 
+def ladder_of(variant: Variant, scheme: Measured) -> compare.Ladder:
+    """Return the errors of cost, states and controls of a scheme; `all of them` is the largest of the three."""
+    rows = scheme.rows
+    errors = {"states": [row.get("states") for row in rows], "controls": [row.get("controls") for row in rows],
+              "cost": scheme.errors}  # fmt: skip
+    together = [
+        None if None in row[::2] else max(error for error in row if error is not None)
+        for row in zip(*errors.values(), strict=True)
+    ]
+    return compare.Ladder(
+        variant.label, variant.order, [row["steps"] for row in rows], [row["seconds"] for row in rows],
+        {**errors, ALL: together},
+    )  # fmt: skip
+
+
+ALL = "states, controls and cost"
+
+
 def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
-    """Return the section with cost errors against steps and time, and with a comparison of drivers."""
-    reference = store.get(section_of(problem, "reference"), "cost") or {}
-    exact = reference.get("cost")
+    """Return the sections on the choice of a scheme, on orders, and on drivers."""
+    cost = store.get(section_of(problem, "reference"), "cost") or {}
+    motion = store.get(section_of(problem, "reference"), "motion") or {}
+    exact = cost.get("cost")
     schemes = {v: m for v in variants if (m := measured(store, problem, v)).rows}
     convergences = {v: convergence_of(store, problem, v, m.expected) for v, m in schemes.items()}
-    relative = 0.0 if exact is None else reference["error"] / (abs(exact) or 1.0)
+    relative = 0.0 if exact is None else cost["error"] / (abs(exact) or 1.0)
     if exact is None:
-        text = f"There is no reference cost: {reference.get('how', 'no scheme was built')}."
+        texts = [f"There is no reference cost: {cost.get('how', 'no scheme was built')}."]
     else:
-        accuracy = f"; which may be wrong by {number(relative, 2)} of it" if relative > 1e-14 else ""
-        text = f"Reference cost {exact:.12g}: {reference['how']}{accuracy}."
-    texts, pictures = [text, _ORDERS], []
+        accuracy = f", accurate to {number(relative, 2)}" if relative > 1e-14 else ""
+        texts = [f"Reference of the cost: {exact:.12g}, {cost['how']}{accuracy}."]
+    uncertain = motion.get("errors") or {}
+    if uncertain:
+        parts = [f"{number(uncertain[key], 2)} for {key}" for key in ("states", "controls") if uncertain.get(key)]
+        texts.append(
+            f"Reference of states and controls: {motion['label']} on {motion['steps']} intervals, with splines of "
+            f"degree {reference.DEGREE}; the grid before differs by {listed(parts)}. {_ERRORS}"
+        )
+    ladders = [ladder_of(v, m) for v, m in schemes.items()]
+    quantities = {key: uncertain[key] for key in ("states", "controls") if uncertain.get(key) is not None}
+    quantities |= {} if exact is None else {"cost": relative}
+    tables, pictures = [], []
+    if quantities and ladders:
+        wanted = {ALL: max(quantities.values()), **quantities} if len(quantities) > 1 else quantities
+        sentences, table = compare.choice(ladders, wanted)
+        texts, tables = [*sentences[:1], *texts], [table]
+        pictures = compare.figures(ladders, quantities, next(iter(wanted)))
+    choice = Section(title, tuple(texts), tuple(tables), tuple(pictures[:1]))
+    times = tuple((ladder.label, *compare.reach_columns(ladder, list(quantities))) for ladder in ladders)
+    head = tuple(f"{name} to {power_of_ten(target)}" for name in quantities for target in compare.TARGETS)
+    tables = [Table("Processor time of one solve to an error.", ("scheme", *head), times)] if quantities else []
+    strange = _strange_table(store, problem)
+    tables += [] if strange is None else [strange]
+    everything = Section(f"{problem.stem}: all schemes", (timing.RULE,), tuple(tables), tuple(pictures[1:]))
+    texts, pictures = [_ORDERS], []
     names = dict.fromkeys(name for convergence in convergences.values() for name in convergence.switching)
     if names:
         texts.append(_SWITCHING.format(names=listed(list(names))))
-    errors = [error for m in schemes.values() for error in m.errors if error]
-    if errors:
-        lines = [
-            Line(v.scheme, v.method, v.order, [row["steps"] for row in m.rows], [row["seconds"] for row in m.rows],
-                 m.errors)
-            for v, m in schemes.items()
-        ]  # fmt: skip
-        floor = relative if relative > NEAR * min(errors) else None
-        caption = "Relative error of the cost against number of intervals and against solve time; dashed: variational."
-        pictures.append(Picture(caption, svg(work_precision, [("relative error of cost", lines)], floor)))
     orders, runs = [], []
     for variant, scheme in schemes.items():
         convergence = convergences[variant]
         kind = f"bounds of {', '.join(convergence.switching)}" if convergence.switching else "smooth"
         orders.append((
             variant.label, str(variant.order), str(scheme.expected), order_text(scheme.order, scheme.verdict),
+            *(_order_of(scheme, key, uncertain.get(key)) for key in ("states", "controls")),
             scheme.order.range if scheme.order else "–", str(convergence.finest or "–"),
             number(convergence.error, 2), kind, convergence.remark,
         ))  # fmt: skip
@@ -483,15 +583,16 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
             remarks.append("far from the reference: too few intervals, or another local optimum")
         runs.append((
             variant.label, f"{last['steps']}", "–" if last["cost"] is None else f"{last['cost']:.9g}",
-            number(error, 2), seconds(last["seconds"]), str(last["iterations"]), number(last["residual"], 2),
-            number(last["stationarity"], 2), "; ".join(remarks),
+            number(error, 2), seconds(last["seconds"]), seconds(last["wall seconds"]), str(last["iterations"]),
+            number(last["residual"], 2), number(last["stationarity"], 2), "; ".join(remarks),
         ))  # fmt: skip
-    head = ("scheme", "scheme's order", "expected of the cost", "measured", "at N", "finest N", "relative error there",
+    head = ("scheme", "scheme's order", "expected of the cost", "measured", "of states", "of controls", "at N",
+            "finest N", "relative error there",
             "optimum", "remarks")  # fmt: skip
     tables = [Table("The order of the cost's error, by mesh sequences.", head, tuple(orders)).without_empty_columns()]
-    head = ("scheme", "N", "cost", "relative error", "solve time", "iterations", "residual", "stationarity",
-            "remarks")  # fmt: skip
-    caption = "The finest solve of every scheme from the problem's own guess, on the grids that the figure shows."
+    head = ("scheme", "N", "cost", "relative error", "solve time", "wall clock", "iterations", "residual",
+            "stationarity", "remarks")  # fmt: skip
+    caption = "The finest solve of every scheme from the problem's own guess, on the grids that the figures show."
     tables.append(Table(caption, head, tuple(runs)).without_empty_columns())
     by_driver, by_name = dict(store.rows(section_of(problem, "drivers"))), timing.times(store, problem)
     for name, values in by_driver.items():
@@ -517,4 +618,34 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         tables.append(Table(" ".join([caption, *refused]), columns, tuple(rows)))
         bars = [(name, v["seconds"], v["status"] == "solved") for name, v in by_driver.items() if v["seconds"]]
         pictures.append(Picture(f"Drivers on {steps} intervals.", svg(times_of_drivers, bars)))
-    return [Section(title, tuple(texts), tuple(tables), tuple(pictures))]
+    name = problem.stem
+    return [choice, everything, Section(f"{name}: orders and drivers", tuple(texts), tuple(tables), tuple(pictures))]
+
+
+def _order_of(scheme: Measured, quantity: str, floor: float | None) -> str:
+    """Return the order of an error on the grids of the figures, as text."""
+    order = measured_order([row["steps"] for row in scheme.rows], [row.get(quantity) for row in scheme.rows],
+                           floor or 0.0)  # fmt: skip
+    return "" if order is None else number(order.value)
+
+
+def _strange_table(store: Store, problem: Path) -> Table | None:
+    """Return the table of solves with strange numbers of iterations, or None if there are none."""
+    rows = []
+    for name, values in store.rows(section_of(problem, "iterations")):
+        reasons = []
+        if values["shortened"]:
+            reasons.append(f"the line search shortens {values['shortened']} steps")
+        if values["shifted"]:
+            reasons.append(f"the Hessian is shifted in {values['shifted']}, since it has negative curvature")
+        if values["first residual"] > LARGE_RESIDUAL:
+            reasons.append(
+                f"the equations at the initial guess have the residual {number(values['first residual'], 2)}"
+            )
+        rows.append((name, str(values["iterations"]), "; ".join(reasons) or "the log of the search shows no reason"))
+    caption = f"Solves with more than {STRANGE:g} times the iterations of the median scheme on the same grid."
+    return (
+        Table(caption, ("scheme", "iterations", "what the log of the search shows"), tuple(rows), "words")
+        if rows
+        else None
+    )

@@ -11,14 +11,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.colors import hsv_to_rgb, to_hex
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator
+from matplotlib.ticker import FuncFormatter
 
 from codegen.files import rendered
 from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY, STYLE
@@ -122,35 +120,6 @@ _PALETTE = (
     "#E7969C", "#8C6D31", "#843C39", "#637939", "#C2185B", GREY, "#31A354", "#393B79", "#7A5230", "#756BB1", "#E6550D",
 )  # fmt: skip
 """The colours of schemes in the order of the registry; the hues of further schemes follow the golden ratio."""
-_MARKERS = {1: "", 2: "", 4: "o", 6: "s", 8: "^"}
-MANY = 12
-"""The number of lines above which a figure has larger axes."""
-LEAST_SPAN = 10.0
-"""The least ratio of the ends of an axis of steps or seconds; shorter axes magnify the noise of the clock."""
-
-
-@dataclass(frozen=True)
-class Line:
-    """The results of a scheme, by increasing number of steps; logarithmic axes omit values that are None or zero."""
-
-    scheme: str
-    method: str
-    order: int
-    steps: Sequence[int]
-    seconds: Sequence[float | None]
-    errors: Sequence[float | None]
-
-    @property
-    def label(self) -> str:
-        """Return the entry of the legend."""
-        return f"{self.method} {self.scheme}"
-
-    def style(self) -> dict[str, Any]:
-        """Return the keywords of the plotted line: variational schemes are dashed, higher orders have markers."""
-        return {
-            "color": colour_of(self.scheme), "linestyle": "--" if self.method == "variational" else "-",
-            "marker": _MARKERS.get(self.order, "o"), "markersize": 3.2, "linewidth": 1.3,
-        }  # fmt: skip
 
 
 @cache
@@ -168,54 +137,7 @@ def colour_of(scheme: str) -> str:
     return to_hex(tuple(hsv_to_rgb((0.618034 * index % 1.0, 0.7, 0.6))))
 
 
-def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | None = None) -> Figure:
-    """Draw one row for each group (name of an error, a line for each scheme): errors against steps and against seconds.
-
-    `floor` is the error of the reference, which the first row shows as a dotted line.
-    """
-    count = len({line.label for _, lines in groups for line in lines})
-    height = (2.75 if count <= MANY else 3.9) * len(groups) + 0.2 * math.ceil(count / 3)
-    figure = Figure(figsize=(9.2 if count <= MANY else 10.8, height + 0.3), layout="constrained")
-    rows = figure.subplots(len(groups), 2, squeeze=False, sharey="row")
-    for index, ((name, lines), (left, right)) in enumerate(zip(groups, rows, strict=True)):
-        for line in lines:
-            points = [(n, s, e) for n, s, e in zip(line.steps, line.seconds, line.errors, strict=True) if e and s]
-            if points:
-                steps, times, errors = zip(*points, strict=True)
-                left.loglog(steps, errors, label=line.label, **line.style())
-                right.loglog(times, errors, **line.style())
-        left.set_ylabel(name)
-        if floor and index == 0:
-            for axes in (left, right):
-                axes.axhline(floor, color=GREY, linewidth=0.8, linestyle=":")
-            left.annotate("bound of the reference's error", (0.01, floor), xycoords=("axes fraction", "data"),
-                          fontsize=7.5, color=DARK, va="bottom",
-                          bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
-        for axes in (left, right):
-            axes.yaxis.set_major_locator(LogLocator(numticks=8))
-            axes.minorticks_off()
-            for axis in (axes.xaxis, axes.yaxis):
-                axis.set_major_formatter(FuncFormatter(_power_of_ten))
-            # The x axis spans at least a decade; a short axis has ticks at 1, 2 and 5 times powers of ten.
-            low, high = axes.get_xlim()
-            if high / low < LEAST_SPAN:
-                middle = math.sqrt(low * high)
-                low, high = middle / math.sqrt(LEAST_SPAN), middle * math.sqrt(LEAST_SPAN)
-                axes.set_xlim(low, high)
-            if high / low < 60.0:
-                axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
-                axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    rows[-1][0].set_xlabel("steps $N$")
-    rows[-1][1].set_xlabel("seconds of one solve")
-    entries: dict[str, Artist] = {}
-    for axes in rows[:, 0]:
-        handles, labels = axes.get_legend_handles_labels()
-        entries |= dict(zip(labels, handles, strict=True))
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3)
-    return figure
-
-
-def _power_of_ten(value: float, _position: int | None = None) -> str:
+def power_of_ten(value: float, _position: int | None = None) -> str:
     """Return a tick label in plain text, which matplotlib draws many times faster than a formula."""
     return "10" + str(round(math.log10(value))).translate(SUPERSCRIPTS) if value > 0.0 else ""
 
@@ -231,7 +153,7 @@ def times_of_drivers(rows: Sequence[tuple[str, float, bool]]) -> Figure:
     names = [name for name, _, _ in rows][::-1]
     axes.set(xscale="log", yticks=range(len(names)), yticklabels=names, xlabel="seconds of one solve")
     axes.minorticks_off()
-    axes.xaxis.set_major_formatter(FuncFormatter(_power_of_ten))
+    axes.xaxis.set_major_formatter(FuncFormatter(power_of_ten))
     axes.margins(x=0.25)
     axes.grid(visible=False, axis="y")
     return figure

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from codegen.errors import CodegenError
+from codegen.evidence.report import comparison as compare
 from codegen.evidence.report import timing
 from codegen.evidence.report.building import Variant, Workshop
 from codegen.evidence.report.orders import (
@@ -34,7 +35,7 @@ from codegen.evidence.report.orders import (
     order_text,
     verdict,
 )
-from codegen.evidence.report.page import Line, Picture, Section, Table, listed, number, seconds, svg, work_precision
+from codegen.evidence.report.page import Section, Table, listed, number, power_of_ten
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.runtime.record import Form
 from codegen.solving import api
@@ -44,7 +45,7 @@ TIGHT, LOOSE = 3e-14, 1e-13
 """The relative tolerances of the reference, and of a second run that shows the error of the reference."""
 CHECKPOINTS = 20
 """The number of intervals between the times at which trajectories are compared."""
-BELOW = 1
+BELOW = 3
 """The number of halvings from the problem's own number of steps to the coarsest grid."""
 ORDER_CHECKPOINTS = 4
 """The number of intervals between the times of errors for orders; their root mean square is smooth in h."""
@@ -56,7 +57,8 @@ RUNGS = sorted({n for k in range(100) if (n := ORDER_CHECKPOINTS * round(2.0 * 2
 ENOUGH, LEAST_RUNGS = 0.01, 12
 """No further steps are tried once local orders differ by at most ENOUGH, after at least LEAST_RUNGS trials."""
 _STATES = 3
-_QUANTITIES = (("trajectory", "error of trajectory"), ("energy", "error of energy"), ("momentum", "error of momentum"))
+_CLOCKS = ("seconds", "wall seconds")
+_QUANTITIES = ("trajectory", "energy", "momentum")
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
@@ -308,48 +310,36 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     schemes = {v: m for v in variants if (m := measured(store, problem, v)).rows}
     if reference is None or not schemes:
         return [Section(title, ("No scheme of this problem could be compared with a reference.",))]
-    groups = []
-    for key, name in _QUANTITIES:
-        lines = [
-            Line(v.scheme, v.method, v.order, [row["steps"] for row in m.rows], [row["seconds"] for row in m.rows],
-                 [row.get(key) for row in m.rows])
-            for v, m in schemes.items()
-        ]  # fmt: skip
-        if any(error for line in lines for error in line.errors):
-            groups.append((name, lines))
+    ladders = [
+        compare.Ladder(v.label, v.order, [row["steps"] for row in m.rows], [row["seconds"] for row in m.rows],
+                       {key: [row.get(key) for row in m.rows] for key in _QUANTITIES})
+        for v, m in schemes.items()
+    ]  # fmt: skip
+    quantities = {
+        key: reference["error"] if key == "trajectory" else 0.0
+        for key in _QUANTITIES
+        if any(error for ladder in ladders for error in ladder.errors[key])
+    }
+    sentences, choices = compare.choice(ladders, quantities)
+    figures = compare.figures(ladders, quantities, "trajectory")
     spans = sorted({values["span"] for v in schemes if (values := store.get(section_of(problem, "orders"), v.label))})
-    texts = [
+    sentences.append(
         f"Errors are the largest at {len(reference['times']) - 1} equidistant times, relative to the largest position, "
-        f"momentum or state, those of energy to the largest sum of |p q̇|. "
-        f"Reference: {reference['how']}; a looser tolerance differs from it by "
-        f"{number(reference['error'], 2)}.",
+        f"momentum or state, those of energy to the largest sum of |p q̇|. Reference: {reference['how']}; a looser "
+        f"tolerance differs from it by {number(reference['error'], 2)}."
+    )
+    if reference["conserved"]:
+        sentences.append(f"Conserved by Noether's theorem, and compared: {listed(reference['conserved'])}.")
+    text = (
         f"Orders are measured on a short span of the motion, of duration {listed([number(s) for s in spans])}, so that "
         "rounding does not come before the asymptotic range. The number of steps N grows by a third of a doubling at a "
         f"time until the orders between neighbours agree within {SETTLED:g} ({SETTLED_HIGH:g} for high orders) "
         f"over a range of {LEAST_RANGE:g} or more in N, at {ABOVE_REFERENCE:g} times the reference's error or above; "
-        "the finest such range counts. Where there is none, convergence is called not asymptotic.",
-    ]
-    if reference["conserved"]:
-        texts.append(f"Conserved by Noether's theorem, and compared: {listed(reference['conserved'])}.")
-    # The fastest scheme for each of several errors, compared with the time of the default scheme.
-    fastest = []
-    for error in (1e-3, 1e-6, 1e-9, 1e-12):
-        times = {v: t for v, m in schemes.items() if (t := _time_to(m.rows, error)) is not None}
-        if times:
-            best = min(times, key=times.__getitem__)
-            ratio = times.get(variants[0], 0.0) / times[best]
-            comparison = f", {number(ratio, 2)} times as fast as {variants[0].label}" if ratio > 1.0 else ""
-            fastest.append(f"{number(error, 1)} by {best.label} in {seconds(times[best])}{comparison}")
-    if fastest:
-        texts.append(f"Fastest to an error of the trajectory of {'; '.join(fastest)}.")
-    picture = Picture(
-        "Error against number of steps and against run time; dashed: variational. Lines that lie upon each other are "
-        "the same map.",
-        svg(work_precision, groups, reference["error"]),
+        "the finest such range counts. Where there is none, convergence is called not asymptotic."
     )
     # Orders, least errors, and the times to trajectory errors of 1e-3 and 1e-6.
     rows = []
-    for variant, scheme in schemes.items():
+    for (variant, scheme), ladder in zip(schemes.items(), ladders, strict=True):
         solved = [v for v in scheme.rows if v.get("trajectory") is not None]
         failures, last = len(scheme.rows) - len(solved), solved[-1] if solved else None
         rows.append((
@@ -357,18 +347,20 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
             scheme.order.range if scheme.order else "–",
             number(min((v["trajectory"] for v in solved), default=None), 2),
             number(min((v["energy"] for v in solved if "energy" in v), default=None), 2),
-            seconds(_time_to(scheme.rows, 1e-3)), seconds(_time_to(scheme.rows, 1e-6)),
-            number(1e9 * last["seconds"] / last["steps"]) if last else "–", str(failures) if failures else "",
+            *compare.reach_columns(ladder, ["trajectory"]),
+            *(number(1e9 * last[key] / last["steps"]) if last and last[key] else "–" for key in _CLOCKS),
+            str(failures) if failures else "",
         ))  # fmt: skip
     head = (
-        "scheme", "stated order", "measured", "at N", "least error of trajectory", "of energy", "time to 1e-3",
-        "time to 1e-6", "ns per step", "failed runs",
+        "scheme", "stated order", "measured", "at N", "least error of trajectory", "of energy",
+        *(f"time to {power_of_ten(target)}" for target in compare.TARGETS), "ns per step", "by the wall clock",
+        "failed runs",
     )  # fmt: skip
-    caption = "Measured orders, least errors, and the time of the cheapest run with at most that error."
+    caption = (
+        "All schemes: measured orders, least errors, processor time to an error of the trajectory, times per step."
+    )
     table = Table(caption, head, tuple(rows)).without_empty_columns()
-    return [Section(title, tuple(texts), (table,), (picture,))]
-
-
-def _time_to(rows: Sequence[Values], error: float) -> float | None:
-    """Return the seconds of the fastest solve whose trajectory error is at most `error`, or None."""
-    return min((v["seconds"] for v in rows if (v.get("trajectory") or 1e300) <= error), default=None)
+    return [
+        Section(title, tuple(sentences), (choices,), tuple(figures[:1])),
+        Section(f"{problem.stem}: all schemes", (timing.RULE, text), (table,), tuple(figures[1:])),
+    ]

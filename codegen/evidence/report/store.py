@@ -112,21 +112,23 @@ class Extent:
     than `limit` seconds. A solve is repeated for at most `time_budget` seconds (see timing.py). A simulation is
     measured with at most `most_simulated` schemes. A control problem is measured with at most `most_schemes` schemes
     of order `most_order` or less, since modules of schemes with many stages take long to build. With
-    `only_default_of_phases` a problem with several phases has only the default scheme. A mesh sequence, which
-    measures the order of an optimum, starts no grid after `sequence_seconds`. The drivers are compared if there are
-    at most `driver_unknowns` unknowns. The general form is built for modules with at most `general_operations`
-    operations. The energy of a simulation is observed over `drift_steps` steps, or not at all for 0.
+    `only_default_of_phases` a problem with several phases has only the default scheme. The reference of an optimum
+    takes about `reference_seconds` for each scheme that is tried. A mesh sequence, which measures the order of an
+    optimum, starts no grid after `sequence_seconds`. The drivers are compared if there are at most `driver_unknowns`
+    unknowns. The general form is built for modules with at most `general_operations` operations. The energy of a
+    simulation is observed over `drift_steps` steps, or not at all for 0.
     """
 
     quick: bool = False
-    simulation_doublings: int = 12
-    control_doublings: int = 4
-    sequence_seconds: float = 30.0
-    most_schemes: int = 10
+    simulation_doublings: int = 14
+    control_doublings: int = 7
+    reference_seconds: float = 10.0
+    sequence_seconds: float = 1.5
+    most_schemes: int = 99
     most_simulated: int = 99
-    most_order: int = 6
+    most_order: int = 99
     only_default_of_phases: bool = False
-    limit: float = 2.0
+    limit: float = 0.5
     time_budget: float = 1.0
     driver_unknowns: int = 300
     general_operations: int = 100_000
@@ -136,13 +138,15 @@ class Extent:
 FULL = Extent()
 """The extent of a report on a single problem."""
 GALLERY = Extent(
-    control_doublings=3, sequence_seconds=10.0, most_schemes=2, most_order=2, only_default_of_phases=True,
-    most_simulated=8, limit=1.0, time_budget=0.3, driver_unknowns=150, general_operations=60, drift_steps=0,
+    control_doublings=4, reference_seconds=2.0, sequence_seconds=10.0, most_schemes=2, most_order=2,
+    only_default_of_phases=True, most_simulated=8, limit=1.0, time_budget=0.3, driver_unknowns=150,
+    general_operations=60, drift_steps=0,
 )  # fmt: skip
 """The extent of a report on a folder of problems, which takes less than 20 minutes on two processors."""
 QUICK = Extent(
-    quick=True, simulation_doublings=5, control_doublings=3, sequence_seconds=2.0, most_schemes=2, most_order=2,
-    most_simulated=4, limit=0.5, time_budget=0.2, driver_unknowns=0, general_operations=0, drift_steps=0,
+    quick=True, simulation_doublings=7, control_doublings=7, reference_seconds=3.0, sequence_seconds=1.0,
+    most_schemes=4, most_order=4, most_simulated=4, limit=0.5, time_budget=0.2, driver_unknowns=0,
+    general_operations=0, drift_steps=0,
 )  # fmt: skip
 """The extent of a report in continuous integration."""
 QUICK_PROBLEMS = ("pendulum", "linear_pendulum")

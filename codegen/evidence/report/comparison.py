@@ -1,0 +1,207 @@
+"""The choice of a scheme: errors against run time, the cheapest schemes for three errors, and figures with few curves.
+
+A grid reaches an error if its own error and those of all finer grids are not larger, up to the grid with the least
+error. Between two grids the time and the
+number of steps are interpolated on logarithmic axes, so that the choice does not depend on the grids measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator
+
+from codegen.evidence.report.page import Picture, Table, number, power_of_ten, seconds, svg
+from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
+
+TARGETS = (1e-3, 1e-6, 1e-9)
+MOST_CURVES = 8
+CLEAR = 3.0
+"""The least ratio of an error to the error of the reference; smaller errors are not told from zero."""
+CHEAPEST = (
+    "The cheapest schemes. Times and numbers of steps are interpolated between grids, so that finer grids have no "
+    "larger error, up to where rounding or the tolerance of the solver prevails."
+)
+_COLOURS = (BLUE, RED, GREEN, AMBER, PINK, SKY, "#54278F", DARK)
+_WIDTH, _LEFT, _GUTTER, _WIDEST, _HEIGHT = 11.3, 0.62, 1.65, 3.6, 3.1
+"""Sizes in inches: width of figures, room for the labels of an axis and of curves, width and height of panels."""
+_GAP = 0.055
+"""The least distance of labels as a fraction of the height of a panel."""
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """The errors of a scheme on ever finer grids, by quantity, with the processor seconds of a solve.
+
+    Errors and times are None where a solve failed. `order` is the order of the scheme.
+    """
+
+    label: str
+    order: int
+    steps: Sequence[int]
+    seconds: Sequence[float | None]
+    errors: Mapping[str, Sequence[float | None]]
+
+    @property
+    def short(self) -> str:
+        """Return the label in figures."""
+        words = {"variational ": "var. ", "hamiltonian ": "ham. ", "one-step ": "", ", controls at stages": ", stages",
+                 ", linear controls": ", linear"}  # fmt: skip
+        text = self.label
+        for word, abbreviation in words.items():
+            text = text.replace(word, abbreviation)
+        return text
+
+    def points(self, quantity: str) -> list[tuple[int, float, float]]:
+        """Return the triples (steps, seconds, error) of all grids up to the one with the least error.
+
+        Finer grids show rounding, or the tolerance of the solver.
+        """
+        rows = zip(self.steps, self.seconds, self.errors.get(quantity, ()), strict=False)
+        points = [(n, time, error) for n, time, error in rows if time and error is not None]
+        return points[: 1 + min(range(len(points)), key=lambda i: points[i][2])] if points else []
+
+    def reach(self, quantity: str, target: float) -> tuple[float, float] | None:
+        """Return the seconds and the number of steps from which on the error is at most `target`, or None."""
+        points = self.points(quantity)
+        first = len(points)
+        while first > 0 and points[first - 1][2] <= target:
+            first -= 1
+        if first == len(points):
+            return None
+        steps, time, error = points[first]
+        if first == 0 or error <= 0.0:
+            return time, float(steps)
+        fewer, shorter, larger = points[first - 1]
+        part = math.log(larger / target) / math.log(larger / error)
+        return shorter * (time / shorter) ** part, fewer * (steps / fewer) ** part
+
+
+def ranking(ladders: Sequence[Ladder], quantity: str, target: float) -> list[tuple[Ladder, float, float]]:
+    """Return the schemes that reach an error, with seconds and numbers of steps; the fastest comes first."""
+    reached = [(ladder, *result) for ladder in ladders if (result := ladder.reach(quantity, target)) is not None]
+    return sorted(reached, key=lambda row: row[1])
+
+
+def choice(ladders: Sequence[Ladder], quantities: Mapping[str, float]) -> tuple[list[str], Table]:
+    """Return sentences on the fastest schemes, and their table; `quantities` have the errors of their references.
+
+    The first ladder is the default scheme.
+    """
+    sentences, rows, default = [], [], ladders[0]
+    for quantity, uncertainty in quantities.items():
+        parts = []
+        for target in TARGETS:
+            name = power_of_ten(target)
+            if target < CLEAR * uncertainty:
+                rows.append((quantity, name, "the reference is not accurate enough", *["–"] * 4))
+                continue
+            reached = ranking(ladders, quantity, target)
+            if not reached:
+                rows.append((quantity, name, "no scheme on these grids", *["–"] * 4))
+                continue
+            best, time, steps = reached[0]
+            parts.append(f"{name}: {best.label}, in {seconds(time)}")
+            second = next((f"{other.label}, × {number(t / time, 2)}" for other, t, _ in reached[1:]), "–")
+            usual = default.reach(quantity, target)
+            comparison = "–" if usual is None else f"{seconds(usual[0])}, × {number(usual[0] / time, 2)}"
+            rows.append((quantity, name, best.label, f"{steps:.0f}", seconds(time), second, comparison))
+        if parts:
+            sentences.append(f"Fastest to an error of {quantity} of {'; '.join(parts)}.")
+    head = ("error of", "at most", "fastest scheme", "steps", "processor time", "next", f"default ({default.label})")
+    return sentences, Table(CHEAPEST, head, tuple(rows), "words")
+
+
+def reach_columns(ladder: Ladder, quantities: Sequence[str]) -> tuple[str, ...]:
+    """Return the cells with the seconds of a scheme to 1e-3, 1e-6 and 1e-9 for each quantity."""
+    reached = [ladder.reach(quantity, target) for quantity in quantities for target in TARGETS]
+    return tuple("–" if result is None else seconds(result[0]) for result in reached)
+
+
+def figures(ladders: Sequence[Ladder], quantities: Mapping[str, float], deciding: str) -> list[Picture]:
+    """Return a figure of the schemes to choose from, and figures of all others with the default scheme in grey.
+
+    The first figure has the fastest scheme for each quantity and error, and the next schemes by the quantity
+    `deciding`. `quantities` have the errors of their references.
+    """
+    default = ladders[0]
+    fastest = [rows[0][0] for q in quantities for target in TARGETS if (rows := ranking(ladders, q, target))]
+    following = [row[0] for target in (TARGETS[1], *TARGETS) for row in ranking(ladders, deciding, target)]
+    chosen = _unique([default, *fastest, *following, *ladders])[:MOST_CURVES]
+    others = sorted((ladder for ladder in ladders if ladder not in chosen), key=lambda ladder: ladder.order)
+    caption = (
+        "Error against processor time of one solve: the fastest schemes for each error in the table, and the default. "
+        "Dotted: error of the reference."
+    )
+    pictures = [Picture(caption, svg(_panels, chosen, quantities, None))]
+    for first in range(0, len(others), MOST_CURVES - 1):
+        part = others[first : first + MOST_CURVES - 1]
+        orders = sorted({ladder.order for ladder in part})
+        text = f"order {orders[0]}" if len(orders) == 1 else f"orders {orders[0]} to {orders[-1]}"
+        caption = f"Other schemes, {text}; grey: the default, {default.label}."
+        pictures.append(Picture(caption, svg(_panels, part, quantities, default)))
+    return pictures
+
+
+def _unique(ladders: Sequence[Ladder]) -> list[Ladder]:
+    return list({ladder.label: ladder for ladder in ladders}.values())
+
+
+def _panels(ladders: Sequence[Ladder], quantities: Mapping[str, float], grey: Ladder | None) -> Figure:
+    """Draw a panel for each quantity, with curves that are labelled at the right of the panel."""
+    panel = min(_WIDEST, (_WIDTH - _LEFT) / len(quantities) - _GUTTER)
+    height = _HEIGHT + 0.85
+    figure = Figure(figsize=(_WIDTH, height))
+    shown = [*ladders, *([] if grey is None else [grey])]
+    times = [time for ladder in shown for quantity in quantities for _, time, _ in ladder.points(quantity)]
+    errors = [e for ladder in shown for quantity in quantities for _, _, e in ladder.points(quantity) if e > 0.0]
+    for index, (quantity, floor) in enumerate(quantities.items()):
+        left = (_LEFT + index * (panel + _GUTTER)) / _WIDTH
+        axes = figure.add_axes((left, 0.5 / height, panel / _WIDTH, _HEIGHT / height))
+        axes.set(xscale="log", yscale="log", title=f"error of {quantity}", xlabel="milliseconds of one solve")
+        if times and errors:
+            axes.set_xlim(0.8 * min(times), 1.25 * max(times))
+            axes.set_ylim(max(0.5 * min(errors), 1e-16), min(2.0 * max(errors), 30.0))
+        ends = []
+        for number_of_curve, ladder in enumerate(shown):
+            points = [(time, error) for _, time, error in ladder.points(quantity) if error > 0.0]
+            if points:
+                colour = GREY if ladder is grey else _COLOURS[number_of_curve % len(_COLOURS)]
+                axes.plot(*zip(*points, strict=True), color=colour, marker=".", markersize=4, linewidth=1.2)
+                ends.append((points[-1], ladder.short, colour))
+        if floor > 1e-15:
+            axes.axhline(floor, color=GREY, linewidth=0.8, linestyle=":")
+        _label(axes, ends)
+        low, high = axes.get_xlim()
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if high < 100.0 * low else (1.0,), numticks=6))
+        axes.yaxis.set_major_locator(LogLocator(numticks=8))
+        axes.minorticks_off()
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value * 1e3, 1)))
+        axes.yaxis.set_major_formatter(FuncFormatter(power_of_ten))
+        if index:
+            axes.set_yticklabels([])
+    return figure
+
+
+def _label(axes: Axes, ends: Sequence[tuple[tuple[float, float], str, str]]) -> None:
+    """Write labels at the right of the panel in the order of the ends of curves, each with a line to its end."""
+    low, high = (math.log10(limit) for limit in axes.get_ylim())
+    ordered = sorted(ends, key=lambda end: (end[0][1], end[0][0]))
+    heights = [min(max((math.log10(error) - low) / (high - low), 0.0), 1.0) for (_, error), _, _ in ordered]
+    for i in range(1, len(heights)):
+        heights[i] = max(heights[i], heights[i - 1] + _GAP)
+    top = 1.0
+    for i in reversed(range(len(heights))):
+        heights[i] = min(heights[i], top)
+        top = heights[i] - _GAP
+    for (end, text, colour), height in zip(ordered, heights, strict=True):
+        axes.annotate(
+            text, end, (1.06, height), xycoords="data", textcoords="axes fraction", color=colour, fontsize=7.5,
+            va="center", annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.5, "linestyle": "-", "shrinkA": 1,
+                        "shrinkB": 2, "relpos": (0.0, 0.5), "alpha": 0.6},
+        )  # fmt: skip
