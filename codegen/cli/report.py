@@ -21,7 +21,7 @@ def report(
         Path | None, typer.Argument(metavar="[PROBLEM.py]", help="The problem file; with --all a folder of them.")
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="All problems of a folder. [default: problems]")] = False,
-    quick: Annotated[bool, typer.Option("--quick", help="Measure a few cases only, in less than two minutes.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Measure a few cases only, in about a minute.")] = False,
     limit: Annotated[
         float | None, typer.Option(min=0.1, metavar="S", help="Skip finer grids after a solve of S seconds.")
     ] = None,

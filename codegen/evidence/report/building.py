@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from codegen.discretise.schemes import Scheme
 
 WORKERS = 2
-_PLACES = {"interval": "", "stages": ", controls at stages", "linear": ", linear controls"}
+_PLACES = {"interval": "", "stages": ", controls at stages", "linear": ", linear controls", "nodal": ", nodal controls"}
 MODULES, SURVEYS = "modules", "surveys"
 """The sections of the store with the properties of modules and of problem files."""
 
@@ -44,7 +44,7 @@ class Variant:
     """The inputs of one generated module: problem file, method, scheme with its stated order, arguments of problem().
 
     `general` asks for the general form of the module, which also contains the parts that the problem does not need.
-    `controls` are constant on each "interval", at "stages", or "linear" between nodes.
+    `controls` are constant on each "interval", at "stages", "linear", or "nodal".
     """
 
     problem: Path
@@ -129,8 +129,8 @@ def gather(
 ) -> None:
     """Call each function of `jobs` (by case name) in the pool unless the store has its values; store the values."""
     pending = {name: pool.submit(job) for name, job in jobs.items() if store.get(section, name) is None}
-    for name, future in pending.items():
-        report_progress(name)
+    for number, (name, future) in enumerate(pending.items(), start=1):
+        report_progress(f"{name} ({number} of {len(pending)})")
         store.measured(Case(section, name, future.result))
 
 

@@ -37,7 +37,7 @@ _GAP = 0.055
 class Ladder:
     """The errors of a scheme on ever finer grids, by quantity, with the processor seconds of a solve.
 
-    Errors and times are None where a solve failed. `order` is the order of the scheme.
+    Errors and times are None where a solve failed. `order` is the order of the scheme. A peer is another program.
     """
 
     label: str
@@ -45,6 +45,7 @@ class Ladder:
     steps: Sequence[int]
     seconds: Sequence[float | None]
     errors: Mapping[str, Sequence[float | None]]
+    is_peer: bool = False
 
     @property
     def short(self) -> str:
@@ -82,8 +83,9 @@ class Ladder:
 
 
 def ranking(ladders: Sequence[Ladder], quantity: str, target: float) -> list[tuple[Ladder, float, float]]:
-    """Return the schemes that reach an error, with seconds and numbers of steps; the fastest comes first."""
-    reached = [(ladder, *result) for ladder in ladders if (result := ladder.reach(quantity, target)) is not None]
+    """Return the schemes that reach an error, with seconds and numbers of steps; the fastest comes first, no peers."""
+    own = [ladder for ladder in ladders if not ladder.is_peer]
+    reached = [(ladder, *result) for ladder in own if (result := ladder.reach(quantity, target)) is not None]
     return sorted(reached, key=lambda row: row[1])
 
 
@@ -125,13 +127,14 @@ def reach_columns(ladder: Ladder, quantities: Sequence[str]) -> tuple[str, ...]:
 def figures(ladders: Sequence[Ladder], quantities: Mapping[str, float], deciding: str) -> list[Picture]:
     """Return a figure of the schemes to choose from, and figures of all others with the default scheme in grey.
 
-    The first figure has the fastest scheme for each quantity and error, and the next schemes by the quantity
+    The first figure has peers, the fastest scheme for each quantity and error, and the next schemes by the quantity
     `deciding`. `quantities` have the errors of their references.
     """
     default = ladders[0]
     fastest = [rows[0][0] for q in quantities for target in TARGETS if (rows := ranking(ladders, q, target))]
     following = [row[0] for target in (TARGETS[1], *TARGETS) for row in ranking(ladders, deciding, target)]
-    chosen = _unique([default, *fastest, *following, *ladders])[:MOST_CURVES]
+    peers = [ladder for ladder in ladders if ladder.is_peer]
+    chosen = _unique([default, *peers, *fastest, *following, *ladders])[:MOST_CURVES]
     others = sorted((ladder for ladder in ladders if ladder not in chosen), key=lambda ladder: ladder.order)
     caption = (
         "Error against processor time of one solve: the fastest schemes for each error in the table, and the default. "

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from codegen.errors import ArgumentError
 from codegen.evidence.report import drift, modules, optima, simulations, thesis
@@ -27,8 +27,8 @@ from codegen.terminal import progress
 if TYPE_CHECKING:
     from rich.table import Table as TerminalTable
 
-Row: TypeAlias = tuple[str, str, int] | tuple[str, str, int, tuple[tuple[str, str], ...]]
-"""Method, scheme and order of a module, and arguments of problem()."""
+Row: TypeAlias = tuple[Any, ...]
+"""The fields of a Variant after the problem: method, scheme, order, and perhaps the others."""
 
 
 @dataclass(frozen=True)

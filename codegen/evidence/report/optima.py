@@ -33,8 +33,8 @@ import numpy as np
 
 from codegen.errors import CodegenError
 from codegen.evidence.report import comparison as compare
-from codegen.evidence.report import reference, timing
-from codegen.evidence.report.building import SURVEYS, Variant, Workshop
+from codegen.evidence.report import peers, reference, timing
+from codegen.evidence.report.building import SURVEYS, Variant, Workshop, workers
 from codegen.evidence.report.orders import (
     ABOVE_REFERENCE,
     LARGE,
@@ -117,8 +117,24 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
             if (store.get(section_of(problem, "drivers"), driver) or {})["status"] != "refused":
                 runs[f"driver {driver}"] = timing.solver(module, first, driver)
     yield from timing.cases(problem, runs, store, extent.time_budget)
+    if extent.peers and peers.is_installed() and trajectory is not None:
+        grids = [row["steps"] for row in default.rows(store, optima)]
+        peer = partial(_peer, problem, module, grids, motion, extent)
+        yield Case(section_of(problem, "peers"), peers.NAME, peer)
     for variant, steps in _strange(store, problem, list(modules)):
         yield Case(section_of(problem, "iterations"), variant.run(steps), partial(_searched, modules[variant], steps))
+
+
+def _peer(problem: Path, module: ControlModule, grids: Sequence[int], motion: Values, extent: Extent) -> Values:
+    """Return the solves of CasADi from the initial guesses of the module, measured in a worker process."""
+    guesses = []
+    for steps in grids:
+        grid = module.make_grid(steps)
+        _, q, p, u, _ = module.unpack(grid, module.initial_guess(grid))
+        guesses.append(peers.Guess(q, p, u))
+    with workers() as pool:
+        job = pool.submit(peers.measured, problem, guesses, motion, extent.limit, extent.time_budget)
+        return job.result()
 
 
 def _first_steps(module: ControlModule) -> int:
@@ -509,18 +525,17 @@ def _error(values: Values, exact: float | None) -> float | None:
     return float(abs(values["cost"] - exact) / (abs(exact) or 1.0))
 
 
-def ladder_of(variant: Variant, scheme: Measured) -> compare.Ladder:
-    """Return the errors of cost, states and controls of a scheme; `all of them` is the largest of the three."""
-    rows = scheme.rows
+def ladder_of(label: str, order: int, rows: Sequence[Values], of_cost: Sequence[float | None]) -> compare.Ladder:
+    """Return the errors of states, controls and cost by numbers of steps; `ALL` is the largest of the three."""
     errors = {"states": [row.get("states") for row in rows], "controls": [row.get("controls") for row in rows],
-              "cost": scheme.errors}  # fmt: skip
+              "cost": of_cost}  # fmt: skip
     together = [
         None if None in row[::2] else max(error for error in row if error is not None)
         for row in zip(*errors.values(), strict=True)
     ]
     return compare.Ladder(
-        variant.label, variant.order, [row["steps"] for row in rows], [row["seconds"] for row in rows],
-        {**errors, ALL: together},
+        label, order, [row["steps"] for row in rows], [row.get("seconds") for row in rows], {**errors, ALL: together},
+        label == peers.NAME,
     )  # fmt: skip
 
 
@@ -547,7 +562,11 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
             f"Reference of states and controls: {motion['label']} on {motion['steps']} intervals, with splines of "
             f"degree {reference.DEGREE}; the grid before differs by {listed(parts)}. {_ERRORS}"
         )
-    ladders = [ladder_of(v, m) for v, m in schemes.items()]
+    ladders = [ladder_of(v.label, v.order, m.rows, m.errors) for v, m in schemes.items()]
+    peer = store.get(section_of(problem, "peers"), peers.NAME) or {"rows": []}
+    if peer["rows"]:
+        of_cost = [_error({"cost": None, **row}, exact) for row in peer["rows"]]
+        ladders.append(ladder_of(peers.NAME, 4, peer["rows"], of_cost))
     quantities = {key: uncertain[key] for key in ("states", "controls") if uncertain.get(key) is not None}
     quantities |= {} if exact is None else {"cost": relative}
     tables, pictures = [], []

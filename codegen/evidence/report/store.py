@@ -116,7 +116,8 @@ class Extent:
     takes about `reference_seconds` for each scheme that is tried. A mesh sequence, which measures the order of an
     optimum, starts no grid after `sequence_seconds`. The drivers are compared if there are at most `driver_unknowns`
     unknowns. The general form is built for modules with at most `general_operations` operations. The energy of a
-    simulation is observed over `drift_steps` steps, or not at all for 0.
+    simulation is observed over `drift_steps` steps, or not at all for 0. Without `peers`, other programs are not
+    measured.
     """
 
     quick: bool = False
@@ -133,6 +134,7 @@ class Extent:
     driver_unknowns: int = 300
     general_operations: int = 100_000
     drift_steps: int = 1_000_000
+    peers: bool = True
 
 
 FULL = Extent()
@@ -140,13 +142,13 @@ FULL = Extent()
 GALLERY = Extent(
     control_doublings=4, reference_seconds=2.0, sequence_seconds=10.0, most_schemes=2, most_order=2,
     only_default_of_phases=True, most_simulated=8, limit=1.0, time_budget=0.3, driver_unknowns=150,
-    general_operations=60, drift_steps=0,
+    general_operations=60, drift_steps=0, peers=False,
 )  # fmt: skip
 """The extent of a report on a folder of problems, which takes less than 20 minutes on two processors."""
 QUICK = Extent(
     quick=True, simulation_doublings=7, control_doublings=7, reference_seconds=3.0, sequence_seconds=1.0,
     most_schemes=4, most_order=4, most_simulated=4, limit=0.5, time_budget=0.2, driver_unknowns=0,
-    general_operations=0, drift_steps=0,
+    general_operations=0, drift_steps=0, peers=False,
 )  # fmt: skip
 """The extent of a report in continuous integration."""
 QUICK_PROBLEMS = ("pendulum", "linear_pendulum")
