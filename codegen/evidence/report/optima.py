@@ -190,12 +190,12 @@ def _strange(store: Store, problem: Path, variants: Sequence[Variant]) -> list[t
 
 
 def _searched(module: ControlModule, steps: int) -> Values:
-    """Return the number of iterations of a solve, of shortened steps and of shifted Hessians."""
+    """Return the number of iterations of a solve, of steps that are halved at least, and of shifted Hessians."""
     result = api.solve(module, steps=steps, log=True)
     assert result.log is not None
-    shifts, lengths = result.log[1:, -2], result.log[1:, -1]
+    shifts, lengths = result.log[1:, 3], result.log[1:, 4]
     return {
-        "iterations": result.iterations, "shortened": int((lengths < 1.0).sum()), "shifted": int((shifts > 0.0).sum()),
+        "iterations": result.iterations, "shortened": int((lengths <= 0.5).sum()), "shifted": int((shifts > 0.0).sum()),
         "first residual": float(result.log[0, 1]),
     }  # fmt: skip
 
@@ -525,10 +525,25 @@ def _error(values: Values, exact: float | None) -> float | None:
     return float(abs(values["cost"] - exact) / (abs(exact) or 1.0))
 
 
+def elsewhere(rows: Sequence[Values]) -> set[int]:
+    """Return the grids whose states are far from the reference, although a coarser grid is close to it."""
+    errors = [(row["steps"], row["states"]) for row in rows if row.get("states") is not None]
+    return {n for n, error in errors if error > FAR and any(k < n and e < CLOSE for k, e in errors)}
+
+
 def ladder_of(label: str, order: int, rows: Sequence[Values], of_cost: Sequence[float | None]) -> compare.Ladder:
-    """Return the errors of states, controls and cost by numbers of steps; `ALL` is the largest of the three."""
-    errors = {"states": [row.get("states") for row in rows], "controls": [row.get("controls") for row in rows],
-              "cost": of_cost}  # fmt: skip
+    """Return the errors of states, controls and cost by numbers of steps; `ALL` is the largest of the three.
+
+    Grids whose search ended in another local optimum have no errors.
+    """
+    far = elsewhere(rows)
+    errors = {
+        "states": [row.get("states") for row in rows],
+        "controls": [row.get("controls") for row in rows],
+        "cost": of_cost,
+    }
+    for key, values in errors.items():
+        errors[key] = [None if row["steps"] in far else e for row, e in zip(rows, values, strict=True)]
     together = [
         None if None in row[::2] else max(error for error in row if error is not None)
         for row in zip(*errors.values(), strict=True)
@@ -540,6 +555,8 @@ def ladder_of(label: str, order: int, rows: Sequence[Values], of_cost: Sequence[
 
 
 ALL = "states, controls and cost"
+CLOSE = 0.01
+"""The error of states below which a grid has found the optimum of the reference; above FAR it has found another."""
 
 
 def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
@@ -598,6 +615,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         ))  # fmt: skip
         last, error = scheme.rows[-1], scheme.errors[-1]
         remarks = [f"{v['steps']}: {v['status']}" for v in scheme.rows if v["status"] != "solved"]
+        remarks += [f"{n}: another local optimum" for n in sorted(elsewhere(scheme.rows))]
         if error is not None and error > OTHER_OPTIMUM:
             remarks.append("far from the reference: too few intervals, or another local optimum")
         runs.append((
@@ -654,7 +672,7 @@ def _strange_table(store: Store, problem: Path) -> Table | None:
     for name, values in store.rows(section_of(problem, "iterations")):
         reasons = []
         if values["shortened"]:
-            reasons.append(f"the line search shortens {values['shortened']} steps")
+            reasons.append(f"the line search shortens {values['shortened']} steps to half or less")
         if values["shifted"]:
             reasons.append(f"the Hessian is shifted in {values['shifted']}, since it has negative curvature")
         if values["first residual"] > LARGE_RESIDUAL:
