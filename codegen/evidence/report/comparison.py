@@ -89,6 +89,12 @@ def ranking(ladders: Sequence[Ladder], quantity: str, target: float) -> list[tup
     return sorted(reached, key=lambda row: row[1])
 
 
+def speed(ladder: Ladder, quantity: str) -> tuple[float, ...]:
+    """Return the seconds to 1e-6, 1e-3 and 1e-9, by which tables are sorted; infinity for an error without a grid."""
+    reached = (ladder.reach(quantity, target) for target in (TARGETS[1], TARGETS[0], TARGETS[2]))
+    return tuple(math.inf if result is None else result[0] for result in reached)
+
+
 def choice(ladders: Sequence[Ladder], quantities: Mapping[str, float]) -> tuple[list[str], Table]:
     """Return sentences on the fastest schemes, and their table; `quantities` have the errors of their references.
 

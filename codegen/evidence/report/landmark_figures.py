@@ -66,6 +66,11 @@ def _panels(counts: Sequence[int], size: tuple[float, float], *labels: str) -> t
     return figure, rows
 
 
+def _columns(figure: Figure) -> int:
+    """Return the number of columns of a legend that is not wider than the figure."""
+    return min(4, max(1, int(figure.get_figwidth() / 1.7)))
+
+
 # ---- Chapter 5 ----
 
 
@@ -115,7 +120,7 @@ def routes(settings: Settings, store: Store, scheme: str) -> Figure:
             time_axes.semilogy(steps, times, "x", color=colour, markersize=4)
     handles, labels = below[0].get_legend_handles_labels()
     last = dict(zip(labels, handles, strict=True))  # a route that always failed has a second, empty line
-    figure.legend(last.values(), last.keys(), loc="outside lower center", ncols=4)
+    figure.legend(last.values(), last.keys(), loc="outside lower center", ncols=_columns(figure))
     return figure
 
 
@@ -157,7 +162,7 @@ def best_of_each(settings: Settings, store: Store) -> Figure:
             look = {"color": RED, "linestyle": "--", "linewidth": 1.1}
             cost_axes.axhline(row["cost"], label="lsoda, tolerance $10^{-6}$", **look)
             time_axes.axhline(row["seconds"], **look)
-    figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=_columns(figure))
     return figure
 
 
@@ -176,7 +181,7 @@ def eulers(settings: Settings, store: Store) -> Figure:
         ticks = [10, 20, 50, 100]
         axes.set(xticks=ticks, xticklabels=[str(n) for n in ticks])
         axes.xaxis.minorticks_off()
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=_columns(figure))
     return figure
 
 
@@ -235,7 +240,7 @@ def jump_figure(settings: Settings, store: Store) -> Figure:
             steps = [n for n, _ in rows]
             error_axes.semilogy(steps, [max(v["error"], 1e-16) for _, v in rows], label=label, **look)
             time_axes.semilogy(steps, [v["seconds"] for _, v in rows], **look)
-    figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=_columns(figure))
     return figure
 
 

@@ -593,9 +593,15 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         texts, tables = [*sentences[:1], *texts], [table]
         pictures = compare.figures(ladders, quantities, next(iter(wanted)))
     choice = Section(title, tuple(texts), tuple(tables), tuple(pictures[:1]))
-    times = tuple((ladder.label, *compare.reach_columns(ladder, list(quantities))) for ladder in ladders)
+    deciding = ALL if len(quantities) > 1 else "cost"
+    by_speed = sorted(ladders, key=lambda ladder: compare.speed(ladder, deciding))
+    times = tuple((ladder.label, *compare.reach_columns(ladder, list(quantities))) for ladder in by_speed)
     head = tuple(f"{name} to {power_of_ten(target)}" for name in quantities for target in compare.TARGETS)
-    tables = [Table("Processor time of one solve to an error.", ("scheme", *head), times)] if quantities else []
+    tables = (
+        [Table("Processor time of one solve to an error, fastest first.", ("scheme", *head), times)]
+        if quantities
+        else []
+    )
     strange = _strange_table(store, problem)
     tables += [] if strange is None else [strange]
     everything = Section(f"{problem.stem}: all schemes", (timing.RULE,), tuple(tables), tuple(pictures[1:]))

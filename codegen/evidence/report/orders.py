@@ -51,7 +51,7 @@ class Order:
     @property
     def range(self) -> str:
         """Return the range of numbers of steps as text."""
-        return f"{self.coarsest} to {self.finest}"
+        return f"{self.coarsest}\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}{self.finest}"
 
 
 @dataclass(frozen=True)

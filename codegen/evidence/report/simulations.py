@@ -339,7 +339,8 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     )
     # Orders, least errors, and the times to trajectory errors of 1e-3 and 1e-6.
     rows = []
-    for (variant, scheme), ladder in zip(schemes.items(), ladders, strict=True):
+    measurements = zip(schemes.items(), ladders, strict=True)
+    for (variant, scheme), ladder in sorted(measurements, key=lambda pair: compare.speed(pair[1], "trajectory")):
         solved = [v for v in scheme.rows if v.get("trajectory") is not None]
         failures, last = len(scheme.rows) - len(solved), solved[-1] if solved else None
         rows.append((
@@ -356,9 +357,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         *(f"time to {power_of_ten(target)}" for target in compare.TARGETS), "ns per step", "by the wall clock",
         "failed runs",
     )  # fmt: skip
-    caption = (
-        "All schemes: measured orders, least errors, processor time to an error of the trajectory, times per step."
-    )
+    caption = "All schemes, fastest first: measured orders, least errors, processor time to an error of the trajectory."
     table = Table(caption, head, tuple(rows)).without_empty_columns()
     return [
         Section(title, tuple(sentences), (choices,), tuple(figures[:1])),

@@ -130,7 +130,7 @@ class Extent:
     most_order: int = 99
     only_default_of_phases: bool = False
     limit: float = 0.5
-    time_budget: float = 1.0
+    time_budget: float = 0.5
     driver_unknowns: int = 300
     general_operations: int = 100_000
     drift_steps: int = 1_000_000
