@@ -14,7 +14,7 @@ from matplotlib.text import Text
 from codegen.emit.naming import Choices
 from codegen.evidence.report import comparison, peers, timing
 from codegen.evidence.report.comparison import Ladder, choice, figures, ranking
-from codegen.evidence.report.optima import solved
+from codegen.evidence.report.optima import ALL, elsewhere, ladder_of, solved
 from codegen.evidence.report.reference import Trajectory, read_trajectory, refined, trajectory_of
 from codegen.evidence.report.store import Store
 from codegen.solving import api
@@ -194,3 +194,17 @@ def test_casadi_solves_the_problem_as_the_author_wrote_it(tmp_path):
     path.write_text(EFFORT.replace("steps=20", "path={'speed': v <= 9}, steps=20"))
     refused = peers.measured(path, [guess], reference, 9.0, 0.01)
     assert (refused["rows"], refused["message"]) == ([], "no program for problems with path")
+
+
+@pytest.mark.fast
+def test_a_grid_with_another_local_optimum_has_no_error():
+    """Coarse grids may be far from the optimum; a fine grid that is far, after a close one, has found another."""
+    errors = {6: 0.3, 12: 0.2, 24: 5e-3, 48: 1.2, 96: 1e-6}
+    rows = [{"steps": n, "seconds": n * 1e-6, "states": error, "controls": error} for n, error in errors.items()]
+    assert elsewhere(rows) == {48}
+    found = ladder_of("a", 4, rows, list(errors.values()))
+    assert found.errors["states"] == [0.3, 0.2, 5e-3, None, 1e-6]
+    assert found.errors[ALL] == found.errors["states"]
+    reached = found.reach("states", 1e-3)
+    assert reached is not None
+    assert 24.0 < reached[1] < 96.0
