@@ -11,9 +11,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from codegen.runtime.search import point
+from codegen.runtime.search.scaling import scaled_grid
 from codegen.solving.drivers import DRIVERS
+from codegen.solving.results.control import bound_distances, held_at_bounds
 from codegen.solving.results.motions import rounding_level
 from codegen.solving.results.result import STATUSES, Result
 
@@ -100,7 +104,8 @@ class Measurement:
     """The observations of a worker; NaN stands for quantities that were not measured or do not exist.
 
     `error` is the error against the reference, `announced` the relative error that a doubled grid shows. `residual` is
-    the residual of all equations, evaluated outside the solver, and `tolerance` its limit. `textbook` is the residual
+    the residual of all equations, evaluated outside the solver, or for an optimum the distance from the exact root of
+    its equations; `tolerance` is its limit. `textbook` is the residual
     in extended precision, in rounding errors of double precision. `drift` is the largest relative change of energy;
     first-order dynamics have no energy. `stable_below` is the largest stable step times frequency, by bisection.
     """
@@ -169,7 +174,7 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
     if not run.finite:
         return "not a number", "solved, with results that are infinite or no numbers"
     if not run.residual <= run.tolerance:
-        return "false solved", f"the equations have residual {run.residual:.1e}, beyond {run.tolerance:.1e}"
+        return "false solved", f"off the equations' solution by {run.residual:.1e}, beyond {run.tolerance:.1e}"
     if run.textbook > TEXTBOOK:
         return "false solved", f"the textbook's equations are off by {run.textbook:.1e} rounding errors"
     if math.isfinite(case.bound):
@@ -206,16 +211,15 @@ def _stability(case: Case, run: Measurement) -> str:
 class Expectation:
     """The differences between tasks in the generation and the measurement of cases.
 
-    `tolerance` returns the limit of the residual from module, case and result; large numbers raise it, because of
-    rounding. `failures` counts the failures of Newton's method in a result. `drift` is the largest accepted relative
-    change of energy, NaN if the task has no energy. `has_guess` is True if a poor initial guess is possible,
-    `keeps_energy` if an energy that is not finite counts as drift.
+    `violation` returns two numbers from module, case and result: how far the result is from a solution of its equations,
+    and the limit. `failures` counts the failures of Newton's method in a result. `drift` is the largest accepted
+    relative change of energy, NaN if the task has no energy. `keeps_energy` is True if an energy that is not finite
+    counts as drift.
     """
 
-    tolerance: Callable[[ModuleType, Case, Result], float]
+    violation: Callable[[ModuleType, Case, Result], tuple[float, float]]
     failures: Callable[[Result], int]
     drift: float
-    has_guess: bool = False
     keeps_energy: bool = False
 
 
@@ -225,25 +229,72 @@ def _rounding(*arrays: NDArray[np.float64] | None) -> float:
     return 1e3 * float(np.finfo(float).eps) * largest
 
 
-def _of_simulations(module: ModuleType, case: Case, result: Result) -> float:
-    """Return the limit of residuals: variational steps divide rounding errors by h, and stiff springs amplify them."""
+def _of_simulations(module: ModuleType, case: Case, result: Result) -> tuple[float, float]:
+    """Return residual and limit: variational steps divide rounding errors by h, and stiff springs amplify them."""
     h = result.t[-1] / max(result.steps, 1)
     stiff = 10.0 * rounding_level(module, result.steps, result.q, result.p) if case.every == 1 else 0.0
-    return max(1e-10, _rounding(result.q, result.p) * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)
+    limit = max(1e-10, _rounding(result.q, result.p) * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)
+    return result.residual, limit
 
 
-def _of_optima(module: ModuleType, case: Case, result: Result) -> float:
-    scale = max(1.0, float(np.abs(point.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
-    return max(1e-7 * scale, _rounding(result.unknowns, result.multipliers) * result.steps)
+def _of_optima(module: ModuleType, case: Case, result: Result) -> tuple[float, float]:
+    """Return the distance from the exact optimum and its limit; see `newton_distance`."""
+    distance = newton_distance(module, result) if result.solved else math.nan
+    return distance, 1e-5 if module.metadata.inequalities else 1e-7
 
 
-def _of_connections(module: ModuleType, case: Case, result: Result) -> float:
-    return max(1e-9, _rounding(result.q, result.p)) if DRIVERS[case.driver].generated else 1e-5
+def newton_distance(module: ModuleType, result: Result) -> float:
+    """Return the relative length of one more Newton step: how far the result is from the exact root of its equations.
+
+    The KKT matrix is factored by SuperLU, with none of the solver's scaling factors or tolerances. The step of each
+    quantity is relative to its largest value. A quantity that vanishes is compared with its scaling factor. With
+    bounds, unknowns at active bounds are held. A distance along a flat arc does not matter there: the result is then
+    the relative decrease of the cost by the step.
+    """
+    grid, unknowns = module.make_grid(result.steps), result.unknowns
+    assert unknowns is not None and result.cost is not None
+    primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
+    is_free = ~held_at_bounds(module, grid, unknowns)[primal]
+    shape = (dual.size, primal.size)
+    row, column, value = point.jacobian(grid, unknowns)
+    jacobian = sparse.csc_matrix((value, (row, column)), shape)[:, is_free]
+    row, column, value = point.hessian(grid, unknowns)
+    hessian = sparse.csc_matrix((value, (row, column)), (primal.size, primal.size))[is_free][:, is_free]
+    matrix = sparse.bmat([[hessian, jacobian.T], [jacobian, None]], format="csc")
+    moving = np.concatenate([primal[is_free], dual])
+    gradient = point.evaluate(grid, unknowns).gradient
+    factors = np.ones(moving.size)
+    for _ in range(10):  # equilibrate rows and columns
+        largest = np.sqrt(abs(matrix).max(axis=1).toarray().ravel())
+        factors /= np.where(largest > 0.0, largest, 1.0)
+        scaling = sparse.diags(1.0 / np.where(largest > 0.0, largest, 1.0))
+        matrix = (scaling @ matrix @ scaling).tocsc()
+    step = np.zeros(unknowns.size)
+    try:
+        step[moving] = -factors * splu(matrix).solve(factors * gradient[moving])
+    except RuntimeError:  # a singular matrix: the optimum is not unique
+        return math.nan
+    if module.metadata.inequalities:
+        below, above = bound_distances(module, grid, unknowns)
+        clipped = np.clip(step[primal], -np.maximum(below, 0.0), np.maximum(above, 0.0))
+        return abs(float(gradient[primal] @ clipped)) / 2.0 / (abs(result.cost) or 1.0)
+    structure, scaled = module.problem.structure, scaled_grid(grid, unknowns, is_solution=True)
+    chain, index = result.steps * structure.stride + structure.node, np.arange(unknowns.size)
+    kind = np.where(index < structure.bodies * chain, index % chain % structure.stride, structure.stride + index)
+    longest, size = np.zeros(kind.max() + 1), np.zeros(kind.max() + 1)
+    np.maximum.at(longest, kind, np.abs(step))
+    np.maximum.at(size, kind, np.maximum(np.abs(unknowns), scaled.sizes if scaled.sizes.size else 0.0))
+    return float(np.max(longest / np.where(size > 0.0, size, 1.0)))
+
+
+def _of_connections(module: ModuleType, case: Case, result: Result) -> tuple[float, float]:
+    limit = max(1e-9, _rounding(result.q, result.p)) if DRIVERS[case.driver].generated else 1e-5
+    return result.residual, limit
 
 
 EXPECTATIONS = {
     "simulate": Expectation(_of_simulations, lambda r: int(not r.solved), drift=0.1, keeps_energy=True),
-    "control": Expectation(_of_optima, lambda r: int(not r.solved), drift=math.nan, has_guess=True),
+    "control": Expectation(_of_optima, lambda r: int(not r.solved), drift=math.nan),
     "connect": Expectation(_of_connections, lambda r: int(r.summary["attempts"]) - int(r.solved), drift=1.0),
 }
 """The expectations by the name of a task in `codegen.solving.tasks`."""

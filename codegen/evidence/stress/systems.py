@@ -370,8 +370,24 @@ def limit(scheme: Scheme) -> float:
     return first_growth(lambda x: growth(scheme, x) <= 1.0 + GROWTH)
 
 
+def area(scheme: Scheme, x: float) -> float:
+    """Return the determinant of the step matrix: the factor of areas, and of the energy over many steps."""
+    with mpmath.workdps(DIGITS):
+        a, b, c, d = step_matrix(scheme, mpmath.mpf(x))
+        return float(a * d - b * c)
+
+
+def preserves_areas(scheme: Scheme) -> bool:
+    """Return True if steps of the oscillator preserve areas: symplectic schemes, and symmetric ones with |R(iy)| = 1.
+
+    Lobatto IIIA with three stages is not symplectic, but has the stability function of Gauss with two stages. Source:
+    Hairer and Wanner (1996), Solving ordinary differential equations II, IV.5.
+    """
+    return scheme.symplectic or all(abs(area(scheme, x) - 1.0) < 1e-12 for x in (0.3, 1.1, 7.0))
+
+
 def turn(scheme: Scheme, x: float) -> tuple[float, float]:
-    """Return theta and s of q_k = cos(k theta) + s sin(k theta), the motion by a symplectic scheme from rest at q = 1.
+    """Return theta and s of q_k = cos(k theta) + s sin(k theta), the motion from rest at q = 1 if areas are preserved.
 
     Theta is arccos(trace/2); s is 0 if the scheme is symmetric. Both are NaN beyond the stability limit.
     """
@@ -384,9 +400,9 @@ def turn(scheme: Scheme, x: float) -> tuple[float, float]:
 
 
 def swing(scheme: Scheme, x: float) -> float:
-    """Return the relative oscillation of the energy from rest at q = 1 if a symplectic scheme is stable, else infinity.
+    """Return the relative oscillation of the energy from rest at q = 1 by a stable scheme, else infinity.
 
-    The step conserves c q^2 + (d - a) q p - b p^2, which equals c on the whole motion. On this ellipse q^2 + p^2 lies
+    A step that preserves areas conserves c q^2 + (d - a) q p - b p^2, which equals c on the whole motion. On this ellipse q^2 + p^2 lies
     between c divided by the one and by the other eigenvalue of the quadratic form.
     """
     with mpmath.workdps(DIGITS):
