@@ -100,7 +100,8 @@ def test_a_step_of_particles_that_fails_is_named():
 
 def test_a_flat_arc_along_a_wall_is_optimal():
     """The cost by IPOPT of CasADi at tolerance 1e-12; a cart that leaves the wall by 0.036 costs 1.5e-4 more."""
-    result = api.solve(load(build(OWN_PROBLEMS / "walled_cart.py").path), "newton", steps=6000, parameters={"wall": 1e-3})
+    module = load(build(OWN_PROBLEMS / "walled_cart.py").path)
+    result = api.solve(module, "newton", steps=6000, parameters={"wall": 1e-3})
     assert result.solved
     assert result.cost == pytest.approx(444.78764598, rel=1e-6)
     assert result.q.min() > -1e-3

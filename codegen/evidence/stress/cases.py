@@ -211,8 +211,7 @@ def _stability(case: Case, run: Measurement) -> str:
 class Expectation:
     """The differences between tasks in the generation and the measurement of cases.
 
-    `violation` returns two numbers from module, case and result: how far the result is from a solution of its equations,
-    and the limit. `failures` counts the failures of Newton's method in a result. `drift` is the largest accepted
+    `violation` returns two numbers from module, case and result: how far the result is from a solution, and the limit. `failures` counts the failures of Newton's method in a result. `drift` is the largest accepted
     relative change of energy, NaN if the task has no energy. `keeps_energy` is True if an energy that is not finite
     counts as drift.
     """
@@ -252,7 +251,8 @@ def newton_distance(module: ModuleType, result: Result) -> float:
     the relative decrease of the cost by the step.
     """
     grid, unknowns = module.make_grid(result.steps), result.unknowns
-    assert unknowns is not None and result.cost is not None
+    assert unknowns is not None
+    assert result.cost is not None
     primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     is_free = ~held_at_bounds(module, grid, unknowns)[primal]
     shape = (dual.size, primal.size)

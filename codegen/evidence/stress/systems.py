@@ -402,8 +402,8 @@ def turn(scheme: Scheme, x: float) -> tuple[float, float]:
 def swing(scheme: Scheme, x: float) -> float:
     """Return the relative oscillation of the energy from rest at q = 1 by a stable scheme, else infinity.
 
-    A step that preserves areas conserves c q^2 + (d - a) q p - b p^2, which equals c on the whole motion. On this ellipse q^2 + p^2 lies
-    between c divided by the one and by the other eigenvalue of the quadratic form.
+    A step that preserves areas conserves c q^2 + (d - a) q p - b p^2, which equals c on the whole motion. On this
+    ellipse q^2 + p^2 lies between c divided by the one and by the other eigenvalue of the quadratic form.
     """
     with mpmath.workdps(DIGITS):
         a, b, c, d = step_matrix(scheme, mpmath.mpf(x))

@@ -305,7 +305,8 @@ def _still_falls(module: ControlModule, scaled: Grid, attempt: ControlAttempt) -
     primal = module.primal_unknowns(scaled)
     below, above = (distance / scales[primal] for distance in bound_distances(module, scaled, attempt.unknowns))
     step = np.clip(newton_step(scaled, point)[primal], -np.maximum(below, 0.0), np.maximum(above, 0.0))
-    return -float(point.gradient[primal] @ step) / 2.0 > max(STILL_FALLS * abs(point.cost), attempt.tolerance)
+    decrease = -float(point.gradient[primal] @ step) / 2.0
+    return decrease > max(STILL_FALLS * abs(float(point.cost)), attempt.tolerance)
 
 
 def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights: Vector) -> float:
