@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -59,6 +59,23 @@ class Setup:
 
 
 @dataclass(frozen=True)
+class Truth:
+    """The exact motion of a user's own problem: states (M, 2n) at M times, and what is known along it.
+
+    `sizes` are the sizes of components. `energy` is the largest variation of the potential or size of the kinetic
+    energy, NaN if the energy is not conserved. `conserved` masks components that are constant. `rate` is the largest
+    modulus of an eigenvalue of the linearised motion. For optimal control all are empty.
+    """
+
+    times: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    states: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
+    sizes: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    conserved: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
+    energy: float = math.nan
+    rate: float = math.nan
+
+
+@dataclass(frozen=True)
 class Case:
     """One solve of a module with run-time values, and the expected outcome.
 
@@ -68,7 +85,7 @@ class Case:
     `drift` is the largest relative change of energy that counts as bounded. `h_omega` is the time step times the
     largest frequency. `textbook` asks for the residuals of the scheme's textbook equations in extended precision,
     `limit` for the largest stable step. `points` are rows of start and target, `noise` perturbs the initial guess of an
-    optimisation, `seconds` is the time limit.
+    optimisation, `seconds` is the time limit. A user's own problem has a `truth`, and a number of noisy `guesses`.
     """
 
     name: str
@@ -91,6 +108,8 @@ class Case:
     limit: bool = False
     allowed: tuple[str, ...] = ()
     seconds: float = 120.0
+    truth: Truth | None = None
+    guesses: int = 0
 
     @property
     def expected(self) -> tuple[str, ...]:
@@ -105,9 +124,9 @@ class Measurement:
 
     `error` is the error against the reference, `announced` the relative error that a doubled grid shows. `residual` is
     the residual of all equations, evaluated outside the solver, or for an optimum the distance from the exact root of
-    its equations; `tolerance` is its limit. `textbook` is the residual
-    in extended precision, in rounding errors of double precision. `drift` is the largest relative change of energy;
-    first-order dynamics have no energy. `stable_below` is the largest stable step times frequency, by bisection.
+    its equations; `tolerance` is its limit. `textbook` is the residual in extended precision, in rounding errors of
+    double precision. `drift` is the largest relative change of energy; first-order dynamics have no energy. `others`
+    counts noisy guesses that lead to other optima. `stable_below` is the largest stable step times frequency.
     """
 
     status: str = ""
@@ -124,6 +143,7 @@ class Measurement:
     has_energy: bool = True
     stable_below: float = math.nan
     failures: int = 0
+    others: int = 0
     iterations: int = 0
     seconds: float = math.nan
     hung: bool = False
@@ -142,6 +162,10 @@ class Row:
 
 TEXTBOOK = 100.0
 """The largest accepted residual of the textbook equations, in rounding errors of double precision."""
+HONEST = 3.0
+"""The largest error in units of the error that a result announces."""
+TWICE = 2.0
+"""The largest error, relative to the size of each component, of a motion that stays where the exact motion is."""
 SIGN = 0.01
 """The relative change of energy above which the summary of a simulation reports that the time step is too long."""
 
@@ -175,6 +199,8 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
         return "not a number", "solved, with results that are infinite or no numbers"
     if not run.residual <= run.tolerance:
         return "false solved", f"off the equations' solution by {run.residual:.1e}, beyond {run.tolerance:.1e}"
+    if case.truth is not None:
+        return _of_own_problem(case, run)
     if run.textbook > TEXTBOOK:
         return "false solved", f"the textbook's equations are off by {run.textbook:.1e} rounding errors"
     if math.isfinite(case.bound):
@@ -197,12 +223,37 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
     return "unsuitable", f"{stability}: energy changes by {run.drift:.1e} of itself"
 
 
+def promised_error(case: Case, run: Measurement) -> float:
+    """Return the error that theory or the result itself promises, or NaN without a promise."""
+    return HONEST * run.announced + 1e-8 if case.reference == "refined" else case.bound
+
+
+def _of_own_problem(case: Case, run: Measurement) -> tuple[str, str]:
+    """Return the outcome and the finding of a solved case of a user's own problem."""
+    if case.limit:
+        least, found = f"expected {case.bound:.3g} or more", _stability(case, run)
+        return ("bounded" if run.stable_below >= 0.999 * case.bound else "unsuitable"), f"{found}, {least}"
+    if case.guesses:
+        text = f"of {case.guesses} guesses, {run.failures} fail and {run.others} lead to other local optima"
+        if run.error < 0.0:
+            return "unsuitable", f"{text}; the cost of one is lower by {-run.error:.1e}: the optimum is only local"
+        return ("accurate" if run.error <= case.bound else "unsuitable"), text
+    drift = "" if math.isnan(run.drift) else f"; invariants change by {run.drift:.1e}"
+    announced = "" if math.isnan(run.announced) else f"; the result announces {run.announced:.1e}"
+    promise = promised_error(case, run)
+    if math.isfinite(promise):
+        text = f"error {run.error:.1e}, promised {promise:.1e}{announced}{drift}"
+        return ("accurate" if run.error <= promise else "unsuitable"), text
+    is_bounded = run.error <= TWICE and not run.drift > case.drift
+    return ("bounded" if is_bounded else "unsuitable"), f"error {run.error:.1e}{drift}"
+
+
 def _stability(case: Case, run: Measurement) -> str:
     if run.stable_below == 0.0:
         return "stable at no step (measured)"
     if math.isinf(run.stable_below):
         return "stable at every step (measured)"
-    if case.h_omega < run.stable_below:
+    if case.h_omega < run.stable_below and case.truth is None:
         return f"though small motions are stable below h omega = {run.stable_below:.3f} (measured)"
     return f"stable below h omega = {run.stable_below:.3f} (measured)"
 
@@ -211,9 +262,9 @@ def _stability(case: Case, run: Measurement) -> str:
 class Expectation:
     """The differences between tasks in the generation and the measurement of cases.
 
-    `violation` returns two numbers from module, case and result: how far the result is from a solution, and the limit. `failures` counts the failures of Newton's method in a result. `drift` is the largest accepted
-    relative change of energy, NaN if the task has no energy. `keeps_energy` is True if an energy that is not finite
-    counts as drift.
+    `violation` returns two numbers from module, case and result: how far the result is from a solution, and the limit.
+    `failures` counts the failures of Newton's method in a result. `drift` is the largest accepted relative change of
+    energy, NaN if the task has no energy. `keeps_energy` is True if an energy that is not finite counts as drift.
     """
 
     violation: Callable[[ModuleType, Case, Result], tuple[float, float]]

@@ -51,6 +51,10 @@ def of_order(low: int, high: float = math.inf) -> tuple[SchemeOf, ...]:
     return tuple(scheme for scheme in MECHANICAL if low <= registered(scheme).order <= high)
 
 
+CONSTANT = {2: 4.0}
+"""The numbers by which bounds of schemes of an order are divided; see `promised`."""
+
+
 def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
     """Return the error bound of a scheme after the phase omega t, or NaN if h omega or the bound is 1/2 or more.
 
@@ -60,7 +64,7 @@ def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
     below 0.03 on the oscillator (`codegen.evidence.stress.systems`), and the bound has the constant 1.
     """
     order = registered(scheme).order
-    error = h_omega**order * (1.0 + phase) / (4.0 if order == 2 else 1.0)
+    error = h_omega**order * (1.0 + phase) / CONSTANT.get(order, 1.0)
     return error if h_omega < 0.5 and error < 0.5 else math.nan
 
 

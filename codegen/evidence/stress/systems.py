@@ -357,6 +357,37 @@ def _solved(matrix: Rows, right: Sequence[Number]) -> list[Number]:
     return [row[-1] / row[k] for k, row in enumerate(rows)]
 
 
+def stability_function(scheme: Scheme, z: complex) -> complex:
+    """Return R(z) = 1 + z b (1 - z A)^-1 e, the factor of a step of length z of y' = y, for a Runge-Kutta method."""
+    a, _, (b,) = _tableau(scheme, float)
+    ones = np.ones(len(b))
+    return complex(1.0 + z * np.dot(b, np.linalg.solve(np.eye(len(b)) - z * np.array(a), ones)))
+
+
+def is_runge_kutta(scheme: Scheme) -> bool:
+    """Return True if coordinates and momenta have the same table, so that the scheme has a stability function."""
+    return not scheme.variational and scheme.step().tableau.positions == scheme.step().tableau.momenta
+
+
+@cache
+def limit_along(scheme: Scheme, direction: complex) -> float:
+    """Return the largest |h lambda| up to which no motion exp(lambda t) grows by steps h though it should not.
+
+    `direction` is lambda/|lambda|. Schemes with different tables for coordinates and momenta are tried on the
+    oscillator, whatever the direction.
+    """
+    if not is_runge_kutta(scheme):
+        return limit(scheme)
+
+    def is_stable(x: float) -> bool:
+        return (
+            abs(stability_function(scheme, x * direction))
+            <= max(1.0, math.exp(min(x * direction.real, 700.0))) + GROWTH
+        )
+
+    return first_growth(is_stable)
+
+
 def growth(scheme: Scheme, x: float) -> float:
     """Return the spectral radius of the step matrix."""
     a, b, c, d = step_matrix(scheme, float(x))
