@@ -322,9 +322,12 @@ def newton_distance(module: ModuleType, result: Result) -> float:
         matrix = (scaling @ matrix @ scaling).tocsc()
     step = np.zeros(unknowns.size)
     try:
-        step[moving] = -factors * splu(matrix).solve(factors * gradient[moving])
-    except RuntimeError:  # a singular matrix: the optimum is not unique
-        return math.nan
+        inverse = splu(matrix)
+    except RuntimeError:  # held unknowns leave dependent equations, whose multipliers are not unique
+        inverse = splu(
+            (matrix + 1e-10 * sparse.diags(np.where(np.arange(moving.size) < is_free.sum(), 1.0, -1.0))).tocsc()
+        )
+    step[moving] = -factors * inverse.solve(factors * gradient[moving])
     if module.metadata.inequalities:
         below, above = bound_distances(module, grid, unknowns)
         clipped = np.clip(step[primal], -np.maximum(below, 0.0), np.maximum(above, 0.0))

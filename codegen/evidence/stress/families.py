@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from codegen.evidence.stress import motions
+from codegen.evidence.stress import dissipative, motions
 from codegen.evidence.stress.cases import Case
 from codegen.evidence.stress.motions import SchemeOf, promised, registered, setup
 
@@ -319,6 +319,7 @@ def higher_order_cases() -> Iterator[Case]:
 
 FAMILIES = {
     "stiff": motions.stiff_cases,
+    "dissipative": dissipative.dissipative_cases,
     "orbits": motions.orbits_cases,
     "chaos": motions.chaos_cases,
     "horizons": motions.horizons_cases,

@@ -359,9 +359,15 @@ def _solved(matrix: Rows, right: Sequence[Number]) -> list[Number]:
 
 def stability_function(scheme: Scheme, z: complex) -> complex:
     """Return R(z) = 1 + z b (1 - z A)^-1 e, the factor of a step of length z of y' = y, for a Runge-Kutta method."""
-    a, _, (b,) = _tableau(scheme, float)
+    a, b = table_of(scheme)
     ones = np.ones(len(b))
     return complex(1.0 + z * np.dot(b, np.linalg.solve(np.eye(len(b)) - z * np.array(a), ones)))
+
+
+def table_of(scheme: Scheme) -> tuple[Rows, Sequence[Number]]:
+    """Return the coefficients a_ij for coordinates and the weights of a scheme, as floats."""
+    a, _, (b,) = _tableau(scheme, float)
+    return a, b
 
 
 def is_runge_kutta(scheme: Scheme) -> bool:
