@@ -189,6 +189,9 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
         return "refused", run.refusal
     if run.status not in STATUSES:
         return "untyped error", f"the status {run.status!r} is not documented"
+    if case.truth is not None and case.limit:
+        text = f"{_stability(case, run)}, expected {case.bound:.3g} or more"
+        return ("bounded" if run.stable_below >= 0.999 * case.bound else "unsuitable"), text
     if run.status != "solved":
         if not run.message:
             return "untyped error", f"the status {run.status!r} comes without a message"
@@ -230,9 +233,6 @@ def promised_error(case: Case, run: Measurement) -> float:
 
 def _of_own_problem(case: Case, run: Measurement) -> tuple[str, str]:
     """Return the outcome and the finding of a solved case of a user's own problem."""
-    if case.limit:
-        least, found = f"expected {case.bound:.3g} or more", _stability(case, run)
-        return ("bounded" if run.stable_below >= 0.999 * case.bound else "unsuitable"), f"{found}, {least}"
     if case.guesses:
         text = f"of {case.guesses} guesses, {run.failures} fail and {run.others} lead to other local optima"
         if run.error < 0.0:

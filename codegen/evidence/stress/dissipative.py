@@ -87,7 +87,7 @@ def followed(scheme: Scheme, rate: float, steps: int, start: float) -> Vector:
         t = (k + c) * h
         with np.errstate(over="ignore", invalid="ignore"):  # explicit schemes beyond their limit
             slopes = solve(matrix, rate * (y[-1] - np.cos(t)) - np.sin(t))
-        y.append(float(y[-1] + h * b @ slopes))
+            y.append(float(y[-1] + h * b @ slopes))
     return np.array(y)
 
 

@@ -21,7 +21,16 @@ from codegen.errors import NumericsError
 from codegen.evidence.report.simulations import component_sizes, is_mechanical
 from codegen.evidence.stress.cases import Case, Row, Setup, Truth
 from codegen.evidence.stress.motions import CONSTANT
-from codegen.evidence.stress.systems import is_runge_kutta, limit_along, preserves_areas, swing
+from codegen.evidence.stress.systems import (
+    GROWTH,
+    area,
+    growth,
+    is_runge_kutta,
+    limit_along,
+    preserves_areas,
+    stability_function,
+    swing,
+)
 from codegen.problem.points import read_points
 from codegen.runtime.record import Form
 from codegen.solving.loading import (
@@ -103,7 +112,7 @@ def motion_cases(module: SimulateModule, candidates: Sequence[Candidate]) -> lis
     gaps = duration / max(1, len(rates) - 1)
     moduli, growths = np.abs(rates).max(axis=1), np.maximum(rates.real, 0.0).max(axis=1)
     phase = float(gaps * moduli[1:].sum())
-    growth = math.exp(min(50.0, 2.0 * gaps * float(growths[1:].sum()))) if not math.isfinite(truth.energy) else 1.0
+    amplified = math.exp(min(50.0, 2.0 * gaps * float(growths[1:].sum()))) if not math.isfinite(truth.energy) else 1.0
     fastest = rates.ravel()[np.abs(rates).argmax()]
     known = f"the fastest rate along the motion is {fastest:.3g}"
     cases = []
@@ -126,22 +135,22 @@ def motion_cases(module: SimulateModule, candidates: Sequence[Candidate]) -> lis
         ))  # fmt: skip
         for name, n in ((f"{steps} steps, the problem's own", steps), (f"{coarse} steps, a tenth", coarse)):
             x, allowed = duration / n * truth.rate, tuple[str, ...]()
-            bound = x**scheme.order * (1.0 + phase) * growth / CONSTANT.get(scheme.order, 1.0)
+            bound = x**scheme.order * (1.0 + phase) * amplified / CONSTANT.get(scheme.order, 1.0)
             if x < 0.5 and bound < 0.5:
                 expect, reason, bound = "accurate", f"order {scheme.order} at h lambda = {x:.3g}, {known}", bound + 1e-8
             elif 0.6 * stable < x < 1.6 * stable:
-                expect, reason, bound = (
-                    "unsuitable",
-                    f"h lambda = {x:.3g} is close to the limit, stable {where}",
-                    math.nan,
-                )
-                allowed = ("bounded",)
-            elif x >= stable:
+                expect, reason = "unsuitable", f"h lambda = {x:.3g} is close to the limit, stable {where}"
+                allowed, bound = ("bounded",), math.nan
+            elif is_unstable(scheme, rates * duration / n):
                 expect, reason, bound = "unsuitable", f"h lambda = {x:.3g}, stable {where}", math.nan
             else:
                 expect, reason, bound = "bounded", f"stable at h lambda = {x:.3g}, which does not resolve it", math.nan
                 if not preserves_areas(scheme) and math.isfinite(truth.energy):
-                    expect, reason = "unsuitable", f"every step at h lambda = {x:.3g} changes the energy"
+                    factors = [math.log(max(abs(area(scheme, r * duration / n)), 1e-300)) for r in moduli]
+                    change = abs(math.expm1(min(n * float(np.mean(factors)), 700.0)))
+                    reason = f"steps at h lambda = {x:.3g} change the energy by about {change:.2g} of itself"
+                    expect = "unsuitable" if change > 0.5 else "bounded"
+                    allowed = ("bounded", "unsuitable") if change > 0.1 else ()
             drift = 0.5
             if preserves_areas(scheme):
                 drift = 1.0 if x >= 1.5 else min(1.0, 0.1 + 2.0 * swing(scheme, x))
@@ -205,9 +214,17 @@ def stable_rate(scheme: Scheme, rates: np.ndarray, fastest: float) -> float:
     """
     if not is_runge_kutta(scheme):
         return float(limit_along(scheme, 1j))
-    important = rates[np.abs(rates) > 0.1 * fastest]
+    important = rates[(np.abs(rates) > 0.1 * fastest) & (rates.real <= 1e-6 * fastest)]  # growth is no instability
     directions = {complex(round(r.real / abs(r), 2), round(abs(r.imag) / abs(r), 2)): abs(r) for r in important}
-    return float(min(limit_along(scheme, d / abs(d)) * fastest / size for d, size in directions.items()))
+    limits = [limit_along(scheme, d / abs(d)) * fastest / size for d, size in directions.items()]
+    return float(min(limits, default=math.inf))
+
+
+def is_unstable(scheme: Scheme, steps: np.ndarray) -> bool:
+    """Return True if a motion that decays or oscillates grows in steps h lambda (M, 2n)."""
+    if not is_runge_kutta(scheme):
+        return growth(scheme, float(np.abs(steps).max())) > 1.0 + GROWTH
+    return any(abs(stability_function(scheme, z)) > 1.0 + GROWTH for z in steps.ravel() if z.real <= 1e-6 * abs(z))
 
 
 def largest_stable(module: SimulateModule, truth: Truth) -> float:
