@@ -18,7 +18,6 @@ from codegen.discretise.particles import PARTICLE_SCHEMES
 from codegen.discretise.schemes import METHODS, find, of_method
 from codegen.discretise.schemes.base import FIRST_ORDER, Scheme
 from codegen.errors import NumericsError
-from codegen.evidence.report.simulations import component_sizes, is_mechanical
 from codegen.evidence.stress.cases import Case, Row, Setup, Truth
 from codegen.evidence.stress.motions import CONSTANT
 from codegen.evidence.stress.systems import (
@@ -193,9 +192,12 @@ def exact_motion(module: SimulateModule, grids: Sequence[int]) -> tuple[Truth, n
     rates = np.array([np.linalg.eigvals(jacobian(t, z)) for t, z in zip(times[at_samples], loose, strict=True)])
     is_stiff = max(0.0, -float(rates.real.min())) * duration > STIFF
     states = follow("Radau", 1e-11) if is_stiff else follow("DOP853", 1e-13)
-    sizes, energy, conserved = component_sizes(module, states), math.nan, np.zeros(start.size, bool)
-    if is_mechanical(module):
+    sizes, energy, conserved = np.abs(states).max(axis=0), math.nan, np.zeros(start.size, bool)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    if module.metadata.form != Form.FIRST_ORDER:  # one size for all positions, and one for all momenta
         half = start.size // 2
+        largest = np.abs(states).max(axis=0)
+        sizes = np.repeat([largest[:half].max() or 1.0, largest[half:].max() or 1.0], half)
         conserved[half:] = (np.ptp(states, axis=0) <= 1e-10 * sizes)[half:]
         if module.metadata.conservative:
             rest = [np.concatenate([z[:half], 0.0 * z[half:]]) for z in states]
