@@ -22,7 +22,8 @@ def stress(
     out: Annotated[Path, typer.Option(help="Folder for stress.csv and stress.html.", show_default=False)] = ...,  # type: ignore[assignment]
 ) -> None:
     """Solve stiff and extreme cases. Exit status 1 after a wrong answer, a NaN, a hang or an unexpected error."""
-    from codegen.evidence.stress import families, page, run
+    from codegen.evidence.stress import families, own, page, run
+    from codegen.evidence.stress.cases import DEFECTS
     from codegen.solving.results import output
 
     if (problem is None) != (all_ or quick):
@@ -32,13 +33,15 @@ def stress(
         from codegen.problem.sources import parse_arguments
 
         with working("Deriving"):
-            cases = families.cases_of(problem, parse_arguments(set_, problem))
+            cases = own.cases_of(problem, parse_arguments(set_, problem))
     else:
         cases = families.quick_cases() if quick else families.all_cases()
     with progress("Stressing", len(cases)) as show:
         rows = run(cases, out, show)
+    if problem is not None:
+        console().print(own.verdict(rows), soft_wrap=True)
     console().print(page.table(rows))
-    failed = [row for row in rows if not row.passed]
+    failed = [row for row in rows if row.outcome in DEFECTS and (problem is None or row.outcome != "unexpected")]
     for row in failed:
         typer.echo(f"{row.outcome}: {row.case.name}, {row.case.setup.label}: {one_line(row.text, 300)}", err=True)
     if failed:

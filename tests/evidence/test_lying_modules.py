@@ -10,12 +10,14 @@ from stress_cases import PLAIN, every_case
 
 from codegen.emit.naming import Choices
 from codegen.errors import NumericsError
-from codegen.evidence.stress.cases import classify
+from codegen.evidence.stress.cases import classify, newton_distance
 from codegen.evidence.stress.measure import measure
 from codegen.evidence.stress.motions import PROBLEMS as OWN_PROBLEMS
 from codegen.evidence.stress.motions import VERLET, oscillation
 from codegen.evidence.stress.systems import FORCES, frequency, plate_gradient, spectral_radius
-from codegen.solving.compiler import generate
+from codegen.solving import api
+from codegen.solving.compiler import build, generate
+from codegen.solving.loading import load
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +88,35 @@ def test_a_prescribed_value_beyond_its_bound_is_refused():
     assert "x is prescribed as 0 at the start, beyond its bounds -inf to -0.1" in seen.message
     open_way = replace(behind, values=(("wall", 1.0),))
     assert measure(module, open_way).status == "solved"
+
+
+def test_a_step_of_particles_that_fails_is_named():
+    case = next(case for case in every_case() if case.name == "two bodies at the same place")
+    module = load(build(case.setup.file, scheme=case.setup.scheme).path)
+    seen = measure(module, replace(case, steps=4))
+    assert classify(case, seen).outcome == "refused"
+    assert "step 1 of 4, from t = 0 to 0.25" in seen.message
+
+
+def test_a_flat_arc_along_a_wall_is_optimal():
+    """The cost by IPOPT of CasADi at tolerance 1e-12; a cart that leaves the wall by 0.036 costs 1.5e-4 more."""
+    module = load(build(OWN_PROBLEMS / "walled_cart.py").path)
+    result = api.solve(module, "newton", steps=6000, parameters={"wall": 1e-3})
+    assert result.solved
+    assert result.cost == pytest.approx(444.78764598, rel=1e-6)
+    assert result.q.min() > -1e-3
+
+
+def test_the_distance_from_the_root_is_that_of_a_shifted_optimum():
+    """The problem is linear-quadratic: one Newton step leads back, whatever the unknowns."""
+    module = without_compilation(generate(OWN_PROBLEMS / "linear_regulator.py", {}, Choices()))
+    solved = api.solve(module, "newton", steps=8)
+    assert newton_distance(module, solved) < 1e-14
+    shifted = solved.unknowns.copy()
+    (column,) = np.flatnonzero(np.array(module.metadata.node) == "x")
+    stride = module.problem.structure.stride
+    shifted[column + 3 * stride] += 1e-4 * np.abs(shifted[column::stride]).max()
+    assert newton_distance(module, replace(solved, unknowns=shifted)) == pytest.approx(1e-4, rel=0.01)
 
 
 # ---- References ----

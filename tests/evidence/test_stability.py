@@ -8,9 +8,9 @@ from stress_cases import every_case
 
 from codegen.discretise.schemes import METHODS
 from codegen.emit.naming import Choices
-from codegen.evidence.stress.motions import MECHANICAL, SYMPLECTIC_EULER, VERLET, registered
+from codegen.evidence.stress.motions import MECHANICAL, SYMPLECTIC_EULER, VERLET, expectation, registered
 from codegen.evidence.stress.motions import PROBLEMS as OWN_PROBLEMS
-from codegen.evidence.stress.systems import GROWTH, growth, limit, spectral_radius, stable_limit, swing, turn
+from codegen.evidence.stress.systems import GROWTH, area, growth, limit, spectral_radius, stable_limit, swing, turn
 from codegen.solving.compiler import generate
 
 LIMITS = {
@@ -68,6 +68,18 @@ def test_explicit_schemes_turn_by_an_arcsine(method, name):
     theta, lean = turn(METHODS[method][name], 0.7)
     assert theta == pytest.approx(2.0 * math.asin(0.35), rel=1e-15)
     assert lean == pytest.approx(-math.tan(theta / 2.0) if name == "symplectic-euler" else 0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("x", [0.5, 3.0, 100.0])
+def test_lobatto_keeps_the_oscillator_and_radau_damps_it_as_their_stability_functions_say(x):
+    """Hairer and Wanner (1996), table IV.3.1 of Padé approximants: (2, 2) of Lobatto IIIA, (2, 3) of Radau IIA."""
+    z = 1j * x
+    radau = abs((1 + 2 * z / 5 + z**2 / 20) / (1 - 3 * z / 5 + 3 * z**2 / 20 - z**3 / 60)) ** 2
+    assert area(METHODS["hamiltonian"]["radau-5"], x) == pytest.approx(radau, rel=1e-12)
+    lobatto = METHODS["hamiltonian"]["hermite-simpson"]
+    assert area(lobatto, x) == pytest.approx(1.0, abs=1e-14)
+    assert swing(lobatto, x) == pytest.approx(0.0, abs=1e-13)
+    assert expectation(("hamiltonian", "hermite-simpson"), x, math.nan)[0] == "bounded"
 
 
 def test_there_is_no_angle_beyond_the_limit():

@@ -9,13 +9,12 @@ import pytest
 from conftest import PROBLEMS
 from idle_worker import SOLVED as GOOD
 from idle_worker import serve
-from made_records import control_record
 from stress_cases import PLAIN, every_case
 from typer.testing import CliRunner
 
 from codegen.cli import main
 from codegen.evidence.stress import page, pool
-from codegen.evidence.stress.cases import DEFECTS, EXPECTATIONS, OUTCOMES, Setup, classify
+from codegen.evidence.stress.cases import DEFECTS, EXPECTATIONS, OUTCOMES, classify
 from codegen.evidence.stress.families import FAMILIES, QUICK, quick_cases
 from codegen.evidence.stress.measure import REFERENCES
 from codegen.evidence.stress.motions import PROBLEMS as OWN_PROBLEMS
@@ -160,14 +159,3 @@ def test_the_command_wants_one_thing(words, tmp_path):
     result = CliRunner().invoke(main, ["stress", *words, "--out", str(tmp_path)])
     assert result.exit_code == 2
     assert "give one of them" in result.stderr
-
-
-def test_generic_cases_vary_one_parameter_at_a_time():
-    from codegen.evidence.stress.families import FACTORS, STEPS, varied_cases
-
-    metadata = control_record(steps=50, parameters={"m": 2.0, "zero": 0.0})
-    cases = varied_cases(Setup(OWN_PROBLEMS / "arm.py"), metadata, ())
-    varied = [case.values for case in cases if case.values]
-    assert varied == [(("m", 2.0 * factor),) for factor in FACTORS]
-    assert {case.steps for case in cases} == {50, 500, *STEPS}
-    assert {case.noise for case in cases} == {0.0, 0.1, 1.0}

@@ -29,6 +29,7 @@ def run(cases: Sequence[Case], folder: Path, report_progress: Callable[[int, str
     workers = min(2, os.cpu_count() or 1)
     measured = pool.run(cases, workers, lambda case, _: report_progress(next(done), case.name))
     rows = [classify(case, measurement) for case, measurement in zip(cases, measured, strict=True)]
+    rows = [row for row in rows if row.case.truth is None or not row.measurement.refusal]  # schemes that do not apply
     folder.mkdir(parents=True, exist_ok=True)
     page.write_csv(rows, folder / "stress.csv")
     page.write_page(rows, time.perf_counter() - begin, folder / "stress.html")

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from codegen.runtime.search import point
+from codegen.runtime.search.scaling import scaled_grid
 from codegen.solving.drivers import DRIVERS
+from codegen.solving.results.control import bound_distances, held_at_bounds
 from codegen.solving.results.motions import rounding_level
 from codegen.solving.results.result import STATUSES, Result
 
@@ -55,6 +59,23 @@ class Setup:
 
 
 @dataclass(frozen=True)
+class Truth:
+    """The exact motion of a user's own problem: states (M, 2n) at M times, and what is known along it.
+
+    `sizes` are the sizes of components. `energy` is the largest variation of the potential or size of the kinetic
+    energy, NaN if the energy is not conserved. `conserved` masks components that are constant. `rate` is the largest
+    modulus of an eigenvalue of the linearised motion. For optimal control all are empty.
+    """
+
+    times: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    states: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
+    sizes: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    conserved: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
+    energy: float = math.nan
+    rate: float = math.nan
+
+
+@dataclass(frozen=True)
 class Case:
     """One solve of a module with run-time values, and the expected outcome.
 
@@ -64,7 +85,7 @@ class Case:
     `drift` is the largest relative change of energy that counts as bounded. `h_omega` is the time step times the
     largest frequency. `textbook` asks for the residuals of the scheme's textbook equations in extended precision,
     `limit` for the largest stable step. `points` are rows of start and target, `noise` perturbs the initial guess of an
-    optimisation, `seconds` is the time limit.
+    optimisation, `seconds` is the time limit. A user's own problem has a `truth`, and a number of noisy `guesses`.
     """
 
     name: str
@@ -87,6 +108,8 @@ class Case:
     limit: bool = False
     allowed: tuple[str, ...] = ()
     seconds: float = 120.0
+    truth: Truth | None = None
+    guesses: int = 0
 
     @property
     def expected(self) -> tuple[str, ...]:
@@ -100,9 +123,10 @@ class Measurement:
     """The observations of a worker; NaN stands for quantities that were not measured or do not exist.
 
     `error` is the error against the reference, `announced` the relative error that a doubled grid shows. `residual` is
-    the residual of all equations, evaluated outside the solver, and `tolerance` its limit. `textbook` is the residual
-    in extended precision, in rounding errors of double precision. `drift` is the largest relative change of energy;
-    first-order dynamics have no energy. `stable_below` is the largest stable step times frequency, by bisection.
+    the residual of all equations, evaluated outside the solver, or for an optimum the distance from the exact root of
+    its equations; `tolerance` is its limit. `textbook` is the residual in extended precision, in rounding errors of
+    double precision. `drift` is the largest relative change of energy; first-order dynamics have no energy. `others`
+    counts noisy guesses that lead to other optima. `stable_below` is the largest stable step times frequency.
     """
 
     status: str = ""
@@ -119,6 +143,7 @@ class Measurement:
     has_energy: bool = True
     stable_below: float = math.nan
     failures: int = 0
+    others: int = 0
     iterations: int = 0
     seconds: float = math.nan
     hung: bool = False
@@ -137,6 +162,10 @@ class Row:
 
 TEXTBOOK = 100.0
 """The largest accepted residual of the textbook equations, in rounding errors of double precision."""
+HONEST = 3.0
+"""The largest error in units of the error that a result announces."""
+TWICE = 2.0
+"""The largest error, relative to the size of each component, of a motion that stays where the exact motion is."""
 SIGN = 0.01
 """The relative change of energy above which the summary of a simulation reports that the time step is too long."""
 
@@ -160,6 +189,9 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
         return "refused", run.refusal
     if run.status not in STATUSES:
         return "untyped error", f"the status {run.status!r} is not documented"
+    if case.truth is not None and case.limit:
+        text = f"{_stability(case, run)}, expected {case.bound:.3g} or more"
+        return ("bounded" if run.stable_below >= 0.999 * case.bound else "unsuitable"), text
     if run.status != "solved":
         if not run.message:
             return "untyped error", f"the status {run.status!r} comes without a message"
@@ -169,7 +201,9 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
     if not run.finite:
         return "not a number", "solved, with results that are infinite or no numbers"
     if not run.residual <= run.tolerance:
-        return "false solved", f"the equations have residual {run.residual:.1e}, beyond {run.tolerance:.1e}"
+        return "false solved", f"off the equations' solution by {run.residual:.1e}, beyond {run.tolerance:.1e}"
+    if case.truth is not None:
+        return _of_own_problem(case, run)
     if run.textbook > TEXTBOOK:
         return "false solved", f"the textbook's equations are off by {run.textbook:.1e} rounding errors"
     if math.isfinite(case.bound):
@@ -192,12 +226,34 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
     return "unsuitable", f"{stability}: energy changes by {run.drift:.1e} of itself"
 
 
+def promised_error(case: Case, run: Measurement) -> float:
+    """Return the error that theory or the result itself promises, or NaN without a promise."""
+    return HONEST * run.announced + 1e-8 if case.reference == "refined" else case.bound
+
+
+def _of_own_problem(case: Case, run: Measurement) -> tuple[str, str]:
+    """Return the outcome and the finding of a solved case of a user's own problem."""
+    if case.guesses:
+        text = f"of {case.guesses} guesses, {run.failures} fail and {run.others} lead to other local optima"
+        if run.error < 0.0:
+            return "unsuitable", f"{text}; the cost of one is lower by {-run.error:.1e}: the optimum is only local"
+        return ("accurate" if run.error <= case.bound else "unsuitable"), text
+    drift = "" if math.isnan(run.drift) else f"; invariants change by {run.drift:.1e}"
+    announced = "" if math.isnan(run.announced) else f"; the result announces {run.announced:.1e}"
+    promise = promised_error(case, run)
+    if math.isfinite(promise):
+        text = f"error {run.error:.1e}, promised {promise:.1e}{announced}{drift}"
+        return ("accurate" if run.error <= promise else "unsuitable"), text
+    is_bounded = run.error <= TWICE and not run.drift > case.drift
+    return ("bounded" if is_bounded else "unsuitable"), f"error {run.error:.1e}{drift}"
+
+
 def _stability(case: Case, run: Measurement) -> str:
     if run.stable_below == 0.0:
         return "stable at no step (measured)"
     if math.isinf(run.stable_below):
         return "stable at every step (measured)"
-    if case.h_omega < run.stable_below:
+    if case.h_omega < run.stable_below and case.truth is None:
         return f"though small motions are stable below h omega = {run.stable_below:.3f} (measured)"
     return f"stable below h omega = {run.stable_below:.3f} (measured)"
 
@@ -206,16 +262,14 @@ def _stability(case: Case, run: Measurement) -> str:
 class Expectation:
     """The differences between tasks in the generation and the measurement of cases.
 
-    `tolerance` returns the limit of the residual from module, case and result; large numbers raise it, because of
-    rounding. `failures` counts the failures of Newton's method in a result. `drift` is the largest accepted relative
-    change of energy, NaN if the task has no energy. `has_guess` is True if a poor initial guess is possible,
-    `keeps_energy` if an energy that is not finite counts as drift.
+    `violation` returns two numbers from module, case and result: how far the result is from a solution, and the limit.
+    `failures` counts the failures of Newton's method in a result. `drift` is the largest accepted relative change of
+    energy, NaN if the task has no energy. `keeps_energy` is True if an energy that is not finite counts as drift.
     """
 
-    tolerance: Callable[[ModuleType, Case, Result], float]
+    violation: Callable[[ModuleType, Case, Result], tuple[float, float]]
     failures: Callable[[Result], int]
     drift: float
-    has_guess: bool = False
     keeps_energy: bool = False
 
 
@@ -225,25 +279,76 @@ def _rounding(*arrays: NDArray[np.float64] | None) -> float:
     return 1e3 * float(np.finfo(float).eps) * largest
 
 
-def _of_simulations(module: ModuleType, case: Case, result: Result) -> float:
-    """Return the limit of residuals: variational steps divide rounding errors by h, and stiff springs amplify them."""
+def _of_simulations(module: ModuleType, case: Case, result: Result) -> tuple[float, float]:
+    """Return residual and limit: variational steps divide rounding errors by h, and stiff springs amplify them."""
     h = result.t[-1] / max(result.steps, 1)
     stiff = 10.0 * rounding_level(module, result.steps, result.q, result.p) if case.every == 1 else 0.0
-    return max(1e-10, _rounding(result.q, result.p) * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)
+    limit = max(1e-10, _rounding(result.q, result.p) * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)
+    return result.residual, limit
 
 
-def _of_optima(module: ModuleType, case: Case, result: Result) -> float:
-    scale = max(1.0, float(np.abs(point.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
-    return max(1e-7 * scale, _rounding(result.unknowns, result.multipliers) * result.steps)
+def _of_optima(module: ModuleType, case: Case, result: Result) -> tuple[float, float]:
+    """Return the distance from the exact optimum and its limit; see `newton_distance`."""
+    distance = newton_distance(module, result) if result.solved else math.nan
+    return distance, 1e-5 if module.metadata.inequalities else 1e-7
 
 
-def _of_connections(module: ModuleType, case: Case, result: Result) -> float:
-    return max(1e-9, _rounding(result.q, result.p)) if DRIVERS[case.driver].generated else 1e-5
+def newton_distance(module: ModuleType, result: Result) -> float:
+    """Return the relative length of one more Newton step: how far the result is from the exact root of its equations.
+
+    The KKT matrix is factored by SuperLU, with none of the solver's scaling factors or tolerances. The step of each
+    quantity is relative to its largest value. A quantity that vanishes is compared with its scaling factor. With
+    bounds, unknowns at active bounds are held. A distance along a flat arc does not matter there: the result is then
+    the relative decrease of the cost by the step.
+    """
+    grid, unknowns = module.make_grid(result.steps), result.unknowns
+    assert unknowns is not None
+    assert result.cost is not None
+    primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
+    is_free = ~held_at_bounds(module, grid, unknowns)[primal]
+    shape = (dual.size, primal.size)
+    row, column, value = point.jacobian(grid, unknowns)
+    jacobian = sparse.csc_matrix((value, (row, column)), shape)[:, is_free]
+    row, column, value = point.hessian(grid, unknowns)
+    hessian = sparse.csc_matrix((value, (row, column)), (primal.size, primal.size))[is_free][:, is_free]
+    matrix = sparse.bmat([[hessian, jacobian.T], [jacobian, None]], format="csc")
+    moving = np.concatenate([primal[is_free], dual])
+    gradient = point.evaluate(grid, unknowns).gradient
+    factors = np.ones(moving.size)
+    for _ in range(10):  # equilibrate rows and columns
+        largest = np.sqrt(abs(matrix).max(axis=1).toarray().ravel())
+        factors /= np.where(largest > 0.0, largest, 1.0)
+        scaling = sparse.diags(1.0 / np.where(largest > 0.0, largest, 1.0))
+        matrix = (scaling @ matrix @ scaling).tocsc()
+    step = np.zeros(unknowns.size)
+    try:
+        inverse = splu(matrix)
+    except RuntimeError:  # held unknowns leave dependent equations, whose multipliers are not unique
+        inverse = splu(
+            (matrix + 1e-10 * sparse.diags(np.where(np.arange(moving.size) < is_free.sum(), 1.0, -1.0))).tocsc()
+        )
+    step[moving] = -factors * inverse.solve(factors * gradient[moving])
+    if module.metadata.inequalities:
+        below, above = bound_distances(module, grid, unknowns)
+        clipped = np.clip(step[primal], -np.maximum(below, 0.0), np.maximum(above, 0.0))
+        return abs(float(gradient[primal] @ clipped)) / 2.0 / (abs(result.cost) or 1.0)
+    structure, scaled = module.problem.structure, scaled_grid(grid, unknowns, is_solution=True)
+    chain, index = result.steps * structure.stride + structure.node, np.arange(unknowns.size)
+    kind = np.where(index < structure.bodies * chain, index % chain % structure.stride, structure.stride + index)
+    longest, size = np.zeros(kind.max() + 1), np.zeros(kind.max() + 1)
+    np.maximum.at(longest, kind, np.abs(step))
+    np.maximum.at(size, kind, np.maximum(np.abs(unknowns), scaled.sizes if scaled.sizes.size else 0.0))
+    return float(np.max(longest / np.where(size > 0.0, size, 1.0)))
+
+
+def _of_connections(module: ModuleType, case: Case, result: Result) -> tuple[float, float]:
+    limit = max(1e-9, _rounding(result.q, result.p)) if DRIVERS[case.driver].generated else 1e-5
+    return result.residual, limit
 
 
 EXPECTATIONS = {
     "simulate": Expectation(_of_simulations, lambda r: int(not r.solved), drift=0.1, keeps_energy=True),
-    "control": Expectation(_of_optima, lambda r: int(not r.solved), drift=math.nan, has_guess=True),
+    "control": Expectation(_of_optima, lambda r: int(not r.solved), drift=math.nan),
     "connect": Expectation(_of_connections, lambda r: int(r.summary["attempts"]) - int(r.solved), drift=1.0),
 }
 """The expectations by the name of a task in `codegen.solving.tasks`."""

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from codegen.evidence.stress import systems
-from codegen.evidence.stress.cases import EXPECTATIONS, Case, Measurement, Values
+from codegen.evidence.stress import dissipative, systems
+from codegen.evidence.stress.cases import EXPECTATIONS, Case, Measurement, Truth, Values
 from codegen.evidence.stress.motions import registered
+from codegen.evidence.stress.own import largest_stable
 from codegen.evidence.stress.systems import (
     DEFAULTS,
     FORCES,
@@ -32,6 +33,11 @@ from codegen.solving.loading import Grid, Vector
 from codegen.solving.results.result import Result
 from codegen.solving.tasks import task_of
 
+SAME = 1e-6
+"""The largest relative difference of the costs of one optimum."""
+FINER = 8
+"""The ratio of numbers of intervals of a reference by the same scheme."""
+
 
 def measure(module: ModuleType, case: Case) -> Measurement:
     """Solve a case and return its measurement; the solver's CodegenError is not caught."""
@@ -41,32 +47,60 @@ def measure(module: ModuleType, case: Case) -> Measurement:
         table = np.array(case.points, dtype=float)
         half = table.shape[1] // 2
         points = PointSet(table[:, :half], table[:, half:], np.zeros(len(table)))
-    options = {name: getattr(case, name) for name in task_of(module).options & {"every", "doublings"}}
+
+    def solve(tried: Any, steps: int, every: int = case.every) -> Result:
+        known: dict[str, Any] = {"every": every, "doublings": case.doublings}
+        options = {name: value for name, value in known.items() if name in task_of(module).options}
+        return api.solve(tried, case.driver, points=points, steps=steps, **options)
+
     begin = time.perf_counter()
-    result = api.solve(varied, case.driver, points=points, steps=case.steps, **options)
+    result = solve(varied, case.steps)
     seconds = time.perf_counter() - begin
     expected = EXPECTATIONS[result.task]
     estimate = result.summary.get("cost_error_estimate", math.nan)
     answer = (result.q, result.p, result.u, result.unknowns, result.cost)
+    residual, tolerance = expected.violation(varied, case, result)
+    announced = estimate / abs(result.cost) if result.cost else estimate
+    error, failures, others, stable = math.nan, expected.failures(result), 0, math.nan
+    if case.guesses:
+        plain = api.solve(module, case.driver, steps=case.steps)
+        tried = [solve(_with_values(module, case, seed), case.steps) for seed in range(case.guesses)]
+        costs = np.array([one.cost for one in tried if one.solved], dtype=float) / abs(plain.cost or 1.0)
+        changes = costs - (plain.cost or 0.0) / abs(plain.cost or 1.0)
+        failures, others = case.guesses - costs.size, int((np.abs(changes) > SAME).sum())
+        lower = min(0.0, float(changes.min(initial=0.0)))
+        error, residual = (lower if lower < -SAME else failures / case.guesses), 0.0
+    elif case.reference == "refined" and result.solved:
+        finer = solve(varied, FINER * case.steps, every=FINER * case.every)
+        error = refined(result, finer)
+        if result.error is not None:
+            announced = result.error.cost
+        elif result.task != "control":  # the change from half as many steps exceeds the error from first order on
+            announced = refined(solve(varied, max(1, case.steps // 2)), solve(varied, case.steps, every=2 * case.every))
+    elif case.reference and result.solved:
+        error = REFERENCES[case.reference](varied, case, result)
+    if case.limit:
+        stable = stable_limit(module, case) if case.truth is None else largest_stable(module, case.truth)
     return Measurement(
         status=result.status,
         message=result.message,
         finite=all(a is None or bool(np.isfinite(a).all()) for a in answer),
-        error=REFERENCES[case.reference](varied, case, result) if case.reference and result.solved else math.nan,
-        announced=estimate / abs(result.cost) if result.cost else estimate,
-        residual=result.residual if result.stationarity is None else max(result.residual, result.stationarity),
-        tolerance=expected.tolerance(varied, case, result),
+        error=error,
+        announced=announced,
+        residual=residual,
+        tolerance=tolerance,
         textbook=textbook_errors(varied, case, result) if case.textbook and result.solved else math.nan,
         drift=_drift(case, result, expected.keeps_energy),
         has_energy=result.energy is not None,
-        stable_below=stable_limit(module, case) if case.limit else math.nan,
-        failures=expected.failures(result),
+        stable_below=stable,
+        failures=failures,
+        others=others,
         iterations=result.iterations,
         seconds=seconds,
     )
 
 
-def _with_values(module: ModuleType, case: Case) -> Any:
+def _with_values(module: ModuleType, case: Case, seed: int = 1) -> Any:
     """Return a copy of the module with the case's values as default arguments, and with a noisy initial guess."""
     values = _as_keywords(case.values)
     varied = ModuleType(module.__name__)
@@ -82,7 +116,7 @@ def _with_values(module: ModuleType, case: Case) -> Any:
         def initial_guess(grid: Grid) -> Vector:
             free, guess = varied.primal_unknowns(grid), np.array(guessed(grid))
             size = np.maximum(1.0, np.abs(guess[free]))
-            guess[free] += case.noise * size * np.random.default_rng(1).standard_normal(free.size)
+            guess[free] += case.noise * size * np.random.default_rng(seed).standard_normal(free.size)
             return guess
 
         def solve(steps: int, guess: Vector | None = None, **more: object) -> object:
@@ -111,6 +145,8 @@ def _drift(case: Case, result: Result, keeps_energy: bool) -> float:
         return math.nan
     energy = np.asarray(result.energy, dtype=float)
     scale = abs(float(energy[0]))
+    if case.truth is not None:
+        return _own_drift(case.truth, result, energy)
     values = _parameters(case)
     match case.setup.file.stem:
         case "pendulum_chain":
@@ -119,9 +155,21 @@ def _drift(case: Case, result: Result, keeps_energy: bool) -> float:
             scale = max(scale, 21.0)  # unit weights that can fall by 1, 2, ... 6
         case "spring_pendulum":
             scale = max(scale, 1.0)
-    if keeps_energy and not np.isfinite(energy[1:]).all():
+    if keeps_energy and not np.isfinite(energy).all():
         return math.inf
     return float(np.abs(energy - energy[0]).max() / scale) if scale > 0.0 else math.nan
+
+
+def _own_drift(truth: Truth, result: Result, energy: Vector) -> float:
+    """Return the largest change of an invariant: the energy relative to its parts, and constant momenta."""
+    if truth.sizes.size == 0:
+        return math.nan
+    states = np.hstack([result.q, result.p])
+    changes = [np.abs(states - states[0])[:, truth.conserved] / truth.sizes[truth.conserved]]
+    if truth.energy > 0.0:
+        changes.append(np.abs(energy - energy[0])[:, None] / truth.energy)
+    largest = max((float(change.max()) for change in changes if change.size), default=math.nan)
+    return largest if np.isfinite(states).all() else math.inf
 
 
 def _parameters(case: Case) -> dict[str, Any]:
@@ -130,6 +178,25 @@ def _parameters(case: Case) -> dict[str, Any]:
 
 
 # ---- References ----
+
+
+def exact_motion(module: ModuleType, case: Case, result: Result) -> float:
+    """Return the largest error against the exact motion of a user's own problem, relative to sizes of components."""
+    truth = case.truth
+    assert truth is not None
+    near = np.abs(np.subtract.outer(result.t, truth.times)).argmin(axis=1)
+    is_there = np.abs(truth.times[near] - result.t) <= 1e-9 * truth.times[-1]
+    errors = (np.hstack([result.q, result.p]) - truth.states[near]) / truth.sizes
+    return float(np.abs(errors[is_there]).max())
+
+
+def refined(result: Result, finer: Result) -> float:
+    """Return the relative error of the cost, or without a cost of the positions, against a result on a finer grid."""
+    if not finer.solved:
+        return math.nan
+    if result.cost is not None and finer.cost is not None:
+        return _relative(result.cost, finer.cost)
+    return float(np.abs(result.q - finer.q).max() / np.abs(finer.q).max())
 
 
 def oscillator(module: ModuleType, case: Case, result: Result) -> float:
@@ -236,10 +303,13 @@ def cubic_regulator(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def short_turn(module: ModuleType, case: Case, result: Result) -> float:
-    """Return the cost error against 12 (angle)^2/T^3, the least integral of the squared torque without gravity."""
+    """Return the cost error against 12 (angle)^2/T^3 N^2/(N^2 - 1), the least cost by midpoint without gravity.
+
+    The torque is linear in time on N intervals, where sum of (k + 1/2 - N/2)^2 = N (N^2 - 1)/12.
+    """
     values = {"T": 1.0, "begin": 0.0, "goal": 1.0} | dict(case.values)
     exact = 12.0 * (values["goal"] - values["begin"]) ** 2 / values["T"] ** 3
-    return _relative(result.cost, exact)
+    return _relative(result.cost, exact * result.steps**2 / (result.steps**2 - 1.0))
 
 
 def walled_cart(module: ModuleType, case: Case, result: Result) -> float:
@@ -248,10 +318,19 @@ def walled_cart(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def other_units(module: ModuleType, case: Case, result: Result) -> float:
-    """Return the cost error against the transfer in units of one; costs scale with m^2 GM^(3/2) r^(-5/2)."""
+    """Return the error of cost, radii and thrusts against the transfer in units of one.
+
+    Thrusts scale with m GM r^-2, costs with m^2 GM^(3/2) r^(-5/2).
+    """
     values = {"m": 1.0, "GM": 1.0, "r0": 1.0} | dict(case.values)
+    m, GM, r0 = values["m"], values["GM"], values["r0"]
     plain = module.solve(result.steps, m=1.0, GM=1.0, r0=1.0, r1=1.2)
-    return _relative(result.cost, plain.cost * values["m"] ** 2 * values["GM"] ** 1.5 * values["r0"] ** -2.5)
+    thrust, radius = result.u / (m * GM / r0**2), result.q[:, 0] / r0
+    return max(
+        _relative(result.cost, plain.cost * m**2 * GM**1.5 * r0**-2.5),
+        float(np.abs(radius - plain.q[:, 0]).max()),
+        float(np.abs(thrust - plain.u).max() / np.abs(plain.u).max()),
+    )
 
 
 def single_landmark(module: ModuleType, case: Case, result: Result) -> float:
@@ -291,8 +370,9 @@ def _relative(value: float | None, exact: float) -> float:
 REFERENCES: dict[str, Callable[[ModuleType, Case, Result], float]] = {
     function.__name__: function
     for function in (
-        oscillator, stable_step, discrete_oscillator, kepler, by_integration, rigid_pendulum, chain, two_bodies,
-        regulator, cubic_regulator, short_turn, walled_cart, other_units, single_landmark, reintegrated, at_rest,
+        dissipative.by_table, dissipative.slow_motion, dissipative.by_radau, exact_motion, oscillator, stable_step,
+        discrete_oscillator, kepler, by_integration, rigid_pendulum, chain, two_bodies, regulator, cubic_regulator,
+        short_turn, walled_cart, other_units, single_landmark, reintegrated, at_rest,
     )
 }  # fmt: skip
 """Every reference by name; `Case.reference` is one of these names."""

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from codegen.evidence.stress.cases import DEFECTS, OUTCOMES, Row
+from codegen.evidence.stress.cases import DEFECTS, OUTCOMES, Row, promised_error
+from codegen.evidence.stress.own import verdict
 from codegen.files import rendered, replacing, write_text
 from codegen.machine import versions
 from codegen.solving.drivers import DRIVERS
@@ -70,10 +71,12 @@ def _sections(rows: Iterable[Row]) -> list[Section]:
         limit = run.stable_below
         stable = "any" if math.isinf(limit) else "none" if limit == 0.0 else _number(limit)
         cells = (
-            case.name, scheme, _number(case.h_omega), _number(run.error), _number(case.bound), _number(run.drift),
+            case.name, scheme, _number(case.h_omega), _number(run.error), _number(promised_error(case, run)),
+            _number(run.drift),
             stable, str(run.failures or ""), row.outcome,
         )  # fmt: skip
-        figure = stable if case.reference == "stable_step" else _number(run.error) or _number(run.drift)
+        of_limit = case.reference == "stable_step" or (case.limit and case.truth is not None)
+        figure = stable if of_limit else _number(run.error) or _number(run.drift)
         text = row.text if row.text.startswith(row.outcome) else f"{row.outcome}: {row.text}"
         families.setdefault(row.case.family, []).append(
             Line(cells, figure or "–", text, case.reason, row.outcome, row.passed)
@@ -139,9 +142,11 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
 
 def write_page(rows: Sequence[Row], seconds: float, path: Path) -> None:
     """Write one HTML file without scripts and links to other files; `seconds` is the duration of the run."""
+    own = any(row.case.truth is not None for row in rows)
     text = rendered(
         Path(__file__).parent / "page.html.j2", sections=_sections(rows), columns=COLUMNS, counts=_counts(rows),
-        failed=[row for row in rows if not row.passed], outcomes=OUTCOMES, defects=DEFECTS, seconds=f"{seconds:.0f}",
+        first=verdict(rows) if own else "", failed=[row for row in rows if not row.passed], outcomes=OUTCOMES,
+        defects=DEFECTS, seconds=f"{seconds:.0f}",
         environment=", ".join(f"{name} {value}" for name, value in versions().items()),
     )  # fmt: skip
     write_text(path, text)

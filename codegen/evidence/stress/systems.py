@@ -357,6 +357,43 @@ def _solved(matrix: Rows, right: Sequence[Number]) -> list[Number]:
     return [row[-1] / row[k] for k, row in enumerate(rows)]
 
 
+def stability_function(scheme: Scheme, z: complex) -> complex:
+    """Return R(z) = 1 + z b (1 - z A)^-1 e, the factor of a step of length z of y' = y, for a Runge-Kutta method."""
+    a, b = table_of(scheme)
+    ones = np.ones(len(b))
+    return complex(1.0 + z * np.dot(b, np.linalg.solve(np.eye(len(b)) - z * np.array(a), ones)))
+
+
+def table_of(scheme: Scheme) -> tuple[Rows, Sequence[Number]]:
+    """Return the coefficients a_ij for coordinates and the weights of a scheme, as floats."""
+    a, _, (b,) = _tableau(scheme, float)
+    return a, b
+
+
+def is_runge_kutta(scheme: Scheme) -> bool:
+    """Return True if coordinates and momenta have the same table, so that the scheme has a stability function."""
+    return not scheme.variational and scheme.step().tableau.positions == scheme.step().tableau.momenta
+
+
+@cache
+def limit_along(scheme: Scheme, direction: complex) -> float:
+    """Return the largest |h lambda| up to which no motion exp(lambda t) grows by steps h though it should not.
+
+    `direction` is lambda/|lambda|. Schemes with different tables for coordinates and momenta are tried on the
+    oscillator, whatever the direction.
+    """
+    if not is_runge_kutta(scheme):
+        return limit(scheme)
+
+    def is_stable(x: float) -> bool:
+        return (
+            abs(stability_function(scheme, x * direction))
+            <= max(1.0, math.exp(min(x * direction.real, 700.0))) + GROWTH
+        )
+
+    return first_growth(is_stable)
+
+
 def growth(scheme: Scheme, x: float) -> float:
     """Return the spectral radius of the step matrix."""
     a, b, c, d = step_matrix(scheme, float(x))
@@ -370,8 +407,24 @@ def limit(scheme: Scheme) -> float:
     return first_growth(lambda x: growth(scheme, x) <= 1.0 + GROWTH)
 
 
+def area(scheme: Scheme, x: float) -> float:
+    """Return the determinant of the step matrix: the factor of areas, and of the energy over many steps."""
+    with mpmath.workdps(DIGITS):
+        a, b, c, d = step_matrix(scheme, mpmath.mpf(x))
+        return float(a * d - b * c)
+
+
+def preserves_areas(scheme: Scheme) -> bool:
+    """Return True if steps of the oscillator preserve areas: symplectic schemes, and symmetric ones with |R(iy)| = 1.
+
+    Lobatto IIIA with three stages is not symplectic, but has the stability function of Gauss with two stages. Source:
+    Hairer and Wanner (1996), Solving ordinary differential equations II, IV.5.
+    """
+    return scheme.symplectic or all(abs(area(scheme, x) - 1.0) < 1e-12 for x in (0.3, 1.1, 7.0))
+
+
 def turn(scheme: Scheme, x: float) -> tuple[float, float]:
-    """Return theta and s of q_k = cos(k theta) + s sin(k theta), the motion by a symplectic scheme from rest at q = 1.
+    """Return theta and s of q_k = cos(k theta) + s sin(k theta), the motion from rest at q = 1 if areas are preserved.
 
     Theta is arccos(trace/2); s is 0 if the scheme is symmetric. Both are NaN beyond the stability limit.
     """
@@ -384,10 +437,10 @@ def turn(scheme: Scheme, x: float) -> tuple[float, float]:
 
 
 def swing(scheme: Scheme, x: float) -> float:
-    """Return the relative oscillation of the energy from rest at q = 1 if a symplectic scheme is stable, else infinity.
+    """Return the relative oscillation of the energy from rest at q = 1 by a stable scheme, else infinity.
 
-    The step conserves c q^2 + (d - a) q p - b p^2, which equals c on the whole motion. On this ellipse q^2 + p^2 lies
-    between c divided by the one and by the other eigenvalue of the quadratic form.
+    A step that preserves areas conserves c q^2 + (d - a) q p - b p^2, which equals c on the whole motion. On this
+    ellipse q^2 + p^2 lies between c divided by the one and by the other eigenvalue of the quadratic form.
     """
     with mpmath.workdps(DIGITS):
         a, b, c, d = step_matrix(scheme, mpmath.mpf(x))

@@ -123,7 +123,7 @@ def follow_motion(grid, every=1):
     energies_of(pairs, path, own, parameters, start.shape, energy)
     measured = rows if outcome == 0 else 1 + made // every
     residual = largest_difference(pairs, before, path, measured, h, own, parameters, start.shape)
-    status, message = describe(grid, made, iterations, outcome, FAILURES)
+    status, message = describe(steps, (h * made, h * (made + 1)), made, iterations, outcome, FAILURES)
     q, p = path[:rows, : size // 2].copy(), path[:rows, size // 2 :].copy()
     return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations)
 

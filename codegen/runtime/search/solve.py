@@ -31,6 +31,8 @@ from codegen.runtime.search.termination import final_status, is_solved, unscaled
 # scaled again. The ratios are for equations and for primal unknowns. Factors are powers of a thousand or of a million.
 STEEPER, STEEPER_COST = 3e3, 3e6
 RESCALINGS = 10  # largest number of rescalings, so that two sets of factors cannot alternate for ever
+# With bounds, a search continues with the tolerance TIGHT if its own exceeds LOOSE, both relative to the scaled cost.
+LOOSE, TIGHT = 1e-7, 1e-9
 LARGE_CORRECTION = 1e-3  # a larger correction of the cost, relative to the cost, is not used
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
 SLOW = 150  # iterations after which a search from a motion follows; most searches need 10 to 100
@@ -117,6 +119,11 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
         scaled, searched, remaining = finer_scaled, finer, max_iterations - iterations
         status, point, further = minimise(finer, scaled_unknowns(finer, begin), tolerance, remaining, True, log)
         iterations += further
+    if s.inequalities and status == "solved" and 0.0 < abs(point.cost) < tolerance / LOOSE:
+        tight, remaining = TIGHT * abs(point.cost), max_iterations - iterations
+        again, closer, further = minimise(searched, point.unknowns, tight, remaining, True, log)
+        if again == "solved":
+            point, iterations = closer, iterations + further
     status = corrected_status(searched, guess, point, status)
     if searched.sizes.size and status in FAILED and iterations < max_iterations:
         # The scaling factors at the guess may differ much from those at the solution.

@@ -156,7 +156,8 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     measured = rows if outcome == 0 else 1 + made // every
     scheme = problem.scheme if len(spans) == 0 else problem.scheme._replace(is_constant=0)
     residual = largest_residual(scheme, memory, before, path, measured, made, h, parameters, *accuracy, every, spans)
-    status, message = describe(grid, made, iterations, outcome)
+    failed = times_at(grid, np.minimum([made, made + 1], steps))
+    status, message = describe(steps, failed, made, iterations, outcome)
     if outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], times_at(grid, made)))
     positions = size if energy is None else size // 2
@@ -164,16 +165,17 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations)
 
 
-def describe(grid, steps, iterations, outcome, failures=FAILURES):
-    """Return the status and a sentence on how the motion ended; it names a failed step and its time.
+def describe(steps, failed, made, iterations, outcome, failures=FAILURES):
+    """Return the status and a sentence on how the motion of `steps` steps ended, after `made` steps.
 
-    `steps` is the number of steps made. `failures` maps each negative outcome to a status and a remedy.
+    `failed` are the times at both ends of the next step, which has failed unless the outcome is 0. `failures` maps each
+    negative outcome to a status and a remedy.
     """
     if outcome == 0:
-        effort = f" with {iterations / steps:.2f} iterations each" if iterations else ""
-        return "solved", f"all {steps} steps were made{effort}"
+        effort = f" with {iterations / made:.2f} iterations each" if iterations else ""
+        return "solved", f"all {made} steps were made{effort}"
     status, remedy = failures[outcome]
-    where = f"step {steps + 1} of {grid.steps}, from t = {times_at(grid, steps):g} to {times_at(grid, steps + 1):g}"
+    where = f"step {made + 1} of {steps}, from t = {failed[0]:g} to {failed[1]:g}"
     return status, f"{status} in {where}: {remedy}"
 
 

@@ -18,6 +18,7 @@ from codegen.runtime.kernels import ONLY_COMPILED
 NON_FINITE, SINGULAR, NOT_CONVERGED, LEFT_TABLE = -1, -2, -3, -4  # outcomes of a failed step
 LEAST = 1e-300  # smaller numbers are close to underflow and have no relative size
 ROUNDING = 1e-8  # corrections below this, relative to all unknowns, are rounding errors if they no longer shrink
+CANCELLED = 10.0  # a correction that exceeds the sum of all unknowns by this factor leaves rounding errors
 FIRST_GROWTH, LEAST_GROWTH = 0.125, 1e-5  # of the length of a step in a continuation, relative to the full length
 MOST_LENGTHS, FEW = 200, 12  # numbers of lengths in a continuation, and of iterations for each of them
 TABLE_MARGIN = 1e-8  # an input may exceed the range of a table by this rounding error, relative to the range
@@ -260,11 +261,16 @@ def iterate(scheme, work, t, lengths_at, tolerance, most, parameters_at):
             if pivots[0] < 0 if scheme.is_constant else factor_matrix(jacobian, pivots) >= 0:
                 return SINGULAR
             solve_factored(jacobian, pivots, residual)
-        scale = magnitude
+        scale, correction = magnitude, 0.0
         for i in range(count):
             unknowns[i] -= residual[i]
             scale += abs(unknowns[i])
-        if not scheme.is_iterated or has_converged(unknowns, residual, tolerance, ROUNDING * scale, sizes, last):
+            correction += abs(residual[i])
+        # Linear equations need one correction, and a second one if a guess was so large that digits are lost.
+        done = not correction > CANCELLED * scale
+        if scheme.is_iterated:
+            done = has_converged(unknowns, residual, tolerance, ROUNDING * scale, sizes, last)
+        if done:
             call(scheme.complete, (*arguments, work.interval))
             return iteration
     return NOT_CONVERGED

@@ -17,6 +17,7 @@ from codegen.runtime.search.grid import plain_grid
 from codegen.runtime.search.messages import OUTSIDE_TABLE, REMEDIES, tables_beyond, worst_row
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import STEEP, corrected_cost
+from codegen.runtime.search.termination import newton_step
 from codegen.solving.loading import ControlModule, Entries, Grid, Matrix, Vector, time_grid
 from codegen.solving.results.estimates import AT_BOUND, estimates_of
 from codegen.solving.results.result import (
@@ -35,6 +36,8 @@ from codegen.solving.results.segments import put_together, segments_of
 
 LARGE_MULTIPLIERS = 100.0
 """Mean modulus of the multipliers above which the tolerance of the optimality conditions is scaled with this mean."""
+SMALL_BESIDE_COST, STILL_FALLS = 1e-7, 1e-5
+"""Relative to the scaled cost: tolerances that are not small, and decreases by one more Newton step that matter."""
 MANY_TERMS = 100
 """Least number of terms of a sum for which the accumulation of rounding errors is taken into account."""
 
@@ -264,6 +267,8 @@ def _is_accurate(
     residual, stationarity = conditions.norms(scaled.sizes, scaled.weight) if scaled.sizes.size else norms
     if not math.isfinite(residual + stationarity):
         return False
+    if _still_falls(module, scaled, attempt):
+        return False
     if max(residual, stationarity) <= 10.0 * attempt.tolerance:
         return True
     unknowns, weight, grid = attempt.unknowns, scaled.weight, plain_grid(scaled)
@@ -283,6 +288,25 @@ def _is_accurate(
         return False
     limit = 10.0 * max(attempt.tolerance * scale, rounding)
     return residual <= 10.0 * max(attempt.tolerance, rounding) and stationarity <= limit
+
+
+def _still_falls(module: ControlModule, scaled: Grid, attempt: ControlAttempt) -> bool:
+    """Return True if bounds matter, and a Newton step that ends at bounds would lower the cost noticeably.
+
+    A tolerance that is not small beside the scaled cost may be met far from the optimum, along an arc where the cost is
+    flat. Along a Newton step dx the cost falls by -g.dx/2.
+    """
+    scales = scaled.sizes if scaled.sizes.size else np.ones(attempt.unknowns.size)
+    if not module.metadata.inequalities:
+        return False
+    point = module.evaluate(scaled, attempt.unknowns / scales)
+    if attempt.tolerance <= SMALL_BESIDE_COST * abs(point.cost):
+        return False
+    primal = module.primal_unknowns(scaled)
+    below, above = (distance / scales[primal] for distance in bound_distances(module, scaled, attempt.unknowns))
+    step = np.clip(newton_step(scaled, point)[primal], -np.maximum(below, 0.0), np.maximum(above, 0.0))
+    decrease = -float(point.gradient[primal] @ step) / 2.0
+    return decrease > max(STILL_FALLS * abs(float(point.cost)), attempt.tolerance)
 
 
 def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights: Vector) -> float:

@@ -60,7 +60,8 @@ def simulate_result(
     }
     if attempt.energy is not None:
         # The energy of a driven or damped motion changes, and this change is no error of the scheme.
-        change = attempt.energy - attempt.energy[0]
+        with np.errstate(invalid="ignore"):  # the first energy may be infinite
+            change = attempt.energy - attempt.energy[0]
         if module.metadata.conservative:
             summary["energy_drift"] = float(np.abs(change).max())
         else:
