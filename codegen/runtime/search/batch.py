@@ -42,6 +42,7 @@ from codegen.runtime.search.scaling import Quantities, fill_scaling_factors, qua
 from codegen.runtime.search.shooting import kept_unknowns, like_unknowns, shooting_grid, shooting_unknowns
 from codegen.runtime.search.solve import (
     LARGE_CORRECTION,
+    LOOSE,
     ROUNDED,
     ROUNDINGS,
     SLOW,
@@ -355,6 +356,8 @@ def is_solved_at_once(calls, common, grid, system, bounds, tolerance, limit, is_
         if not inside[4] <= max(tolerance, WORSE * known[4]):
             return False
         reals[COST], reals[RESIDUAL], reals[STATIONARITY] = (inside[0], inside[1], inside[3])
+        if 0.0 < abs(reals[COST]) < tolerance / LOOSE:  # the search continues with a smaller tolerance
+            return False
     return reals[STATIONARITY] <= STEEP and reals[RESIDUAL] <= ROUNDED
 
 
