@@ -216,6 +216,10 @@ class _System:
         if identically_zero(coefficient):
             return None
         rest = equation.xreplace({y: S.Zero})
+        if rest.has(S.ComplexInfinity, S.NaN):  # terms such as 1/y cancel, but not as they are written
+            rest = expand(equation).xreplace({y: S.Zero})
+            if rest.has(S.ComplexInfinity, S.NaN):
+                return None
         return coefficient, rest if coefficient == -1 else -rest / coefficient
 
 

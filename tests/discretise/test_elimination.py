@@ -123,3 +123,10 @@ def test_linear_equations_with_a_variable_matrix_take_one_solve() -> None:
     solution = module.solve(100)
     assert solution.iterations == 100
     assert solution.residual < 1e-13
+
+
+def test_an_unknown_in_denominators_that_cancel_is_solved_for_without_a_pole():
+    y, a, c, d = sympy.symbols("y a c d")
+    result = eliminate([c * (d + 1) / y - c * d / y - c / y + y - a], [y], [a, c, d])
+    assert result.before == ((y, a),)
+    assert not result.unknowns
