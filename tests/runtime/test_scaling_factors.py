@@ -75,6 +75,20 @@ def test_stages_have_the_factors_of_their_states(scheme, controls_on):
             assert factor == pytest.approx(expected[name.partition("_stage")[0]]), (name, steps)
 
 
+@pytest.mark.parametrize("scheme", ["gauss-4", "gauss-6", "lobatto-4"])
+def test_factors_of_equations_of_inner_positions_do_not_depend_on_the_number_of_intervals(scheme):
+    """Their terms do: the factor was 1e6 on 768 intervals, and residuals of 4e-7 were accepted."""
+    module, factors = without_compilation(text_of(PROBLEMS / "orbital_transfer.py", scheme=scheme)), []
+    for steps in (12, 96, 768):
+        grid = time_grid(module, steps)
+        scaled = scaled_grid(grid, module.initial_guess(grid))
+        sizes = scaled.sizes if scaled.sizes.size else np.ones(grid.is_multiplier.size)
+        factors.append((1.0 / (sizes * scaled.weight))[grid.is_multiplier][:6])
+    np.testing.assert_allclose(factors[0], factors[1])
+    np.testing.assert_allclose(factors[0], factors[2])
+    assert max(factors[0]) <= 1e3
+
+
 def test_rates_that_do_not_matter_at_the_guess_are_told_by_their_scale():
     """The second rate has no effect there, and its factor is one; the closed form has 2e-5 and 1e-5."""
     module = module_of(reactions())

@@ -326,11 +326,14 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
 
     The equation of a node is a sum of contributions of two intervals. Both are taken from the same interval. Each
     contribution, such as a momentum, counts as one term: its change by the motion does not depend on the length of the
-    interval.
+    interval. The same holds for the equation of a stage with the factor of such an equation.
     """
     bodies, steps, stride, node = counts[0], counts[1], counts[4], counts[5]
     intervals, count, element = steps // counts[2], q.rows.size, stride + node
     weight = max(1, intervals // SAMPLES)
+    is_of_node = np.zeros(q.is_equation.size, np.bool_)
+    for row in range(node):
+        is_of_node[q.local_kind[row]] = q.local_multiplies[row]
     moduli, sums = np.zeros((q.local_kind.size, terms.shape[0])), np.zeros((q.local_kind.size, terms.shape[0]))
     starts, ends, growth = q.start_rows.size, q.end_rows.size, np.empty(5)
     for body in range(bodies):
@@ -368,14 +371,14 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
                 kind, is_right = q.local_kind[row], stride <= row < element
                 for of in range(terms.shape[0]):
                     change, modulus = sums[row, of], moduli[row, of]
-                    if not (row < node or is_right):
+                    if not is_of_node[kind] and not is_right:
                         terms[kind, of] = max(terms[kind, of], modulus)
                     elif abs(change) > CANCELLED * modulus:
                         terms[kind, of] = max(terms[kind, of], abs(change))
                     if row < node:
                         change += sums[stride + row, of]
                         modulus += moduli[stride + row, of]
-                    if abs(change) > CANCELLED * modulus and not is_right:
+                    if abs(change) > CANCELLED * modulus and (row < node or not (is_right or is_of_node[kind])):
                         effect[kind, of] = max(effect[kind, of], abs(change))
 
 
