@@ -76,10 +76,10 @@ def test_stages_have_the_factors_of_their_states(scheme, controls_on):
 
 
 @pytest.mark.parametrize("scheme", ["gauss-4", "gauss-6", "lobatto-4"])
-def test_factors_of_equations_of_inner_positions_do_not_depend_on_the_number_of_intervals(scheme):
+def test_factors_of_equations_of_inner_positions_do_not_grow_with_the_number_of_intervals(scheme):
     """Their terms do: the factor was 1e6 on 768 intervals, and residuals of 4e-7 were accepted."""
     module, factors = without_compilation(text_of(PROBLEMS / "orbital_transfer.py", scheme=scheme)), []
-    for steps in (12, 96, 768):
+    for steps in (96, 768, 6144):
         grid = time_grid(module, steps)
         scaled = scaled_grid(grid, module.initial_guess(grid))
         sizes = scaled.sizes if scaled.sizes.size else np.ones(grid.is_multiplier.size)
