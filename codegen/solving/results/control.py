@@ -304,7 +304,10 @@ def _still_falls(module: ControlModule, scaled: Grid, attempt: ControlAttempt) -
         return False
     primal = module.primal_unknowns(scaled)
     below, above = (distance / scales[primal] for distance in bound_distances(module, scaled, attempt.unknowns))
-    step = np.clip(newton_step(scaled, point)[primal], -np.maximum(below, 0.0), np.maximum(above, 0.0))
+    step = newton_step(scaled, point)[primal]
+    if not np.isfinite(step).all():  # the KKT matrix does not have the inertia of a minimum
+        return False
+    step = np.clip(step, -np.maximum(below, 0.0), np.maximum(above, 0.0))
     decrease = -float(point.gradient[primal] @ step) / 2.0
     return decrease > max(STILL_FALLS * abs(float(point.cost)), attempt.tolerance)
 
