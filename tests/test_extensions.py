@@ -61,7 +61,7 @@ print(sorted({case.setup.file.stem for case in cases}), len(cases))
 """
         done = extended.python("-c", code)
         assert done.returncode == 0, done.stderr
-        assert done.stdout == "['oscillator'] 7\n"
+        assert done.stdout == "['oscillator', 'prothero_robinson'] 11\n"
 
     def test_its_modified_equation_is_shown(self, extended):
         assert "radau-3" in extended.command("show", extended.problems / "oscillator.py", "--scheme", "radau-3")
