@@ -51,7 +51,7 @@ def swing():
 
 
 def test_the_motion_and_its_rates_are_those_of_closed_forms(decay):
-    truth, rates = exact_motion(decay[1], (10,))
+    truth, rates, _ = exact_motion(decay[1], (10,))
     assert truth.rate == pytest.approx(100.0, rel=1e-6)
     assert np.sort_complex(rates[7]) == pytest.approx([-100.0, -1j, 1j], abs=1e-5)
     t = truth.times
@@ -60,9 +60,10 @@ def test_the_motion_and_its_rates_are_those_of_closed_forms(decay):
 
 
 def test_energy_is_compared_with_its_parts_and_not_with_its_sum(swing):
-    truth, rates = exact_motion(swing, (100,))
+    truth, rates, moduli = exact_motion(swing, (100,))
     assert truth.energy == pytest.approx(0.5, rel=1e-3)  # the total energy may be shifted to zero, its parts may not
-    assert truth.rate == pytest.approx(1.0, rel=1e-6)
+    assert np.abs(rates).max() == pytest.approx(1.0, rel=1e-6)
+    assert truth.rate == moduli.max() == pytest.approx(1.0, rel=1e-3)  # sizes are the largest values at nodes
     assert not truth.conserved.any()
     assert rates.shape == (41, 2)
 
@@ -74,13 +75,13 @@ def test_the_largest_stable_step_is_that_of_the_linear_motion(tmp_path, name, le
     euler, module = (
         without_compilation(generate(path, {}, Choices(one, "hamiltonian"))) for one in ("explicit-euler", name)
     )
-    truth, _ = exact_motion(euler, (100,))
+    truth, _, _ = exact_motion(euler, (100,))
     assert largest_stable(module, truth) == pytest.approx(least, rel=0.03)
 
 
 def test_decay_limits_explicit_schemes_and_no_stiff_ones(decay):
     """Closed forms on the negative axis: 2 for Euler, 2.785 for rk4; L-stable schemes have no limit."""
-    _, rates = exact_motion(decay[1], (100,))
+    _, rates, _ = exact_motion(decay[1], (100,))
     schemes = [find(name, FIRST_ORDER) for name in ("explicit-euler", "rk4", "radau-5")]
     limits = {scheme.name: stable_rate(scheme, rates, 100.0) for scheme in schemes}
     assert limits["explicit-euler"] == pytest.approx(2.0, rel=1e-3)
@@ -156,3 +157,15 @@ def test_an_announced_error_is_held_to_account(error, outcome):
     case = replace(CASE, limit=False, reference="refined")
     seen = Measurement("solved", "done", error=error, announced=1e-3, residual=0.0, tolerance=1e-7)
     assert classify(case, seen).outcome == outcome
+
+
+def test_the_speed_of_a_fall_is_a_rate_although_its_linearisation_has_none(tmp_path):
+    path = tmp_path / "fall.py"
+    path.write_text(
+        '"""A fall."""\nfrom codegen import Simulate, canonical_pair\n\n\n'
+        'def problem():\n    z, p = canonical_pair("z", "p")\n'
+        "    return Simulate(hamiltonian=p**2/2 + 10*z, start={z: 0, p: 0}, duration=2, steps=10)\n"
+    )
+    truth, rates, _ = exact_motion(without_compilation(generate(path, {}, Choices("explicit-euler", None))), (10,))
+    assert np.abs(rates).max() < 1e-5
+    assert truth.rate == pytest.approx(1.0, rel=1e-6)  # 20 m/s on a way of 20 m
