@@ -18,7 +18,7 @@ from codegen.solving.drivers.newton import TOLERANCE
 from codegen.solving.loading import ControlModule, Vector
 
 BLOCK = 100_000
-"""Unknowns in a block: a block takes about ten milliseconds, long beside the Python code between two blocks."""
+"""Number of unknowns in a block, which takes tens of milliseconds; the Python code between blocks takes less."""
 MOST_ITERATIONS = 3000
 """Default limit of iterations, as for `solve` of a generated module."""
 

@@ -1,8 +1,8 @@
 """The choice of a scheme: errors against run time, the cheapest schemes for three errors, and figures with few curves.
 
 A grid reaches an error if its own error and those of all finer grids are not larger, up to the grid with the least
-error. Between two grids the time and the
-number of steps are interpolated on logarithmic axes, so that the choice does not depend on the grids measured.
+error. Between two grids the time and the number of steps are interpolated on logarithmic axes. The choice then does not
+depend on the measured grids.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ def dissipative_cases() -> Iterator[Case]:
             order = math.log2(errors[0] / errors[1]) if errors[1] > 1e-14 else math.nan
             reduced = f"order {order:.2g} of {scheme.order}" if order < 90 else "rounding errors only"
             yield Case(
-                f"slow motion beside a decay, lambda = -{rate:g}", "dissipative", module, "accurate",
+                f"slow motion with a fast decay, lambda = -{rate:g}", "dissipative", module, "accurate",
                 f"by the table: {reduced}", 20, (("rate", -rate), ("duration", 1.0)), reference="slow_motion",
                 bound=1.01 * errors[0] + 1e-12, h_omega=rate / 20.0,
             )  # fmt: skip

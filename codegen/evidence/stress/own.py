@@ -55,7 +55,7 @@ GOOD = 0.1
 GUESSES, ENOUGH = 20, 0.5
 """The number of noisy guesses, and the share that is expected to lead to the optimum."""
 CONTROL_SCHEMES = ("midpoint", "hermite-simpson", "gauss-4")
-"""Schemes for optimal control, beside the problem's own; their modules take longer to compile than simulations."""
+"""Schemes for optimal control in addition to the problem's own. Modules of optima compile slowly."""
 Candidate = tuple[Setup, Scheme]
 
 

@@ -59,7 +59,7 @@ VERIFIED = 10.0  # largest residual and stationarity of a solution that is evalu
 
 
 class Common(NamedTuple):
-    """What all cases of a batch have in common: the search, and the problem with stages.
+    """The common data of all cases of a batch: of the search, and of the problem with stages.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ class Space(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a batch has found for k cases.
+    """The results of a batch for k cases.
 
     Attributes
     ----------
@@ -205,7 +205,7 @@ def solve_cases(calls, common, numbers, tolerance, limit, is_warm, space, found)
     calls : tuple of int
         Addresses of `descend`, `begin_beside`, `fill_scaling_factors`, `clip` and `terms`.
     common, numbers, space, found : Common, Numbers, Space, Found
-        What the cases have in common, their numbers, work space, and the results.
+        The common data of the cases, their numbers, work space, and the results.
     tolerance, limit, is_warm : float, int, bool
         Tolerance, largest number of iterations of a case, and True if guesses are solutions of similar problems.
     """
@@ -545,7 +545,7 @@ def optimum_of(grid, guess, unknowns, residual, found, case):
 
 
 def common_of(grid, search, scaling):
-    """Return what all cases have in common; `grid` has stages, and `search` is on the grid of a search."""
+    """Return the common data of all cases; `grid` has stages, and `search` is on the grid of a search."""
     problem, s, steps, searched = (grid.problem, grid.problem.structure, grid.steps, search.grid)
     kinds, places, lacks, counts = sampled(problem, steps, grid.inner)
     is_whole, everything = problem.shooting is None, np.arange(grid.is_multiplier.size)

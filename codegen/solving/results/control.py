@@ -293,8 +293,8 @@ def _is_accurate(
 def _still_falls(module: ControlModule, scaled: Grid, attempt: ControlAttempt) -> bool:
     """Return True if bounds matter, and a Newton step that ends at bounds would lower the cost noticeably.
 
-    A tolerance that is not small beside the scaled cost may be met far from the optimum, along an arc where the cost is
-    flat. Along a Newton step dx the cost falls by -g.dx/2.
+    If the tolerance is not small relative to the scaled cost, unknowns may meet it far from the optimum, for example
+    along a flat arc of the cost. Along a Newton step dx the cost falls by -g.dx/2.
     """
     scales = scaled.sizes if scaled.sizes.size else np.ones(attempt.unknowns.size)
     if not module.metadata.inequalities:

@@ -1,4 +1,4 @@
-"""Follow a slow motion beside a fast decay towards it, which shows the damping and the order reduction of schemes.
+"""Follow a slow motion with a fast decay towards it: the damping and the order reduction of schemes.
 
 y' = rate (y - cos t) - sin t, whose solution from y(0) = 1 is cos t. Source: Prothero and Robinson, On the stability
 and accuracy of one-step methods for solving stiff systems, Mathematics of Computation 28 (1974). All quantities are

@@ -1,4 +1,4 @@
-"""Follow van der Pol's oscillator along its slow part, beside a decay that is mu times as fast.
+"""Follow van der Pol's oscillator along its slow part, with a decay mu times as fast.
 
 y'' = mu ((1 - y^2) y' - y). Source: Hairer and Wanner (1996), Solving ordinary differential equations II, IV.1. All
 quantities are nondimensional.
