@@ -276,7 +276,7 @@ def solve_many(
 
     Notes
     -----
-    A case that the first search solves costs what its compiled search takes, and some 30 microseconds. Other cases,
+    A case that the first search solves costs what its compiled search takes, and some 40 microseconds. Other cases,
     which need a restoration, other scaling factors or a varied guess, are solved again as `codegen.solve` does.
     """
     require_options(options)
