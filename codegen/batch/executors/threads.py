@@ -33,7 +33,9 @@ def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solv
                     in_flight[pool.submit(solved, number)] = number
                 if not in_flight:
                     return
-                for future in wait(in_flight, return_when=FIRST_COMPLETED).done:
+                done = wait(in_flight, return_when=FIRST_COMPLETED).done
+                # Results before an error, so that no finished chunk is lost.
+                for future in sorted(done, key=lambda future: future.exception() is not None):
                     yield in_flight.pop(future), future.result()
 
         try:
