@@ -163,7 +163,8 @@ def eliminate_stages(shape, tables, hessian, gradient, diagonal, k, kept, room, 
     if shape.carried:
         solve_offsets(shape, tables, own, gradient, first, lower[k], upper[k], order, offsets[k])
         rows = row_count(shape)
-        totals = reduced_forcing(shape, tables, own, gradient, first, offsets[k], reduced[k], room)
+        totals = room[1][0]
+        reduce_forcing(shape, tables, own, gradient, first, offsets[k], reduced[k], room, totals)
         places = place_of(tables, REACH)
         for c in range(count_of(tables, REACH)):
             element[tables[places + c], rows] -= totals[c]
@@ -325,12 +326,9 @@ def solve_transposed(shape, tables, own, lower, upper, order, values):
 
 
 @njit(error_model="numpy", forceinline=True)
-def forcing(shape, tables, own, gradient, first, moved, room):
-    """Return g_s + H_ss ds, the gradient with respect to stages after the changes ds = `moved` (s,).
-
-    The result is a view of work space.
-    """
-    values, stages, count = room[4], shape.stages, count_of(tables, STAGED)
+def fill_forcing(shape, tables, own, gradient, first, moved, values):
+    """Fill `values` with g_s + H_ss ds, the gradient with respect to stages after the changes ds = `moved` (s,)."""
+    stages, count = shape.stages, count_of(tables, STAGED)
     for i in range(stages):
         values[i] = gradient[first + i] + own[count + i] * moved[i]
     rows, columns = place_of(tables, CURVED_ROWS), place_of(tables, CURVED_COLUMNS)
@@ -340,13 +338,13 @@ def forcing(shape, tables, own, gradient, first, moved, room):
         values[row] += own[at + j] * moved[column]
         if row != column:
             values[column] += own[at + j] * moved[row]
-    return values
 
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
-def reduced_forcing(shape, tables, own, gradient, first, offsets, reduced, room):
-    """Return S' (g_s + H_ss s0), the part of the reduced gradient with H_ss, as a view (reach,) of work space."""
-    values, totals = forcing(shape, tables, own, gradient, first, offsets, room), room[1][0]
+def reduce_forcing(shape, tables, own, gradient, first, offsets, reduced, room, totals):
+    """Fill `totals` (reach,) with S' (g_s + H_ss s0), the part of the reduced gradient with H_ss."""
+    values = room[4]
+    fill_forcing(shape, tables, own, gradient, first, offsets, values)
     for c in range(shape.reach):
         totals[c] = 0.0
     for i in range(shape.stages):
@@ -357,7 +355,6 @@ def reduced_forcing(shape, tables, own, gradient, first, offsets, reduced, room)
             totals[c + 1] = two
             totals[c + 2] = three
             totals[c + 3] = four
-    return totals
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -379,12 +376,14 @@ def reduce_right(shape, tables, gradient, k, number, steps, kept, room, right):
     entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
     stages, first, own, order = shape.stages, k * shape.stride + shape.node, entries[k], orders[k]
     if not order[2 * stages]:
-        values = solve_dense(shape, gradient, first, dense[k], pivots[k], order, room)
+        values = room[4]
+        solve_dense(shape, gradient, first, dense[k], pivots[k], order, values)
         for row in range(row_count(shape)):
             right[right_index(shape, row, number, steps)] += values[2 * stages + row]
         return
     solve_offsets(shape, tables, own, gradient, first, lower[k], upper[k], order, offsets[k])
-    totals = reduced_forcing(shape, tables, own, gradient, first, offsets[k], reduced[k], room)
+    totals = room[1][0]
+    reduce_forcing(shape, tables, own, gradient, first, offsets[k], reduced[k], room, totals)
     places = place_of(tables, REACH)
     for c in range(count_of(tables, REACH)):
         right[right_index(shape, tables[places + c], number, steps)] -= totals[c]
@@ -404,7 +403,8 @@ def recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved
     entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
     stages, first, own, order = shape.stages, k * shape.stride + shape.node, entries[k], orders[k]
     if not order[2 * stages]:
-        values = solve_dense(shape, gradient, first, dense[k], pivots[k], order, room)
+        values = room[4]
+        solve_dense(shape, gradient, first, dense[k], pivots[k], order, values)
         for row in range(row_count(shape)):
             values[2 * stages + row] = solved[right_index(shape, row, number, steps)]
         backward_once(dense[k], order, 2 * stages, dense_width(shape), values)
@@ -424,7 +424,8 @@ def recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved
             three += reduced[k, i, c + 2] * around[c + 2]
             four += reduced[k, i, c + 3] * around[c + 3]
         moved[i] = offsets[k, i] + ((one + two) + (three + four))
-    values = forcing(shape, tables, own, gradient, first, moved, room)
+    values = room[4]
+    fill_forcing(shape, tables, own, gradient, first, moved, values)
     at, rows, columns = crossings(tables)
     for j in range(count_of(tables, CROSS_ROWS)):
         row = tables[place_of(tables, CROSSED) + tables[rows + j]]
@@ -476,21 +477,21 @@ def eliminate_dense(shape, tables, own, gradient, diagonal, first, dense, pivots
             if i != j:
                 element[j, i] -= total
     if shape.carried:
-        values = solve_dense(shape, gradient, first, dense, pivots, order, room)
+        values = room[4]
+        solve_dense(shape, gradient, first, dense, pivots, order, values)
         for i in range(rows):
             element[i, rows] += values[size + i]
     return negative
 
 
 @njit(error_model="numpy")
-def solve_dense(shape, gradient, first, dense, pivots, order, room):
-    """Return the result (width,) of a forward substitution with the dense factors, as a view of work space.
+def solve_dense(shape, gradient, first, dense, pivots, order, values):
+    """Fill `values` (width,) with the result of a forward substitution with the dense factors.
 
     The right-hand side is minus the gradient of stages and multipliers. From index 2 s on, the result is the change of
     the right-hand side of an element matrix.
     """
-    values, size = room[4], 2 * shape.stages
+    size = 2 * shape.stages
     for i in range(values.size):
         values[i] = -gradient[first + i] if i < size else 0.0
     forward_once(dense, pivots, order, size, dense_width(shape), values)
-    return values

@@ -33,12 +33,12 @@ from codegen.runtime.search.descent import (
     G,
     X,
 )  # fmt: skip
-from codegen.runtime.search.grid import NONE, layout_of, least_duration, views
-from codegen.runtime.search.iterates import FROM_GUESS, finite_bounds, keep_storage, search_on
+from codegen.runtime.search.grid import NONE, layout_of, least_duration
+from codegen.runtime.search.iterates import FROM_GUESS, count_bounds, fill_bounds, keep_storage, search_on
 from codegen.runtime.search.linear_system import factor_at, fill_entry_factors, solve_at
 from codegen.runtime.search.messages import describe
 from codegen.runtime.search.point import Point, fill, measured_gradient
-from codegen.runtime.search.scaling import Quantities, fill_scaling_factors, quantities_of, sampled
+from codegen.runtime.search.scaling import Quantities, Room, fill_scaling_factors, quantities_of, room_for, sampled
 from codegen.runtime.search.shooting import kept_unknowns, like_unknowns, shooting_grid, shooting_unknowns
 from codegen.runtime.search.solve import (
     LARGE_CORRECTION,
@@ -144,10 +144,16 @@ class Space(NamedTuple):
     ----------
     system : tuple
         Storage of the linear system, see `descent.descend`.
-    reals, integers, vectors, barriers, pairs, room, log : array
-        See `descent.descend`; `room` is (0, n).
-    entries, factors : array
-        Space for all second derivatives with stages, and (5, m) for scaling factors.
+    reals, integers, vectors, barriers, pairs, refinement, log : array
+        See `descent.descend`; `refinement` is (0, n).
+    entries, factors, room : array, (3, m), Room
+        Space for all second derivatives with stages, for scaling factors, and for their computation.
+    own : (4, n)
+        Space for sizes, forces, least and greatest values of the unknowns of the search.
+    entry_factors : (2, ..)
+        Space for scaling factors of second derivatives.
+    bound_indices, bounds : (b,), (3, b)
+        Space for all b finite bounds.
     """
 
     system: tuple[Any, ...]
@@ -156,10 +162,15 @@ class Space(NamedTuple):
     vectors: np.ndarray
     barriers: np.ndarray
     pairs: np.ndarray
-    room: np.ndarray
+    refinement: np.ndarray
     log: np.ndarray
     entries: np.ndarray
     factors: np.ndarray
+    room: Room
+    own: np.ndarray
+    entry_factors: np.ndarray
+    bound_indices: np.ndarray
+    bounds: np.ndarray
 
 
 class Found(NamedTuple):
@@ -231,33 +242,31 @@ def is_case_solved(case, calls, common, numbers, tolerance, limit, is_warm, spac
     found.weights[case] = weight
     for i in range(sizes.size):
         found.sizes[case, i] = sizes[i] if is_scaled else 1.0
-    count = n if is_scaled else 0
-    own_sizes, forces = np.empty(count), np.empty(count)
-    for i in range(count):
+    own_sizes, forces = space.own[0, : n if is_scaled else 0], space.own[1, : n if is_scaled else 0]
+    for i in range(own_sizes.size):
         own_sizes[i] = sizes[kept[i]]
         forces[i] = weight * own_sizes[i]
-    entry_factors = np.empty((2, common.without_cost.size))
     scaled, costless = own_sizes[:0], common.without_cost
     if is_scaled:
         fill_entry_factors(
             own_sizes, forces, system[9], system[10], common.local_is_multiplier, common.without_cost, system[7],
-            entry_factors,
+            space.entry_factors,
         )  # fmt: skip
-        scaled, costless = entry_factors[0], entry_factors[1]
+        scaled, costless = space.entry_factors[0], space.entry_factors[1]
     system = (
         system[0], system[1], system[2], system[3], scaled, costless, system[6], system[7], system[8], system[9],
         system[10],
     )  # fmt: skip
-    count = n if lower.size else 0
-    least, greatest = np.empty(count), np.empty(count)
-    for i in range(count):
+    least, greatest = space.own[2, : n if lower.size else 0], space.own[3, : n if lower.size else 0]
+    for i in range(least.size):
         unit = 1.0 if common.is_slack[kept[i]] or not is_scaled else own_sizes[i]
         least[i], greatest[i] = lower[kept[i]] / unit, upper[kept[i]] / unit
         if least[i] > greatest[i]:
             return False
-    indices, side, magnitude, value = finite_bounds(least, greatest)
-    if indices.size != space.barriers.shape[1]:
+    indices, side, magnitude, value = space.bound_indices, space.bounds[0], space.bounds[1], space.bounds[2]
+    if count_bounds(least, greatest) != indices.size:
         return False
+    fill_bounds(least, greatest, indices, side, magnitude, value)
     bounds = indices, side, magnitude, value, least, greatest
     grid = (
         common.steps, h, common.nodes, parameters, common.is_multiplier, own_sizes, forces, weight, common.ties,
@@ -275,10 +284,15 @@ def is_case_solved(case, calls, common, numbers, tolerance, limit, is_warm, spac
     for i in range(n - system[7][5], n):  # linking variables, such as a free duration, may grow without limit
         if not abs(x[i]) <= GROWTH:
             return False
+    solution = found.unknowns[case]
     for i in range(n):
-        found.unknowns[case, i] = x[i] * own_sizes[i] if is_scaled else x[i]
+        solution[i] = x[i] * own_sizes[i] if is_scaled else x[i]
+        if not common.is_free[i]:
+            solution[i] = guess[i]
+    for j in range(common.ties.shape[0]):
+        solution[common.ties[j, 0]] = solution[common.ties[j, 1]]
     if is_scaled and are_other_factors(
-        calls, common, h, parameters, found.unknowns[case], lower, upper, weight, space
+        calls, common, h, parameters, solution, lower, upper, weight, space
     ):  # fmt: skip
         return False
     by = 0.0 if common.is_linear else correction(x, vectors[G], common.is_multiplier, least, greatest)
@@ -291,7 +305,7 @@ def is_case_solved(case, calls, common, numbers, tolerance, limit, is_warm, spac
 @njit(error_model="numpy")
 def factors_at(calls, common, h, parameters, unknowns, lower, upper, is_solution, space, sizes):
     """Fill the scaling factors `sizes` (m,) at the `unknowns` (n,) of a search; return what `scaled_grid` uses."""
-    whole = np.empty(sizes.size)
+    whole = space.factors[2]
     for i in range(sizes.size):
         whole[i] = unknowns[common.like[i]]
     return call_scaling(
@@ -299,7 +313,7 @@ def factors_at(calls, common, h, parameters, unknowns, lower, upper, is_solution
         (
             common.quantities, common.with_stages[0], common.with_stages[1], common.steps, h, common.nodes, parameters,
             common.all_are_multiplier, whole, lower, upper, common.all_ties, common.kinds, common.counts, common.places,
-            common.lacks, is_solution, space.entries, space.factors[1:4], sizes,
+            common.lacks, is_solution, space.entries, space.room, sizes,
         ),
     )  # fmt: skip
 
@@ -307,7 +321,7 @@ def factors_at(calls, common, h, parameters, unknowns, lower, upper, is_solution
 @njit(error_model="numpy")
 def are_other_factors(calls, common, h, parameters, unknowns, lower, upper, weight, space):
     """Return True if scaling factors at a solution are much larger than those at the guess, see `optimise_from`."""
-    begin, sizes, finer = (space.vectors[descent.TRIAL], space.factors[0], space.factors[4])
+    begin, sizes, finer = (space.vectors[descent.TRIAL], space.factors[0], space.factors[1])
     for i in range(unknowns.size):
         begin[i] = 0.0 if common.is_multiplier[i] else unknowns[i]
     finer_weight, is_scaled = factors_at(calls, common, h, parameters, begin, lower, upper, True, space, finer)
@@ -345,7 +359,7 @@ def is_solved_at_once(calls, common, grid, system, bounds, tolerance, limit, is_
             calls[0],
             (
                 problem, grid, system, bounds, tolerance, limit, space.log.shape[0] - 1, reals, integers, vectors,
-                barriers, space.pairs, space.room, space.log,
+                barriers, space.pairs, space.refinement, space.log,
             ),
         )  # fmt: skip
     if status != descent.SOLVED:
@@ -507,24 +521,16 @@ def solve_alike(grids, guesses, tolerance, max_iterations, warm, scaling):
         np.array([shooting_unknowns(grid, guess) for guess in guesses]), lower, upper,
     )  # fmt: skip
     search = search_on(shooting_grid(grids[0]))
-    common, work, n = (common_of(grid, search, scaling), search.work, search.grid.is_multiplier.size)
+    common, n = common_of(grid, search, scaling), search.grid.is_multiplier.size
     found = Found(
         np.zeros(k, bool), np.empty((k, n)), np.empty((k, m)), np.ones(k), np.empty(k), np.empty(k),
         np.zeros(k, np.int64),
     )  # fmt: skip
-    space = Space(
-        search.arguments[2], work.reals, work.integers, work.vectors, work.barriers, work.pairs, np.empty((0, n)),
-        work.log, np.zeros(problem.structure.entry_count(grid.steps)), np.empty((5, m)),
-    )  # fmt: skip
+    space = space_for(grid, search)
     calls = calls_of(search, common, numbers, space, tolerance)
     solve_cases(calls, common, numbers, tolerance, min(SLOW, max_iterations), warm, space, found)
     keep_storage(search)
-    whole = found.unknowns
-    if problem.shooting is not None:
-        whole = np.empty((k, m))
-    else:
-        for case in np.flatnonzero(found.is_found):
-            problem.pin_values(grids[case], whole[case], views(grids[case], whole[case])[0])
+    whole = found.unknowns if problem.shooting is None else np.empty((k, m))
     residuals = np.empty(k)
     verify_cases(common, numbers, tolerance, found, np.empty(m), whole, residuals)
     return [
@@ -532,6 +538,18 @@ def solve_alike(grids, guesses, tolerance, max_iterations, warm, scaling):
         if found.is_found[case] else None
         for case in range(k)
     ]  # fmt: skip
+
+
+def space_for(grid, search):
+    """Return the Space of a batch; `grid` has stages, and `search` is on the grid of a search."""
+    work, problem, m = search.work, grid.problem, grid.is_multiplier.size
+    n, bounds, own = search.grid.is_multiplier.size, search.bounds.indices.size, search.grid.problem.structure
+    return Space(
+        search.arguments[2], work.reals, work.integers, work.vectors, work.barriers, work.pairs, np.empty((0, n)),
+        work.log, np.zeros(problem.structure.entry_count(grid.steps)), np.empty((3, m)),
+        room_for(quantities_of(problem), m), np.empty((4, n)), np.empty((2, own.without_cost.size)),
+        np.empty(bounds, np.int64), np.empty((3, bounds)),
+    )  # fmt: skip
 
 
 def optimum_of(grid, guess, unknowns, residual, found, case):
@@ -578,18 +596,18 @@ def calls_of(search, common, numbers, space, tolerance):
     if ADDRESSES:
         return ADDRESSES[0]
     problem, grid, system, bounds = search.arguments
-    reals, integers, vectors, barriers, factors = space[1:5] + space[-1:]
+    reals, integers, vectors, barriers, factors = *space[1:5], space.factors
     duals, lower = barriers[DUALS], numbers.lower[0]
     arguments = (
         (descent.descend, (
-            problem, grid, system, bounds, tolerance, 1, 1, reals, integers, vectors, barriers, space.pairs, space.room,
-            space.log,
+            problem, grid, system, bounds, tolerance, 1, 1, reals, integers, vectors, barriers, space.pairs,
+            space.refinement, space.log,
         )),
         (descent.begin_beside, (problem, grid, bounds, tolerance, reals, integers, vectors, barriers)),
         (fill_scaling_factors, (
             common.quantities, *common.with_stages[:2], common.steps, 1.0, common.nodes, numbers.parameters[0],
             common.all_are_multiplier, factors[0], lower, lower, common.all_ties, common.kinds, common.counts,
-            common.places, common.lacks, True, space.entries, factors[1:4], factors[0],
+            common.places, common.lacks, True, space.entries, space.room, factors[0],
         )),
         (clip, (problem, grid, bounds, (0.0,) * 5, duals, duals, vectors, vectors[X], vectors[G])),
         (descent.terms, (problem, grid, system, vectors[X], 1, vectors)),

@@ -77,19 +77,35 @@ class Bounds(NamedTuple):
     upper: np.ndarray
 
 
+@njit(error_model="numpy")
+def count_bounds(lower, upper):
+    """Return the number of finite bounds."""
+    m = 0
+    for i in range(lower.size):
+        m += int(lower[i] > -np.inf) + int(upper[i] < np.inf)
+    return m
+
+
+@njit(error_model="numpy")
+def fill_bounds(lower, upper, indices, side, magnitude, value):
+    """Fill arrays (m,) with indices, sides, magnitudes and values of all finite bounds, lower bounds first."""
+    j = 0
+    for i in range(lower.size):
+        if lower[i] > -np.inf:
+            indices[j], side[j], value[j], magnitude[j] = i, 1.0, lower[i], max(1.0, abs(lower[i]))
+            j += 1
+    for i in range(lower.size):
+        if upper[i] < np.inf:
+            indices[j], side[j], value[j], magnitude[j] = i, -1.0, upper[i], max(1.0, abs(upper[i]))
+            j += 1
+
+
 @njit(cache=True, error_model="numpy")
 def finite_bounds(lower, upper):
     """Return indices, sides, magnitudes and values of all finite bounds, lower bounds first."""
-    n, m = lower.size, 0
-    for i in range(n):
-        m += int(lower[i] > -np.inf) + int(upper[i] < np.inf)
+    m = count_bounds(lower, upper)
     indices, side, magnitude, value = np.empty(m, np.int64), np.empty(m), np.empty(m), np.empty(m)
-    j = 0
-    for sign, bound in ((1.0, lower), (-1.0, upper)):
-        for i in range(n):
-            if sign * bound[i] > -np.inf:
-                indices[j], side[j], value[j], magnitude[j] = i, sign, bound[i], max(1.0, abs(bound[i]))
-                j += 1
+    fill_bounds(lower, upper, indices, side, magnitude, value)
     return indices, side, magnitude, value
 
 

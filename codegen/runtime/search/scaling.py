@@ -134,6 +134,35 @@ def quantities_of(problem):
     )  # fmt: skip
 
 
+class Room(NamedTuple):
+    """The work space of `fill_scaling_factors`, for n unknowns of k quantities.
+
+    Attributes
+    ----------
+    of_unknowns : (3, n)
+        Rows of numbers for all unknowns.
+    of_kinds : (6, k or more)
+        Rows of numbers for all quantities; at least five numbers a row.
+    tables : (6, k, k)
+        Derivatives, see `measure_derivatives`: terms, effect and curvature at one point, then at another.
+    sums : (2, element + shared, k)
+        Sums of derivatives in one interval.
+    """
+
+    of_unknowns: np.ndarray
+    of_kinds: np.ndarray
+    tables: np.ndarray
+    sums: np.ndarray
+
+
+def room_for(quantities, n):
+    """Return the Room for a problem with these Quantities and `n` unknowns."""
+    k = quantities.stated.size
+    return Room(
+        np.empty((3, n)), np.empty((6, max(k, 5))), np.empty((6, k, k)), np.empty((2, quantities.local_kind.size, k))
+    )
+
+
 def scaled_grid(grid, unknowns, is_solution=False):
     """Return `grid` with scaling factors of unknowns and cost, or without scaling factors if all are one.
 
@@ -149,11 +178,12 @@ def scaled_grid(grid, unknowns, is_solution=False):
     kinds, places, lacks, counts = sampled(problem, steps, grid.inner)
     if problem.variable_bounds is not None:
         bounds = bounds_of(grid)
-    factors, work = np.empty(unknowns.size), np.empty((3, unknowns.size))
+    factors = np.empty(unknowns.size)
     entries = np.zeros(s.entry_count(steps))  # loops do not fill the matrix of linking variables if it has no terms
     weight, is_scaled = fill_scaling_factors(
         q, problem.gradient.address, problem.hessians.address, steps, h, nodes, parameters, is_multiplier, unknowns,
-        *bounds, s.ties(steps), kinds, counts, places, lacks, is_solution, entries, work, factors,
+        *bounds, s.ties(steps), kinds, counts, places, lacks, is_solution, entries,
+        room_for(q, unknowns.size), factors,
     )  # fmt: skip
     if not is_scaled:
         return grid
@@ -193,16 +223,20 @@ def sampled(problem, steps, inner):
 @njit(cache=True, error_model="numpy")
 def fill_scaling_factors(
     q, gradient, hessians, steps, h, nodes, parameters, is_multiplier, unknowns, lower, upper, ties, kinds, counts,
-    places, lacks, is_solution, entries, work, factors,
+    places, lacks, is_solution, entries, room, factors,
 ):  # fmt: skip
     """Fill the `factors` (n,) of all unknowns; return the weight of the cost, and True unless all factors are one.
 
     `gradient` and `hessians` are the addresses of loops. `lower` and `upper` are (n,), or empty without bounds. `kinds`
     (n,) are the numbers of quantities. `counts` are numbers of bodies, intervals, phases and linking variables, then
     stride and node. `places` are the indices of the sampled intervals, and `lacks` (places, element + shared) masks the
-    unknowns that these lack. `entries`, for all second derivatives, and `work` (3, n) are work space.
+    unknowns that these lack. `entries`, for all second derivatives, and `room` are work space.
     """
-    primal, inside, slopes, count, largest, is_moved = work[0], work[1], work[2], q.stated.size, 0.0, False
+    primal, inside, slopes = room.of_unknowns[0], room.of_unknowns[1], room.of_unknowns[2]
+    count, largest, is_moved = q.stated.size, 0.0, False
+    size, rest, bound = room.of_kinds[0, :count], room.of_kinds[1, :count], room.of_kinds[2, :count]
+    for j in range(count):
+        size[j] = rest[j] = 0.0
     for i in range(kinds.size):
         primal[i] = inside[i] = 0.0 if is_multiplier[i] else unknowns[i]
         largest = max(largest, abs(primal[i]))
@@ -214,7 +248,6 @@ def fill_scaling_factors(
     for i in range(kinds.size):
         slopes[i] = 0.0 if is_solution and is_multiplier[i] else abs(slopes[i])
         is_moved = is_moved or inside[i] != primal[i]
-    size, rest = np.zeros(count), np.zeros(count)
     if is_moved:
         fill(gradient, inside, steps, h, nodes, parameters, factors)
         for i in range(kinds.size):
@@ -225,22 +258,22 @@ def fill_scaling_factors(
             rest[kinds[i]] = max(rest[kinds[i]], slopes[i])
         elif not q.is_slack[kinds[i]] and abs(primal[i]) > NO_SIZE * largest:
             size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
-    bound = limit_by_bounds(q, lower, upper, kinds, size)
+    limit_by_bounds(q, lower, upper, kinds, size, bound, room.of_kinds[3, :count])
     for j in range(count):
         if q.stated[j] > 0.0:
             size[j] = q.stated[j]
-    tables = np.zeros((3, count, count))
-    terms, effect, curvature = tables[0], tables[1], tables[2]
+    terms, effect, curvature = room.tables[0], room.tables[1], room.tables[2]
     fill(hessians, primal, steps, h, nodes, parameters, entries)
-    measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect, curvature)
+    measure_derivatives(q, counts, nodes, places, lacks, entries, room, terms, effect, curvature)
     if is_moved:
-        other = np.zeros((3, count, count))
         fill(hessians, inside, steps, h, nodes, parameters, entries)
-        measure_derivatives(q, counts, nodes, places, lacks, entries, other[0], other[1], other[2])
+        measure_derivatives(
+            q, counts, nodes, places, lacks, entries, room, room.tables[3], room.tables[4], room.tables[5]
+        )
         for table in range(3):
-            lessen(tables[table], other[table])
+            lessen(room.tables[table], room.tables[3 + table])
     add_couplings(q, counts, kinds, entries, terms, effect)
-    balance(q, size, rest, effect)
+    balance(q, size, rest, effect, room.of_kinds[3, :count])
     for j in range(count):
         size[j] = max(size[j], bound[j])
     equate_tied(q.tied, size)
@@ -254,7 +287,7 @@ def fill_scaling_factors(
                 size[i] = rest[i]
     equate_tied(q.tied, size)
     digits = digits_of(q, size)
-    slope, curved = change_of_cost(q, slopes, kinds, size, curvature)
+    slope, curved = change_of_cost(q, slopes, kinds, size, curvature, room.of_kinds[3, :count])
     is_steep = slope >= curved  # then the first steps follow the slope, and could end on bounds
     weight = 1.0 / rounded(max(slope, curved), digits if is_steep else 6.0, is_steep)
     is_scaled = weight != 1.0
@@ -270,12 +303,14 @@ def fill_scaling_factors(
 
 
 @njit(error_model="numpy")
-def limit_by_bounds(q, lower, upper, kinds, size):
+def limit_by_bounds(q, lower, upper, kinds, size, bound, between):
     """Limit the factor `size` of each quantity with two bounds by these, or set it if it is zero.
 
-    Return for each quantity with one bound and without a factor the modulus of the bound, and zero for others.
+    For each quantity with one bound and without a factor, `bound` takes the modulus of the bound. It takes zero for
+    others. `between` is work space.
     """
-    bound, between = np.zeros(size.size), np.zeros(size.size)
+    for j in range(size.size):
+        bound[j] = between[j] = 0.0
     for i in range(lower.size):
         if not q.is_slack[kinds[i]]:
             smaller, larger = min(abs(lower[i]), abs(upper[i])), max(abs(lower[i]), abs(upper[i]))
@@ -288,18 +323,20 @@ def limit_by_bounds(q, lower, upper, kinds, size):
             size[j] = min(max(size[j], LEAST_OF_BOUNDS * between[j]), between[j]) if size[j] > 0.0 else between[j]
         if size[j] > 0.0 or q.stated[j] > 0.0:
             bound[j] = 0.0
-    return bound
 
 
 @njit(error_model="numpy")
-def balance(q, size, rest, effect):
+def balance(q, size, rest, effect, balanced):
     """Give each unknown without a factor the least factor with which it balances an equation.
 
     The rule is repeated until no more unknowns get a factor. `size` are the factors of quantities, zero for none.
     `rest` are the residuals of the guess, and `effect` (kinds, kinds) the changes of equations by smooth motions.
+    `balanced` is work space.
     """
     for _ in range(size.size):
-        balanced, is_new = np.zeros(size.size), False
+        is_new = False
+        for j in range(size.size):
+            balanced[j] = 0.0
         for i in range(size.size):
             largest = rest[i]
             for j in range(size.size):
@@ -317,7 +354,7 @@ def balance(q, size, rest, effect):
 
 
 @njit(error_model="numpy")
-def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect, curvature):
+def measure_derivatives(q, counts, nodes, places, lacks, entries, room, terms, effect, curvature):
     """Fill tables (kinds, kinds) of derivatives from sampled intervals and from both ends.
 
     Entry (i, j) of `terms` is the largest sum of |J_ij| in one equation of kind i, over the unknowns of quantity j.
@@ -331,11 +368,14 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
     bodies, steps, stride, node = counts[0], counts[1], counts[4], counts[5]
     intervals, count, element = steps // counts[2], q.rows.size, stride + node
     weight = max(1, intervals // SAMPLES)
-    is_of_node = np.zeros(q.is_equation.size, np.bool_)
+    moduli, sums, is_of_node, growth = room.sums[0], room.sums[1], room.of_kinds[4], room.of_kinds[5]
+    starts, ends = q.start_rows.size, q.end_rows.size
+    for i in range(terms.shape[0]):
+        is_of_node[i] = 0.0
+        for j in range(terms.shape[0]):
+            terms[i, j] = effect[i, j] = curvature[i, j] = 0.0
     for row in range(node):
-        is_of_node[q.local_kind[row]] = q.local_multiplies[row]
-    moduli, sums = np.zeros((q.local_kind.size, terms.shape[0])), np.zeros((q.local_kind.size, terms.shape[0]))
-    starts, ends, growth = q.start_rows.size, q.end_rows.size, np.empty(5)
+        is_of_node[q.local_kind[row]] = 1.0 if q.local_multiplies[row] else 0.0
     for body in range(bodies):
         place = bodies * steps * count + body * starts
         for j in range(starts):
@@ -371,14 +411,14 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
                 kind, is_right = q.local_kind[row], stride <= row < element
                 for of in range(terms.shape[0]):
                     change, modulus = sums[row, of], moduli[row, of]
-                    if not is_of_node[kind] and not is_right:
+                    if is_of_node[kind] == 0.0 and not is_right:
                         terms[kind, of] = max(terms[kind, of], modulus)
                     elif abs(change) > CANCELLED * modulus:
                         terms[kind, of] = max(terms[kind, of], abs(change))
                     if row < node:
                         change += sums[stride + row, of]
                         modulus += moduli[stride + row, of]
-                    if abs(change) > CANCELLED * modulus and (row < node or not (is_right or is_of_node[kind])):
+                    if abs(change) > CANCELLED * modulus and (row < node or not (is_right or is_of_node[kind] > 0.0)):
                         effect[kind, of] = max(effect[kind, of], abs(change))
 
 
@@ -435,13 +475,16 @@ def equate_tied(tied, size):
 
 
 @njit(error_model="numpy")
-def change_of_cost(q, slopes, kinds, size, curvature):
+def change_of_cost(q, slopes, kinds, size, curvature, total):
     """Return the largest changes of the cost, of first and of second order, if one quantity changes by its factor.
 
     The quantity changes at all nodes or intervals. Both changes are sums over all intervals, and do not depend on the
-    number of intervals. Controls without a slope of the cost at the guess count only for the second order.
+    number of intervals. Controls without a slope of the cost at the guess count only for the second order. `total` is
+    work space.
     """
-    slope, curved, total = 0.0, 0.0, np.zeros(size.size)
+    slope, curved = 0.0, 0.0
+    for j in range(size.size):
+        total[j] = 0.0
     for i in range(kinds.size):
         total[kinds[i]] += slopes[i]
     for i in range(size.size):

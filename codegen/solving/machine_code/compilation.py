@@ -154,7 +154,7 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     )
     yield scaling.fill_scaling_factors, (
         typeof(quantities), int64, int64, *grid, MASK, *[REALS] * 3, INDEX_TABLE, INTEGERS, INTEGERS, INTEGERS, MASKS,
-        boolean, REALS, TABLE, REALS,
+        boolean, REALS, typeof(scaling.room_for(quantities, 1)), REALS,
     )  # fmt: skip
     yield point.measured_gradient, (int64, REALS, REALS, float64, *grid, MASK, REALS, REALS)
     yield linear_system.factor_at, (
