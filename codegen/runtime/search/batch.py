@@ -424,32 +424,37 @@ def is_rounded(value, size, tolerance):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def verify_cases(common, numbers, tolerance, found, gradient, whole, residuals):
-    """Evaluate all solutions again, in the problem's own units and with stages, and fill `whole` and `residuals`.
-
-    `whole` (k, m) has all unknowns: with stages if the search has none, otherwise they are given. `residuals` (k,) are
-    the largest moduli of residuals. A solution whose residual or stationarity exceeds VERIFIED times the tolerance, in
-    scaled units, is no longer found. `gradient` (m,) is work space.
-    """
+    """Evaluate all solutions again, and fill `whole` and `residuals`; see `is_case_verified`."""
     for case in range(found.is_found.size):
-        if not found.is_found[case]:
-            continue
-        x, parameters, h = whole[case], numbers.parameters[case], numbers.h[case]
-        if common.with_stages[2] != 0:
-            fill(common.with_stages[2], found.unknowns[case], common.steps, h, common.nodes, parameters, x)
-        measures = measured_gradient(
-            common.with_stages[0], x, gradient[:0], 1.0, common.steps, h, common.nodes, parameters,
-            common.all_are_multiplier, gradient[:0], gradient,
-        )  # fmt: skip
-        residuals[case], worst = measures[1], 0.0
-        for i in range(x.size):
-            error = abs(gradient[i]) * found.weights[case] * found.sizes[case, i]
-            if numbers.lower.shape[1] and not common.all_are_multiplier[i]:
-                # A slope of the Lagrangian is permitted at a bound beyond which the cost falls.
-                below, above = (x[i] - numbers.lower[case, i], numbers.upper[case, i] - x[i])
-                distance = (below if gradient[i] > 0.0 else above) / found.sizes[case, i]
-                error *= min(max(distance, 0.0), 1.0)
-            worst = max(worst, error)
-        found.is_found[case] = worst <= VERIFIED * tolerance
+        if found.is_found[case]:
+            found.is_found[case] = is_case_verified(case, common, numbers, tolerance, found, gradient, whole, residuals)
+
+
+@njit(error_model="numpy")
+def is_case_verified(case, common, numbers, tolerance, found, gradient, whole, residuals):
+    """Evaluate a solution again, in the problem's own units and with stages; return True if its equations hold.
+
+    Row `case` of `whole` (k, m) has all unknowns: with stages if the search has none, otherwise they are given.
+    `residuals` (k,) are the largest moduli of residuals. Residual and stationarity may not exceed VERIFIED times the
+    tolerance, in scaled units. `gradient` (m,) is work space.
+    """
+    x, parameters, h = whole[case], numbers.parameters[case], numbers.h[case]
+    if common.with_stages[2] != 0:
+        fill(common.with_stages[2], found.unknowns[case], common.steps, h, common.nodes, parameters, x)
+    measures = measured_gradient(
+        common.with_stages[0], x, gradient[:0], 1.0, common.steps, h, common.nodes, parameters,
+        common.all_are_multiplier, gradient[:0], gradient,
+    )  # fmt: skip
+    residuals[case], worst = measures[1], 0.0
+    for i in range(x.size):
+        error = abs(gradient[i]) * found.weights[case] * found.sizes[case, i]
+        if numbers.lower.shape[1] and not common.all_are_multiplier[i]:
+            # A slope of the Lagrangian is permitted at a bound beyond which the cost falls.
+            below, above = (x[i] - numbers.lower[case, i], numbers.upper[case, i] - x[i])
+            distance = (below if gradient[i] > 0.0 else above) / found.sizes[case, i]
+            error *= min(max(distance, 0.0), 1.0)
+        worst = max(worst, error)
+    return worst <= VERIFIED * tolerance
 
 
 class Optimum(NamedTuple):
@@ -464,7 +469,7 @@ class Optimum(NamedTuple):
     unknowns: np.ndarray
 
 
-def solve_grids(grids, guesses, tolerance, max_iterations, warm, scaling, log):
+def solve_grids(grids, guesses, tolerance, max_iterations, warm, scaling, log, is_on_device=False):
     """Find a local minimum on each of several grids; return a list of Optimum.
 
     The optima are those that `solution.solve_on` finds.
@@ -479,12 +484,15 @@ def solve_grids(grids, guesses, tolerance, max_iterations, warm, scaling, log):
         See `solution.solve_on`.
     log : callable
         () -> Log, for a case that is solved by itself.
+    is_on_device : bool
+        True to solve the cases on a GPU.
     """
     results = [None] * len(grids)
     for alike in groups(grids):
         of_group = solve_alike(
-            [grids[i] for i in alike], [guesses[i] for i in alike], tolerance, max_iterations, warm, scaling
-        )
+            [grids[i] for i in alike], [guesses[i] for i in alike], tolerance, max_iterations, warm, scaling,
+            is_on_device,
+        )  # fmt: skip
         for i, result in zip(alike, of_group, strict=True):
             results[i] = result
     for i, (grid, guess) in enumerate(zip(grids, guesses, strict=True)):
@@ -507,7 +515,7 @@ def groups(grids):
     return list(found.values())
 
 
-def solve_alike(grids, guesses, tolerance, max_iterations, warm, scaling):
+def solve_alike(grids, guesses, tolerance, max_iterations, warm, scaling, is_on_device):
     """Return a list of Optimum for grids of one group; None for each case that has to be solved by itself."""
     grid, k = grids[0], len(grids)
     problem, m = grid.problem, grid.is_multiplier.size
@@ -526,13 +534,17 @@ def solve_alike(grids, guesses, tolerance, max_iterations, warm, scaling):
         np.zeros(k, bool), np.empty((k, n)), np.empty((k, m)), np.ones(k), np.empty(k), np.empty(k),
         np.zeros(k, np.int64),
     )  # fmt: skip
-    space = space_for(grid, search)
-    calls = calls_of(search, common, numbers, space, tolerance)
-    solve_cases(calls, common, numbers, tolerance, min(SLOW, max_iterations), warm, space, found)
+    space, limit = space_for(grid, search), min(SLOW, max_iterations)
+    whole, residuals = found.unknowns if problem.shooting is None else np.empty((k, m)), np.empty(k)
+    if is_on_device:
+        from codegen.runtime.cuda import optima
+
+        optima.solve_cases(grid, common, numbers, tolerance, limit, warm, space, found, whole, residuals)
+    else:
+        calls = calls_of(search, common, numbers, space, tolerance)
+        solve_cases(calls, common, numbers, tolerance, limit, warm, space, found)
+        verify_cases(common, numbers, tolerance, found, np.empty(m), whole, residuals)
     keep_storage(search)
-    whole = found.unknowns if problem.shooting is None else np.empty((k, m))
-    residuals = np.empty(k)
-    verify_cases(common, numbers, tolerance, found, np.empty(m), whole, residuals)
     return [
         optimum_of(grids[case], guesses[case], whole[case], float(residuals[case]), found, case)
         if found.is_found[case] else None

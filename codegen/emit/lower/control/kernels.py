@@ -281,6 +281,7 @@ def coupling_constants(instances: Sequence[Instance]) -> tuple[Line, ...]:
             "number of linking variables of each condition",
         ),
         Line("COUPLING_INDICES", f"np.array({rows}, dtype=np.int64)", "and which"),
+        Line("MOST_COUPLED", str(width), "largest of these numbers"),
     )
 
 

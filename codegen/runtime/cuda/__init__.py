@@ -1,0 +1,1 @@
+"""Problems on a GPU: device functions of the compiled functions of the runtime, and the kernels that call them."""

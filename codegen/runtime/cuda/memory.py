@@ -1,0 +1,101 @@
+"""Arrays in the memory of a GPU, with the index of a case or of a thread last in memory.
+
+With numba's simulator the memory of the device is that of the process.
+"""
+
+import numpy as np
+from numba import cuda
+
+from codegen.runtime.cuda.functions import IS_SIMULATED
+
+
+class NoDevice(Exception):
+    """There is no GPU, or none that numba can use; the message says why."""
+
+
+class Columns:
+    """A copy of an array (k, ..) on the device, whose first index is the last one in memory.
+
+    `view` has the shape of the array.
+    """
+
+    def __init__(self, array):
+        moved = np.ascontiguousarray(np.moveaxis(array, 0, -1))
+        self.on_device = moved if IS_SIMULATED else cuda.to_device(moved)
+
+    @property
+    def view(self):
+        """The array (k, ..) for a kernel."""
+        if IS_SIMULATED:
+            return np.moveaxis(self.on_device, -1, 0)
+        return cuda.as_cuda_array(self) if self.on_device.size else self.on_device
+
+    @property
+    def __cuda_array_interface__(self):
+        """The description of the view, which other packages read."""
+        of = self.on_device
+        described = dict(of.__cuda_array_interface__)
+        described["shape"] = (of.shape[-1], *of.shape[:-1])
+        described["strides"] = (of.strides[-1], *of.strides[:-1])
+        return described
+
+    def fetched(self):
+        """Return a copy (k, ..) in the memory of the process."""
+        return np.moveaxis(self.on_device if IS_SIMULATED else self.on_device.copy_to_host(), -1, 0)
+
+
+def viewed(columns):
+    """Return a tuple of Columns as a tuple of their views, of the same type."""
+    views = [own.view for own in columns]
+    return type(columns)(*views) if hasattr(columns, "_fields") else tuple(views)
+
+
+def require_device():
+    """Raise NoDevice unless there is a GPU that numba can use."""
+    if IS_SIMULATED:
+        return
+    try:
+        cuda.current_context()
+    except Exception as error:
+        raise NoDevice(" ".join(str(error).split())) from None
+
+
+def free_memory():
+    """Return the number of free bytes on the device."""
+    return 1 << 30 if IS_SIMULATED else int(cuda.current_context().get_memory_info().free)
+
+
+def sent(value):
+    """Return a tuple of tuples with all its arrays on the device."""
+    if isinstance(value, np.ndarray):
+        return value if IS_SIMULATED else cuda.to_device(value)
+    if isinstance(value, tuple):
+        items = [sent(item) for item in value]
+        return type(value)(*items) if hasattr(value, "_fields") else tuple(items)
+    return value
+
+
+def work_space(value, threads):
+    """Return a tuple of tuples with an array (.., threads) of zeros on the device in place of each array (..,)."""
+    if isinstance(value, np.ndarray):
+        shape = *value.shape, threads
+        return np.zeros(shape, value.dtype) if IS_SIMULATED else _zeros(shape, value.dtype)
+    if isinstance(value, tuple):
+        items = [work_space(item, threads) for item in value]
+        return type(value)(*items) if hasattr(value, "_fields") else tuple(items)
+    return value
+
+
+def _zeros(shape, dtype):
+    """Return a new array of zeros on the device."""
+    array = cuda.device_array(shape, dtype)
+    if array.size:
+        flat = array.reshape(array.size)
+        _fill_with_zeros[min(1024, -(-array.size // 256)), 256](flat)
+    return array
+
+
+@cuda.jit
+def _fill_with_zeros(array):
+    for i in range(cuda.grid(1), array.size, cuda.gridsize(1)):
+        array[i] = 0
