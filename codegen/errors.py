@@ -116,5 +116,9 @@ class ExtraError(CodegenError):
     """A package of an optional part is not installed; the remedy names the extra."""
 
 
+class DeviceError(CodegenError):
+    """There is no GPU, numba cannot use it, or its memory does not suffice."""
+
+
 class ClusterError(CodegenError):
     """The scheduler of a cluster does not answer, has no workers, or was lost; chunks that are written remain."""

@@ -201,11 +201,14 @@ def unusable(error: Exception, values: Mapping[Quantity, float]) -> Attempt:
 class Varied:
     """A module whose parameter overrides change from case to case, its driver, and the options `run` of each solve.
 
-    `wanted` are the requested derivatives, or None.
+    `wanted` are the requested derivatives, or None. `is_on_device` is True if a GPU solves batches.
     """
 
-    def __init__(self, module: Any, driver: str, run: Run, wanted: Wanted | None = None) -> None:
+    def __init__(
+        self, module: Any, driver: str, run: Run, wanted: Wanted | None = None, is_on_device: bool = False
+    ) -> None:
         self.module, self.driver, self.run, self.wanted = module, driver, run, wanted
+        self.is_on_device = is_on_device
         self.task = task_of(module)
         self.function = find(driver).function(self.task.name)
         self._module = with_arguments(module)
@@ -268,7 +271,7 @@ def solve_batch(
     """
     steps, run = _steps(varied, cases[0]), varied.run
     guesses = [_guess(varied, steps, values) for values in cases]
-    limits = Limits(run.tolerance, run.max_iterations, run.time_limit, run.scaling)
+    limits = Limits(run.tolerance, run.max_iterations, run.time_limit, run.scaling, is_on_device=varied.is_on_device)
     found, begin = list[tuple[Optimum | Exception, float]](), time.perf_counter()
     arguments = [given_to(values) for values in cases]
     for block in optima(varied.module, steps, arguments, guesses, limits, is_wanted):

@@ -1,4 +1,4 @@
-"""The function `codegen.solve_many`: arrays of parameters in, arrays of optima out, on the threads of this machine."""
+"""The function `codegen.solve_many`: arrays of parameters in, arrays of optima out, on threads or on a GPU."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from codegen.batch.executors import team_size
-from codegen.batch.optima import Limits, optima
+from codegen.batch.optima import THREADS, Limits, optima, require_place
 from codegen.errors import ArgumentError, ExtraError, NumericsError, clause, one_line
 from codegen.runtime.search.batch import Optimum, is_ready
 from codegen.runtime.search.problem import ControlProblem
@@ -235,10 +235,11 @@ def solve_many(
     steps: int | None = None,
     guess: ArrayLike | Solutions | None = None,
     warm: bool = False,
+    executor: str = THREADS,
     threads: int | None = None,
     **options: Any,
 ) -> Solutions:
-    """Solve one optimal control problem for many values of its parameters at once, on the threads of this machine.
+    """Solve one optimal control problem for many values of its parameters at once, on threads or on a GPU.
 
     Parameters
     ----------
@@ -253,6 +254,9 @@ def solve_many(
         Unknowns of initial guesses; by default each case starts from the problem's own guess.
     warm : bool
         True if the guesses are solutions of similar problems: their multipliers are then used.
+    executor : {"threads", "cuda"}
+        The threads of this machine, or its GPU by NVIDIA, which solves one case a thread. Cases that need more than one
+        search are solved by the processor.
     threads : int
         Number of threads, by default the number of available processors. Results do not depend on it.
     **options
@@ -271,6 +275,8 @@ def solve_many(
         For an unknown name or option, arrays of different lengths, and a problem that is no optimal control problem.
     NumericsError
         For guesses of another shape.
+    DeviceError
+        Without a GPU that numba can use, or if its memory does not suffice.
     CodegenError
         As `codegen.solve`, for a problem that cannot be read or derived.
 
@@ -282,7 +288,8 @@ def solve_many(
     require_options(options)
     if other := next((name for name in options if name not in _OPTIONS), None):
         raise ArgumentError(f"codegen.solve_many takes no {other}", f"use one of {', '.join(_OPTIONS)}")
-    request, workers = Request(problem, steps=steps, **options), team_size(threads, None)
+    is_on_device, request = require_place(executor), Request(problem, steps=steps, **options)
+    workers = 1 if is_on_device else team_size(threads, None)
     module = _module(request, building)
     columns = _columns(module, parameters)
     number = next((column.size for column in columns.values()), 1)
@@ -292,12 +299,12 @@ def solve_many(
     guesses = _guesses(module, count, guess, warm, number)
     limits = Limits(
         request.tolerance, request.max_iterations, math.inf if request.time_limit is None else request.time_limit,
-        request.scaling, warm,
+        request.scaling, warm, is_on_device,
     )  # fmt: skip
     keys, rows = overridable(module), zip(*(column.tolist() for column in columns.values()), strict=True)
     arguments = [given(keys, dict(zip(columns, row, strict=True))) for row in rows] or [{}]
     solutions, ended = _empty(module, columns, count, limits, number), threading.Event()
-    size = min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
+    size = number if is_on_device else min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
 
     def solve(first: int) -> int:
         part = slice(first, first + size)
@@ -307,7 +314,7 @@ def solve_many(
             first += len(block)
         return first
 
-    if not is_ready():
+    if not is_on_device and not is_ready():
         with building("Compiling what solves many cases, once"):
             next(optima(module, count, arguments[:1], guesses[:1], limits, lambda: True))
     with building("Solving") as line, threadpool_limits(1), ThreadPoolExecutor(workers) as pool:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
 from codegen.batch.executors.chunks import Abandoned
+from codegen.errors import ArgumentError, DeviceError, clause
 from codegen.runtime.search.batch import Optimum, solve_grids
 from codegen.runtime.search.solution import Log
 from codegen.solving.drivers.newton import TOLERANCE
@@ -19,19 +21,63 @@ from codegen.solving.loading import ControlModule, Vector
 
 BLOCK = 100_000
 """Number of unknowns in a block, which takes tens of milliseconds; the Python code between blocks takes less."""
+BLOCK_ON_DEVICE = 20_000_000
+"""Number of unknowns in a block on a GPU, which needs many cases at once."""
 MOST_ITERATIONS = 3000
 """Default limit of iterations, as for `solve` of a generated module."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """The options of the searches of all cases: see `codegen.solve`; None stands for the default."""
+    """The options of the searches of all cases: see `codegen.solve`; None stands for the default.
+
+    `is_on_device` is True for cases that a GPU solves.
+    """
 
     tolerance: float | None = None
     max_iterations: int | None = None
     time_limit: float = math.inf
     scaling: str = "auto"
     is_warm: bool = False
+    is_on_device: bool = False
+
+
+THREADS, CUDA = "threads", "cuda"
+PLACES = (THREADS, CUDA)
+"""Where cases are solved: on threads of this machine, or on its GPU."""
+
+
+def require_place(executor: object) -> bool:
+    """Return True for the GPU; raises ArgumentError for an unknown name, and DeviceError without a GPU."""
+    if executor not in PLACES:
+        raise ArgumentError(f"executor {clause(repr(executor))}", f"use one of {', '.join(PLACES)}")
+    if executor == CUDA:
+        from codegen.runtime.cuda.memory import NoDevice, require_device
+
+        try:
+            require_device()
+        except NoDevice as error:
+            raise DeviceError(
+                clause(f"numba finds no GPU that it can use: {error}"),
+                'use executor "threads", or install a driver of NVIDIA and codegen[cuda]',
+            ) from None
+    return executor == CUDA
+
+
+@contextmanager
+def errors_of_device() -> Iterator[None]:
+    """Raise DeviceError for errors of the GPU: too little memory, or functions that it cannot run."""
+    from numba.core.errors import NumbaError
+
+    from codegen.runtime.cuda.optima import Full
+
+    try:
+        yield
+    except Full as error:
+        raise DeviceError(f"the memory of the GPU does not suffice: {error}", "solve with fewer steps") from None
+    except NumbaError as error:
+        text = next(iter(str(error).strip().splitlines()[::-1]), "")
+        raise DeviceError(clause(f"the GPU cannot run this problem: {text}"), 'use executor "threads"') from None
 
 
 def optima(
@@ -54,7 +100,7 @@ def optima(
         results.append(None)
         grids.append(grid)
         starts.append(start)
-        if len(grids) * start.size >= BLOCK:
+        if len(grids) * start.size >= (BLOCK_ON_DEVICE if limits.is_on_device else BLOCK):
             yield _solved(grids, starts, results, limits, is_wanted)
             grids, starts, results = [], [], []
     if results:
@@ -73,5 +119,7 @@ def _solved(
         return Log(limits.time_limit)
 
     tolerance, most = limits.tolerance or TOLERANCE, limits.max_iterations or MOST_ITERATIONS
-    found = iter(solve_grids(grids, starts, tolerance, most, limits.is_warm, limits.scaling, log) if grids else ())
+    options = tolerance, most, limits.is_warm, limits.scaling, log
+    with errors_of_device() if limits.is_on_device else nullcontext():
+        found = iter(solve_grids(grids, starts, *options, limits.is_on_device) if grids else ())
     return [next(found) if result is None else result for result in results]

@@ -17,6 +17,7 @@ from codegen.batch.cases import samples as sampled
 from codegen.batch.executors import team_size
 from codegen.batch.executors.chunks import counted
 from codegen.batch.layout import RATE, free_label
+from codegen.batch.optima import CUDA, THREADS, require_place
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.solving.loading import Matrix, Vector, is_control
 from codegen.solving.request import Request, apart_from_delays, duration_arguments, parameter_arguments, prescribed_ends
@@ -42,6 +43,7 @@ class SweepRequest:
 
     `keep` names the arrays to store, or is None for all that fit. `chunk` is the number of cases of a chunk, or None
     for about a second of work. `cluster` is the address of a scheduler of dask, a client, "local", or None.
+    `is_on_device` is True if a GPU solves the cases.
     """
 
     solve: Request
@@ -54,6 +56,7 @@ class SweepRequest:
     warm_starts: bool
     chunk: int | None
     cluster: object
+    is_on_device: bool
 
 
 def sweep_request(
@@ -72,6 +75,7 @@ def sweep_request(
     warm_starts: bool = False,
     chunk: int | None = None,
     cluster: object = None,
+    executor: str = THREADS,
     **options: Any,
 ) -> SweepRequest:
     """Check the arguments of `codegen.sweep` and return them as a request.
@@ -124,9 +128,14 @@ def sweep_request(
         raise ArgumentError(f"--keep {clause(repr(keep))}", 'give names of arrays, such as ("q", "u")')
     if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
         raise NumericsError(f"--chunk {clause(repr(chunk))}", "give a positive integer")
-    processes = team_size(workers, cluster)
+    is_on_device = require_place(executor)
+    if is_on_device and (workers is not None or cluster is not None):
+        raise ArgumentError(f"--executor {CUDA} with --workers or --cluster", "leave these out")
+    processes = 1 if is_on_device else team_size(workers, cluster)
     kept = None if keep is None else tuple(dict.fromkeys(keep))
-    return SweepRequest(solve, all_cases, origin, path, resume, kept, processes, warm_starts, chunk, cluster)
+    return SweepRequest(
+        solve, all_cases, origin, path, resume, kept, processes, warm_starts, chunk, cluster, is_on_device
+    )
 
 
 STEPS, GUESS = "steps", "guess"

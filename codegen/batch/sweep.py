@@ -26,7 +26,7 @@ from codegen.batch.cases import Cases
 from codegen.batch.executors import Progress, Team, Working, connected, silent
 from codegen.batch.executors.chunks import Done, Tally, counted, only_one
 from codegen.batch.jumps import Costs, along, jumps_of
-from codegen.batch.layout import Chunks, Layout, about_a_second, blocks_of, layout_of
+from codegen.batch.layout import MOST, Chunks, Layout, about_a_second, blocks_of, layout_of
 from codegen.batch.request import GUESS, OPTIONS, STEPS, STORES, SweepRequest, sweep_request
 from codegen.batch.store import Frame, Store, resumable, write_netcdf
 from codegen.batch.work import Modules, Rows, Work, modules_of
@@ -79,6 +79,8 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
         Number of threads, or of processes where Python code takes much of the time; by default the number of
         processors. Results do not depend on this number. Where processes are spawned, as on Windows and macOS, a script
         needs `if __name__ == "__main__"`.
+    executor : {"threads", "cuda"}
+        The threads and processes of this machine, or its GPU, as for `codegen.solve_many`.
     cluster : str or distributed.Client, optional
         The address of a scheduler of dask, a client, or "local" for a new cluster on this machine.
     warm_starts : bool
@@ -188,8 +190,12 @@ def outcome_of(
         loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
         single = Chunks(cases.shape, (1,) * len(cases.shape))
         work = Work(
-            solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded
-        )
+            solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded,
+            is_on_device=request.is_on_device,
+        )  # fmt: skip
+        if request.is_on_device and not work.is_compiled:
+            finding = "a GPU solves optimal control problems by newton, without warm starts and sensitivities"
+            raise ArgumentError(f"--executor cuda: {finding}", "leave --executor out")
         frame = Frame(cases, layout, _attributes(request, modules, work))
         require(frame.outlined())
         is_store = request.out is not None and request.out.suffix in STORES  # written during the sweep
@@ -298,6 +304,8 @@ def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt)
     whole = [axis not in arguments or not cases.is_grid for axis in range(len(cases.shape))]
     run = replace(work.run, steps=tried.steps or work.run.steps)
     size = request.chunk or about_a_second(modules.first, work.driver, run, tried.iterations, work.layout.has_rates)
+    if request.is_on_device and request.chunk is None:
+        size = MOST
     return blocks_of(cases.shape, size, whole)
 
 

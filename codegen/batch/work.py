@@ -196,6 +196,7 @@ class Work:
 
     `run` are the options of all solves. `steps` is the largest number of steps, or None for each module's own number.
     `variants` has the modules by the texts of the varied arguments of problem(); `module` is a module without a file.
+    `is_on_device` is True if a GPU solves batches.
     """
 
     driver: str
@@ -209,6 +210,7 @@ class Work:
     warm_starts: bool
     sink: Sink | None = None
     module: GeneratedModule | None = None
+    is_on_device: bool = False
 
     @property
     def is_compiled(self) -> bool:
@@ -390,7 +392,7 @@ class Work:
         if variant.shapes.by:
             varied = tuple(own for own in self.quantities if own.kind != "argument")
             wanted = Wanted(varied, self.layout.rates, self.warm_starts)
-        return Varied(self._module(variant), self.driver, run, wanted)
+        return Varied(self._module(variant), self.driver, run, wanted, self.is_on_device)
 
     def _write_arrays(self, rows: Rows, index: int, variant: Variant, outcome: Attempt) -> None:
         """Write the arrays and derivatives of a solution into the row `index`."""

@@ -78,6 +78,9 @@ def sweep(
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to start one.")
     ] = None,
+    executor: Annotated[
+        str, typer.Option(metavar="PLACE", help="threads, or cuda for the GPU of this machine.")
+    ] = "threads",
     warm_starts: Annotated[
         bool, typer.Option("--warm-starts", help="Start from solved neighbours, not only after a failure.")
     ] = False,
@@ -135,7 +138,8 @@ def sweep(
         samples=_once("--sample", [assigned("--sample", item, '"m=normal(100, 5)"') for item in sample]),
         cases=int(cases) if cases is not None and cases.isascii() and cases.isdigit() and len(cases) < 13 else cases,
         sampling=sampling, seed=seed, out=out, resume=resume, keep=names if keep else None, workers=workers,
-        warm_starts=warm_starts, chunk=chunk, cluster=cluster, driver=driver, arguments=parse_arguments(set_, problem),
+        warm_starts=warm_starts, chunk=chunk, cluster=cluster, executor=executor, driver=driver,
+        arguments=parse_arguments(set_, problem),
         scheme=scheme, method=method, controls=controls.value, steps=steps, every=every,
         tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
         sensitivities=sensitivities,

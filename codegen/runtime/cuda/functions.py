@@ -25,7 +25,7 @@ from types import CodeType
 import numpy as np
 from numba import config, cuda, types
 
-IS_SIMULATED = bool(config.ENABLE_CUDASIM)
+IS_SIMULATED = bool(getattr(config, "ENABLE_CUDASIM", False))
 LOCAL_ARRAY = "np_.empty" if IS_SIMULATED else "cuda_.local.array"
 SMALL_POWER = 4  # larger powers are calls
 LARGE = 12  # statements of a function that is not inlined
@@ -49,7 +49,7 @@ if IS_SIMULATED:
 
 else:
     from llvmlite import ir
-    from numba.cuda import cgutils
+    from numba.core import cgutils
     from numba.cuda.extending import intrinsic
 
     @intrinsic

@@ -608,7 +608,7 @@ def calls_of(search, common, numbers, space, tolerance):
     if ADDRESSES:
         return ADDRESSES[0]
     problem, grid, system, bounds = search.arguments
-    reals, integers, vectors, barriers, factors = *space[1:5], space.factors
+    reals, integers, vectors, barriers = space.reals, space.integers, space.vectors, space.barriers
     duals, lower = barriers[DUALS], numbers.lower[0]
     arguments = (
         (descent.descend, (
@@ -618,8 +618,8 @@ def calls_of(search, common, numbers, space, tolerance):
         (descent.begin_beside, (problem, grid, bounds, tolerance, reals, integers, vectors, barriers)),
         (fill_scaling_factors, (
             common.quantities, *common.with_stages[:2], common.steps, 1.0, common.nodes, numbers.parameters[0],
-            common.all_are_multiplier, factors[0], lower, lower, common.all_ties, common.kinds, common.counts,
-            common.places, common.lacks, True, space.entries, space.room, factors[0],
+            common.all_are_multiplier, space.factors[0], lower, lower, common.all_ties, common.kinds, common.counts,
+            common.places, common.lacks, True, space.entries, space.room, space.factors[0],
         )),
         (clip, (problem, grid, bounds, (0.0,) * 5, duals, duals, vectors, vectors[X], vectors[G])),
         (descent.terms, (problem, grid, system, vectors[X], 1, vectors)),

@@ -1,0 +1,97 @@
+"""Cases on a GPU: numba's simulator runs the device functions and the kernel, the optima are those of the processor."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import codegen
+from codegen.errors import ArgumentError, DeviceError
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+KINDS = {
+    "orbital_transfer": ({}, 6, "r1", [5.6, 6.0, 6.4]),
+    "linear_pendulum": ({}, 8, "end.q", [0.8, 1.2]),
+    "cart_pole": ({}, 10, "rod", [0.4, 0.5, 0.6]),
+    "goddard_rocket": ({"scheme": "rk4"}, 10, "c", [0.49, 0.51]),
+    "bouncing_ball": ({}, 6, "g", [9.7, 9.9]),
+    "quadrotor": ({"scheme": "gauss-4"}, 5, "m", [0.9, 1.1]),
+    "van_der_pol": ({"scheme": "hermite-simpson"}, 8, "start.x1", [0.9, 1.0]),
+    "hovercraft": ({}, 4, "m", [0.9, 1.0]),
+}
+"""Options of the build, steps, a parameter and its values: equations alone, a linear-quadratic problem, bounds, an
+explicit scheme with a free duration, phases, stages, stages with bounds, and several bodies."""
+SCRIPT = """
+import json, sys
+import numpy as np
+import codegen
+from codegen.runtime.cuda import optima
+
+on_device, solve_cases = [], optima.solve_cases
+
+def counted(*arguments):
+    solve_cases(*arguments)
+    on_device.extend(arguments[7].is_found.tolist())
+
+optima.solve_cases = counted
+np.seterr(all="ignore")
+kinds, results = json.loads(sys.argv[1]), {}
+for path, options, steps, name, values in kinds:
+    solver = codegen.compile(path, **options)
+    first, other = (
+        codegen.solve_many(solver, {name: values}, steps=steps, executor=executor) for executor in ("threads", "cuda")
+    )
+    results[path] = [
+        first.status.tolist() == other.status.tolist(), first.iterations.tolist() == other.iterations.tolist(),
+        float(np.abs(first.unknowns - other.unknowns).max() / np.abs(first.unknowns).max()),
+        float(np.abs(first.cost - other.cost).max()), list(on_device),
+    ]
+    on_device.clear()
+print(json.dumps(results))
+"""
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    """The comparisons of all KINDS, from one process with numba's simulator."""
+    kinds = [(str(PROBLEMS / f"{name}.py"), *of_kind) for name, of_kind in KINDS.items()]
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, json.dumps(kinds)], env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return {Path(path).stem: of_kind for path, of_kind in json.loads(done.stdout.splitlines()[-1]).items()}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_device_finds_the_optima_of_the_processor(simulated, name):
+    same_status, same_iterations, unknowns, cost, on_device = simulated[name]
+    assert same_status
+    assert same_iterations
+    assert unknowns <= 1e-7
+    assert cost <= 1e-9
+    assert len(on_device) == len(KINDS[name][3])
+
+
+def test_most_cases_are_solved_on_the_device(simulated):
+    on_device = [is_found for of_kind in simulated.values() for is_found in of_kind[4]]
+    assert sum(on_device) >= 0.7 * len(on_device)
+
+
+def test_without_a_gpu_there_is_one_line(monkeypatch):
+    from codegen.runtime.cuda import memory
+
+    def fail():
+        raise memory.NoDevice("CUDA driver library cannot be found.")
+
+    monkeypatch.setattr(memory, "require_device", fail)
+    with pytest.raises(DeviceError, match=r"numba finds no GPU that it can use: CUDA driver library cannot be found"):
+        codegen.solve_many(PROBLEMS / "orbital_transfer.py", {"r1": [6.0]}, executor="cuda")
+    with pytest.raises(ArgumentError, match="use one of threads, cuda"):
+        codegen.solve_many(PROBLEMS / "orbital_transfer.py", {"r1": [6.0]}, executor="gpu")
