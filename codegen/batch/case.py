@@ -273,8 +273,8 @@ def solve_batch(
     guesses = [_guess(varied, steps, values) for values in cases]
     limits = Limits(run.tolerance, run.max_iterations, run.time_limit, run.scaling, is_on_device=varied.is_on_device)
     found, begin = list[tuple[Optimum | Exception, float]](), time.perf_counter()
-    arguments = [given_to(values) for values in cases]
-    for block in optima(varied.module, steps, arguments, guesses, limits, is_wanted):
+    columns = {own: np.array([values[own] for values in cases]) for own in cases[0]}
+    for block in optima(varied.module, steps, given_to(columns), len(cases), guesses, limits, is_wanted):
         seconds = (time.perf_counter() - begin) / len(block)
         found += [(result, seconds) for result in block]
         begin = time.perf_counter()

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from codegen.batch.executors import team_size
-from codegen.batch.optima import THREADS, Limits, optima, require_place
+from codegen.batch.optima import THREADS, Limits, optima, part_of, require_place
 from codegen.errors import ArgumentError, ExtraError, NumericsError, clause, one_line
 from codegen.runtime.search.batch import Optimum, is_ready
 from codegen.runtime.search.problem import ControlProblem
@@ -301,14 +301,15 @@ def solve_many(
         request.tolerance, request.max_iterations, math.inf if request.time_limit is None else request.time_limit,
         request.scaling, warm, is_on_device,
     )  # fmt: skip
-    keys, rows = overridable(module), zip(*(column.tolist() for column in columns.values()), strict=True)
-    arguments = [given(keys, dict(zip(columns, row, strict=True))) for row in rows] or [{}]
+    arguments = given(overridable(module), columns)
     solutions, ended = _empty(module, columns, count, limits, number), threading.Event()
     size = number if is_on_device else min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
 
     def solve(first: int) -> int:
-        part = slice(first, first + size)
-        for block in optima(module, count, arguments[part], guesses[part], limits, lambda: not ended.is_set()):
+        part = slice(first, min(number, first + size))
+        own = part_of(arguments, part)
+        cases = part.stop - first
+        for block in optima(module, count, own, cases, guesses[part], limits, lambda: not ended.is_set()):
             for index, result in enumerate(block, first):
                 _put(solutions, index, result)
             first += len(block)
@@ -316,7 +317,7 @@ def solve_many(
 
     if not is_on_device and not is_ready():
         with building("Compiling what solves many cases, once"):
-            next(optima(module, count, arguments[:1], guesses[:1], limits, lambda: True))
+            next(optima(module, count, arguments, 1, guesses[:1], limits, lambda: True))
     with building("Solving") as line, threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         try:
             for done in pool.map(solve, range(0, number, size)):
@@ -329,7 +330,7 @@ def solve_many(
     return solutions
 
 
-def given(keys: Mapping[str, tuple[str, str]], values: Mapping[str, float]) -> dict[str, Any]:
+def given(keys: Mapping[str, tuple[str, str]], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keyword arguments of `make_grid` for values by name; `keys` is the result of `overridable`."""
     arguments = dict[str, Any]()
     for name, value in values.items():

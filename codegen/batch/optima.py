@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from typing import Any
 
 from codegen.batch.executors.chunks import Abandoned
 from codegen.errors import ArgumentError, DeviceError, clause
-from codegen.runtime.search.batch import Optimum, solve_grids
+from codegen.runtime.search.batch import Optimum, Options, solve_grids, solve_stack
 from codegen.runtime.search.solution import Log
+from codegen.runtime.search.stacks import case_of, stack_of
 from codegen.solving.drivers.newton import TOLERANCE
 from codegen.solving.loading import ControlModule, Vector
 
@@ -81,45 +82,72 @@ def errors_of_device() -> Iterator[None]:
 
 
 def optima(
-    module: ControlModule, steps: int, arguments: Sequence[Mapping[str, Any]], guesses: Sequence[Vector | None],
+    module: ControlModule, steps: int, arguments: Mapping[str, Any], number: int, guesses: Sequence[Vector | None],
     limits: Limits, is_wanted: Callable[[], bool],
 ) -> Iterator[list[Optimum | Exception]]:  # fmt: skip
     """Yield, block by block, the optimum of each case, or the error of a case whose numbers cannot be used.
 
-    `arguments` are keyword arguments of `make_grid` of the module. A guess that is None is the problem's own. Raises
-    Abandoned once `is_wanted` returns False.
+    `arguments` are keyword arguments of `make_grid` of the module, with arrays (`number`,) in place of numbers. A guess
+    that is None is the problem's own. Raises Abandoned once `is_wanted` returns False.
     """
-    grids, starts, results = list[Any](), list[Vector](), list[Optimum | Exception | None]()
-    for own, guess in zip(arguments, guesses, strict=True):
-        try:
-            grid = module.make_grid(steps, **own)
-            start = module.initial_guess(grid) if guess is None else module.with_pinned_values(grid, guess)
-        except (ValueError, ArithmeticError) as error:  # generated modules raise built-in exceptions
-            results.append(error)
-            continue
-        results.append(None)
-        grids.append(grid)
-        starts.append(start)
-        if len(grids) * start.size >= (BLOCK_ON_DEVICE if limits.is_on_device else BLOCK):
-            yield _solved(grids, starts, results, limits, is_wanted)
-            grids, starts, results = [], [], []
-    if results:
-        yield _solved(grids, starts, results, limits, is_wanted)
-
-
-def _solved(
-    grids: list[Any], starts: list[Vector], results: list[Optimum | Exception | None], limits: Limits,
-    is_wanted: Callable[[], bool],
-) -> list[Optimum | Exception]:  # fmt: skip
-    """Return `results` with the optimum on the next grid in place of each None."""
+    size = max(1, (BLOCK_ON_DEVICE if limits.is_on_device else BLOCK) // _unknowns(module, steps, arguments))
 
     def log() -> Log:
         if not is_wanted():
             raise Abandoned
         return Log(limits.time_limit)
 
-    tolerance, most = limits.tolerance or TOLERANCE, limits.max_iterations or MOST_ITERATIONS
-    options = tolerance, most, limits.is_warm, limits.scaling, log
-    with errors_of_device() if limits.is_on_device else nullcontext():
-        found = iter(solve_grids(grids, starts, *options, limits.is_on_device) if grids else ())
-    return [next(found) if result is None else result for result in results]
+    for first in range(0, number, size):
+        if not is_wanted():
+            raise Abandoned
+        part = slice(first, min(number, first + size))
+        with errors_of_device() if limits.is_on_device else nullcontext():
+            yield _solved(module, steps, part_of(arguments, part), guesses[part], limits, log)
+
+
+def _solved(
+    module: ControlModule, steps: int, arguments: Mapping[str, Any], guesses: Sequence[Vector | None], limits: Limits,
+    log: Callable[[], Log],
+) -> list[Optimum | Exception]:  # fmt: skip
+    """Return the optimum of each case, or the error of a case whose numbers cannot be used."""
+    options = Options(
+        limits.tolerance or TOLERANCE, limits.max_iterations or MOST_ITERATIONS, limits.is_warm, limits.scaling,
+        limits.is_on_device,
+    )  # fmt: skip
+    results: list[Any] = [None] * len(guesses)
+    stack = stack_of(module, steps, arguments, len(guesses)) if all(guess is None for guess in guesses) else None
+    if stack is not None:
+        results = solve_stack(stack, options, log)
+    grids, starts, alone = list[Any](), list[Vector](), list[int]()
+    for case in (case for case, result in enumerate(results) if result is None):
+        try:
+            grid = module.make_grid(steps, **case_of(arguments, case))
+            guess = guesses[case]
+            start = module.initial_guess(grid) if guess is None else module.with_pinned_values(grid, guess)
+        except (ValueError, ArithmeticError) as error:  # generated modules raise built-in exceptions
+            results[case] = error
+            continue
+        grids.append(grid)
+        starts.append(start)
+        alone.append(case)
+    if grids:
+        for case, result in zip(alone, solve_grids(grids, starts, options, log), strict=True):
+            results[case] = result
+    return results
+
+
+def _unknowns(module: ControlModule, steps: int, arguments: Mapping[str, Any]) -> int:
+    """Return the number of unknowns of a case, from the problem's own numbers if those of the first case have none."""
+    own: Mapping[str, Any]
+    for own in (case_of(arguments, 0), {}):
+        with suppress(ValueError, ArithmeticError):
+            return int(module.make_grid(steps, **own).is_multiplier.size)
+    return BLOCK
+
+
+def part_of(arguments: Mapping[str, Any], part: slice) -> dict[str, Any]:
+    """Return the arguments of some cases."""
+    return {
+        name: part_of(values, part) if isinstance(values, Mapping) else values[part]
+        for name, values in arguments.items()
+    }

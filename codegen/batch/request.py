@@ -214,10 +214,12 @@ def as_argument(value: float | str) -> str:
     return str(int(value)) if value == int(value) and abs(value) < 1e15 else repr(value)
 
 
-def given_to(module_values: Mapping[Quantity, float]) -> dict[str, float | dict[str, float]]:
-    """Return the keyword arguments of a module's functions that set the parameters and boundary values of a case."""
-    arguments: dict[str, float] = {}
-    ends: dict[str, dict[str, float]] = {}
+def given_to(module_values: Mapping[Quantity, Any]) -> dict[str, Any]:
+    """Return the keyword arguments of a module's functions that set the parameters and boundary values of a case.
+
+    Arrays in place of numbers give the arguments of many cases.
+    """
+    arguments, ends = dict[str, Any](), dict[str, dict[str, Any]]()
     for quantity, value in module_values.items():
         if quantity.kind == "parameter":
             arguments[quantity.key] = value

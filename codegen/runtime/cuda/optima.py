@@ -92,7 +92,9 @@ def kernel_of(problem):
         thread, (whole, residuals) = cuda.grid(1), others
         own, calls = own_space(space, thread), (0, 0, 0, 0, 0)
         for case in range(thread, numbers.h.size, cuda.gridsize(1)):
-            is_found = solved(case, calls, common, numbers, tolerance, limit, is_warm, own, found)
+            is_found = found.is_found[case] and solved(
+                case, calls, common, numbers, tolerance, limit, is_warm, own, found
+            )
             if is_found:
                 is_found = verified(case, common, numbers, tolerance, found, own.factors[2], whole, residuals)
             found.is_found[case] = is_found

@@ -36,10 +36,10 @@ from codegen.runtime.search.descent import (
 from codegen.runtime.search.grid import NONE, layout_of, least_duration
 from codegen.runtime.search.iterates import FROM_GUESS, count_bounds, fill_bounds, keep_storage, search_on
 from codegen.runtime.search.linear_system import factor_at, fill_entry_factors, solve_at
-from codegen.runtime.search.messages import describe
+from codegen.runtime.search.messages import describe, solved_message
 from codegen.runtime.search.point import Point, fill, measured_gradient
 from codegen.runtime.search.scaling import Quantities, Room, fill_scaling_factors, quantities_of, room_for, sampled
-from codegen.runtime.search.shooting import kept_unknowns, like_unknowns, shooting_grid, shooting_unknowns
+from codegen.runtime.search.shooting import kept_unknowns, like_unknowns, shooting_grid
 from codegen.runtime.search.solve import (
     LARGE_CORRECTION,
     LOOSE,
@@ -52,6 +52,7 @@ from codegen.runtime.search.solve import (
     correction,
     optimise,
 )
+from codegen.runtime.search.stacks import Stack
 from codegen.runtime.search.termination import GROWTH
 
 SHORTEST, FUNNEL = FROM_GUESS.shortest, FROM_GUESS.funnel
@@ -179,7 +180,7 @@ class Found(NamedTuple):
     Attributes
     ----------
     is_found : (k,)
-        True if the case is solved, False if it has to be solved by itself.
+        True if the case is solved, False if it has to be solved by itself. Before the search: True for usable numbers.
     unknowns : (k, n)
         The unknowns of the search, in the problem's own units.
     sizes, weights : (k, m), (k,)
@@ -221,7 +222,9 @@ def solve_cases(calls, common, numbers, tolerance, limit, is_warm, space, found)
         Tolerance, largest number of iterations of a case, and True if guesses are solutions of similar problems.
     """
     for case in range(numbers.h.size):
-        found.is_found[case] = is_case_solved(case, calls, common, numbers, tolerance, limit, is_warm, space, found)
+        found.is_found[case] = found.is_found[case] and is_case_solved(
+            case, calls, common, numbers, tolerance, limit, is_warm, space, found
+        )
 
 
 @njit(error_model="numpy")
@@ -469,7 +472,17 @@ class Optimum(NamedTuple):
     unknowns: np.ndarray
 
 
-def solve_grids(grids, guesses, tolerance, max_iterations, warm, scaling, log, is_on_device=False):
+class Options(NamedTuple):
+    """The options of the searches of all cases, see `solution.solve_on`; `is_on_device` is True for a GPU."""
+
+    tolerance: float
+    max_iterations: int
+    is_warm: bool
+    scaling: str
+    is_on_device: bool = False
+
+
+def solve_grids(grids, guesses, options, log):
     """Find a local minimum on each of several grids; return a list of Optimum.
 
     The optima are those that `solution.solve_on` finds.
@@ -480,29 +493,16 @@ def solve_grids(grids, guesses, tolerance, max_iterations, warm, scaling, log, i
         Grids of one problem, with as many intervals.
     guesses : list of (m,)
         Unknowns of initial guesses, with prescribed values.
-    tolerance, max_iterations, warm, scaling
-        See `solution.solve_on`.
+    options : Options
+        The options of all searches.
     log : callable
         () -> Log, for a case that is solved by itself.
-    is_on_device : bool
-        True to solve the cases on a GPU.
     """
     results = [None] * len(grids)
     for alike in groups(grids):
-        of_group = solve_alike(
-            [grids[i] for i in alike], [guesses[i] for i in alike], tolerance, max_iterations, warm, scaling,
-            is_on_device,
-        )  # fmt: skip
+        of_group = solve_stack(stacked([grids[i] for i in alike], [guesses[i] for i in alike]), options, log)
         for i, result in zip(alike, of_group, strict=True):
             results[i] = result
-    for i, (grid, guess) in enumerate(zip(grids, guesses, strict=True)):
-        if results[i] is None:
-            outcome = optimise(grid, guess, tolerance, max_iterations, warm, scaling, log())
-            status, message, point, iterations, _ = outcome
-            results[i] = Optimum(
-                status, message, float(point.cost), float(point.residual), float(point.stationarity), iterations,
-                point.unknowns,
-            )  # fmt: skip
     return results
 
 
@@ -515,41 +515,74 @@ def groups(grids):
     return list(found.values())
 
 
-def solve_alike(grids, guesses, tolerance, max_iterations, warm, scaling, is_on_device):
-    """Return a list of Optimum for grids of one group; None for each case that has to be solved by itself."""
-    grid, k = grids[0], len(grids)
-    problem, m = grid.problem, grid.is_multiplier.size
+def stacked(grids, guesses):
+    """Return the Stack of grids of one group."""
+    k, lower = len(grids), np.empty((len(grids), 0))
+    upper, problem = lower, grids[0].problem
     if problem.variable_bounds is not None:
-        grids = [own._replace(bounds=problem.variable_bounds(own)) for own in grids]
-        lower, upper = (np.array([own.bounds[side] for own in grids]) for side in (0, 1))
-    else:
-        lower = upper = np.empty((k, 0))
-    numbers = Numbers(
-        np.array([float(own.h) for own in grids]), np.array([own.parameters for own in grids]),
-        np.array([shooting_unknowns(grid, guess) for guess in guesses]), lower, upper,
+        bounds = [problem.variable_bounds(grid) for grid in grids]
+        lower, upper = (np.array([own[side] for own in bounds]) for side in (0, 1))
+    return Stack(
+        grids[0], np.ones(k, bool), np.array([float(grid.h) for grid in grids]),
+        np.array([grid.parameters for grid in grids]), np.array(guesses), lower, upper,
     )  # fmt: skip
-    search = search_on(shooting_grid(grids[0]))
-    common, n = common_of(grid, search, scaling), search.grid.is_multiplier.size
+
+
+def solve_stack(stack, options, log):
+    """Find a local minimum of each case of a Stack; return a list of Optimum, or None for unusable numbers.
+
+    `options` and `log` are explained in `solve_grids`.
+    """
+    tolerance, max_iterations, is_warm, scaling, _ = options
+    whole, residuals, found = solve_at_once(stack, options)
+    results = []
+    for case in range(stack.h.size):
+        result, guess = None, None
+        if found.is_found[case]:
+            result = optimum_of(stack, whole[case], float(residuals[case]), found, case)
+        if result is None and stack.is_usable[case]:
+            grid, guess = stack.grid_of(case), np.array(stack.guesses[case])
+            status, message, point, iterations, _ = optimise(
+                grid, guess, tolerance, max_iterations, is_warm, scaling, log()
+            )
+            result = Optimum(
+                status, message, float(point.cost), float(point.residual), float(point.stationarity), iterations,
+                point.unknowns,
+            )  # fmt: skip
+        results.append(result)
+    return results
+
+
+def solve_at_once(stack, options):
+    """Search once for each case of a Stack; return all unknowns (k, m), residuals (k,) and the Found."""
+    grid, k, lower = stack.grid, stack.h.size, stack.lower
+    problem, m, n = grid.problem, grid.is_multiplier.size, 0
+    if lower.shape[1]:
+        grid = grid._replace(bounds=problem.variable_bounds(grid))
+    guesses = stack.guesses
+    if problem.shooting is not None:
+        guesses = guesses[:, kept_unknowns(problem.structure, grid.steps)]
+    numbers = Numbers(stack.h, stack.parameters, guesses, lower, stack.upper)
+    search = search_on(shooting_grid(grid))
+    common, n = common_of(grid, search, options.scaling), search.grid.is_multiplier.size
     found = Found(
-        np.zeros(k, bool), np.empty((k, n)), np.empty((k, m)), np.ones(k), np.empty(k), np.empty(k),
+        np.array(stack.is_usable), np.empty((k, n)), np.empty((k, m)), np.ones(k), np.empty(k), np.empty(k),
         np.zeros(k, np.int64),
     )  # fmt: skip
-    space, limit = space_for(grid, search), min(SLOW, max_iterations)
+    space, limit = space_for(grid, search), min(SLOW, options.max_iterations)
     whole, residuals = found.unknowns if problem.shooting is None else np.empty((k, m)), np.empty(k)
-    if is_on_device:
+    common_arguments = options.tolerance, limit, options.is_warm, space, found
+    if options.is_on_device:
         from codegen.runtime.cuda import optima
 
-        optima.solve_cases(grid, common, numbers, tolerance, limit, warm, space, found, whole, residuals)
+        optima.solve_cases(grid, common, numbers, *common_arguments, whole, residuals)
     else:
-        calls = calls_of(search, common, numbers, space, tolerance)
-        solve_cases(calls, common, numbers, tolerance, limit, warm, space, found)
-        verify_cases(common, numbers, tolerance, found, np.empty(m), whole, residuals)
+        numbers = Numbers(*map(np.ascontiguousarray, numbers))
+        calls = calls_of(search, common, numbers, space, options.tolerance)
+        solve_cases(calls, common, numbers, *common_arguments)
+        verify_cases(common, numbers, options.tolerance, found, np.empty(m), whole, residuals)
     keep_storage(search)
-    return [
-        optimum_of(grids[case], guesses[case], whole[case], float(residuals[case]), found, case)
-        if found.is_found[case] else None
-        for case in range(k)
-    ]  # fmt: skip
+    return whole, residuals, found
 
 
 def space_for(grid, search):
@@ -564,13 +597,19 @@ def space_for(grid, search):
     )  # fmt: skip
 
 
-def optimum_of(grid, guess, unknowns, residual, found, case):
+def optimum_of(stack, unknowns, residual, found, case):
     """Return the Optimum of a case that has been found; None if a free duration is not positive."""
-    if grid.problem.structure.shared and not least_duration(grid, unknowns) > 0.0:
-        return None
+    problem, grid = stack.grid.problem, None
     cost, stationarity = float(found.costs[case]), float(found.stationarities[case])
     point = Point(unknowns, NONE, cost, residual, np.nan, stationarity, max(residual, stationarity))
-    status, message = describe(grid, guess, point, "solved")
+    status, message = "solved", solved_message(point)
+    if problem.structure.shared or stack.lower.shape[1] or problem.inputs is not None:
+        grid = stack.grid_of(case)
+        if stack.lower.shape[1]:
+            grid = grid._replace(bounds=(stack.lower[case], stack.upper[case]))
+        if problem.structure.shared and not least_duration(grid, unknowns) > 0.0:
+            return None
+        status, message = describe(grid, unknowns, point, "solved")
     return Optimum(status, message, cost, residual, stationarity, int(found.iterations[case]), unknowns)
 
 

@@ -164,21 +164,24 @@ def replace_values(boundary, where, values):
 
 
 def views(grid, unknowns):
-    """Return two views of `unknowns` (n,): nodes (bodies, N + 1, node) and intervals (bodies, N, stride - node)."""
+    """Return two views of `unknowns` (n,): nodes (bodies, N + 1, node) and intervals (bodies, N, stride - node).
+
+    Unknowns (n, k) of k cases give views with one more axis.
+    """
     s = grid.problem.structure
-    item, chain = unknowns.itemsize, grid.steps * s.stride + s.node
-    strides = chain * item, s.stride * item, item
-    nodes = np.ndarray((s.bodies, grid.steps + 1, s.node), float, unknowns, 0, strides)
-    intervals = np.ndarray((s.bodies, grid.steps, s.stride - s.node), float, unknowns, s.node * item, strides)
+    item, chain, cases = unknowns.strides[0], grid.steps * s.stride + s.node, unknowns.shape[1:]
+    strides = chain * item, s.stride * item, item, *unknowns.strides[1:]
+    nodes = np.ndarray((s.bodies, grid.steps + 1, s.node, *cases), float, unknowns, 0, strides)
+    intervals = np.ndarray((s.bodies, grid.steps, s.stride - s.node, *cases), float, unknowns, s.node * item, strides)
     return nodes, intervals
 
 
 def shared_views(grid, unknowns):
     """Return two views of the linking variables: (bodies, own) for single bodies, and 1-D for the whole problem."""
     s = grid.problem.structure
-    first = unknowns.size - s.root
-    own = unknowns[first : first + s.bodies * s.own].reshape(s.bodies, s.own)
-    return own, unknowns[first + s.bodies * s.own : unknowns.size - s.couplings]
+    first = len(unknowns) - s.root
+    own = unknowns[first : first + s.bodies * s.own].reshape(s.bodies, s.own, *unknowns.shape[1:])
+    return own, unknowns[first + s.bodies * s.own : len(unknowns) - s.couplings]
 
 
 def side_by_side(values):

@@ -52,12 +52,17 @@ def describe(grid, guess, point, status):
         if excess:
             return OUTSIDE_TABLE, f"{OUTSIDE_TABLE}: {excess}; {REMEDIES[OUTSIDE_TABLE]}"
     if status == "solved":
-        return status, f"all {reached(point)}"
+        return status, solved_message(point)
     if grid.sizes.size:
         grid = plain_grid(grid)
     if grid.problem.structure.slacks.size:
         point = with_violations(grid, point)
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
+
+
+def solved_message(point):
+    """Return the message on a solution."""
+    return f"all {reached(point)}"
 
 
 def reached(point):

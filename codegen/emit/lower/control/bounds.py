@@ -103,14 +103,14 @@ def bound_values(program: ControlProgram) -> list[Bound]:
                 values += [Bound(f"{side}_nodes[:, {phase_start(i)}, {j}]", v, name) for side, v in limits.items()]
     if not program.phases:
         for group, unknowns in (
-            ("nodes", program.node),
-            ("intervals", (*program.interval, *program.controls)),
-            ("own", program.shared[: program.own]),
+            ("nodes[:, :", program.node),
+            ("intervals[:, :", (*program.interval, *program.controls)),
+            ("own[:", program.shared[: program.own]),
         ):
             for j, unknown in enumerate(unknowns):
-                add(f"{group}[..., {j}]", unknown)
+                add(f"{group}, {j}]", unknown)
     for j, unknown in enumerate(program.shared[program.own :]):
-        add(f"common[{j}]", unknown, is_common=True)
+        add(f"common[{j}]", unknown, is_common=program.bodies > 1)
     for number, *window in () if program.phases else program.inner.windows:
         for side, value in zip(("lower", "upper"), window, strict=True):
             if value is not None:
@@ -140,7 +140,7 @@ def slack_bounds(program: ControlProgram) -> list[Line]:
     lines = []
     for j, slack in enumerate(program.slacks):
         assert slack.lower is not None, "a slack has a least value"
-        lines.append(Line(f"lower_intervals[..., {first + j}]", array_code(slack.lower), slack.name))
+        lines.append(Line(f"lower_intervals[:, :, {first + j}]", array_code(slack.lower), slack.name))
     slack_names, node_names = [slack.name for slack in program.slacks], [unknown.name for unknown in program.node]
 
     def remove_bounds(node_slacks: Sequence[tuple[int, int]], node: str, interval: str, name: str) -> None:

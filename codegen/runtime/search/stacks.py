@@ -1,0 +1,157 @@
+"""Many cases of a problem at once: the formulas of a generated module, evaluated on arrays in place of numbers.
+
+The functions `make_grid`, `initial_guess` and `variable_bounds` of a module work on numbers. They work on arrays as
+well if the index of a case is the last one of each array: a parameter is an array (k,), unknowns are (n, k). Then k
+cases take hardly longer than one. Some formulas need numbers, such as those with conditions or tables, and some
+problems have several bodies or phases. For these, and if a few cases do not agree with those of the module, there is no
+stack, and the cases are computed one after the other.
+"""
+
+import math
+from types import FunctionType, SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.search.grid import NONE, Grid, checked_count, checked_nodes
+
+_OTHER_NAMES = {
+    "acos": "arccos", "asin": "arcsin", "atan": "arctan", "atan2": "arctan2", "acosh": "arccosh", "asinh": "arcsinh",
+    "atanh": "arctanh", "pow": "power", "fabs": "abs",
+}  # fmt: skip
+OF_ARRAYS = SimpleNamespace(
+    **{name: value for name, value in vars(math).items() if isinstance(value, float)},
+    **{
+        name: getattr(np, _OTHER_NAMES.get(name, name))
+        for name in vars(math)
+        if callable(getattr(np, _OTHER_NAMES.get(name, name), None))
+    },
+)
+"""The functions of the module math for arrays, under the same names."""
+NUMBERS_ONLY = (ArithmeticError, AttributeError, IndexError, TypeError, ValueError)
+"""Errors of formulas that cannot be evaluated on arrays."""
+AGREES = 1e-14
+"""Largest relative difference between a number of a stack and that of the module."""
+
+
+class Stack(NamedTuple):
+    """The numbers of k cases of a problem.
+
+    Attributes
+    ----------
+    grid : Grid
+        The grid of a case with usable numbers; the cases differ from it in their numbers only.
+    is_usable : (k,)
+        False for a case whose numbers are not finite, or whose duration is not positive.
+    h : (k,)
+        Mean lengths of an interval.
+    parameters : (k, bodies, P)
+        Parameters, see `Grid`.
+    guesses, lower, upper : (k, n)
+        Initial guesses, least and greatest values of all unknowns; (k, 0) without bounds.
+    """
+
+    grid: Grid
+    is_usable: np.ndarray
+    h: np.ndarray
+    parameters: np.ndarray
+    guesses: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    def grid_of(self, case):
+        """Return the Grid of a case."""
+        return self.grid._replace(h=float(self.h[case]), parameters=np.array(self.parameters[case]))
+
+
+def stack_of(module, steps, arguments, k):
+    """Return the Stack of k cases, or None if the module's formulas need numbers.
+
+    Parameters
+    ----------
+    module : module
+        A generated module with a ControlProblem.
+    steps : int
+        The number of intervals.
+    arguments : dict
+        Keyword arguments of `make_grid`, with arrays (k,) in place of numbers, also inside `start` and `end`.
+    k : int
+        The number of cases.
+    """
+    problem = module.problem
+    s = problem.structure
+    if s.bodies > 1 or s.phases or s.inner_times or s.slacks.size or problem.observations:
+        return None
+
+    def checked_grid(_, steps, duration, parameters, fractions):
+        """Return the Grid of all cases, in place of the function with this name."""
+        steps, nodes, is_uniform = checked_nodes(1, checked_count("steps", steps), fractions)
+        table = np.zeros((1, len(parameters) + s.shared, k))
+        for i, value in enumerate(parameters):
+            table[0, i] = value
+        h = np.broadcast_to(np.asarray(duration, dtype=float) / steps, k)
+        masks = np.broadcast_to(s.layouts(steps).is_multiplier[:, None], (s.size(steps), k))
+        return Grid(steps, h, nodes[:, None], is_uniform, table, masks, NONE, NONE, 1.0, (), (), problem)
+
+    names = {"math": OF_ARRAYS, "checked_grid": checked_grid}
+    try:
+        with np.errstate(all="ignore"):
+            whole = _with_names(module.make_grid, names)(steps, **arguments)
+            guesses = _with_names(problem.initial_guess, names)(whole)
+            bounds = None
+            if problem.variable_bounds is not None:
+                bounds = _with_names(problem.variable_bounds, names)(whole)
+        is_usable = (whole.h > 0.0) & np.isfinite(whole.h) & np.isfinite(whole.parameters).all(axis=(0, 1))
+        if not is_usable.any():
+            return None
+        grid = module.make_grid(steps, **case_of(arguments, int(np.argmax(is_usable))))
+    except NUMBERS_ONLY:
+        return None
+    lower, upper = (np.empty((k, 0)),) * 2 if bounds is None else (side.T for side in bounds)
+    stack = Stack(grid, is_usable, whole.h, np.moveaxis(whole.parameters, -1, 0), guesses.T, lower, upper)
+    samples = _samples(arguments, np.flatnonzero(is_usable))
+    return stack if all(_agrees(module, steps, arguments, stack, case) for case in samples) else None
+
+
+def case_of(arguments, case):
+    """Return the keyword arguments of one case, from arrays of all cases."""
+    return {
+        name: case_of(values, case) if isinstance(values, dict) else float(values[case])
+        for name, values in arguments.items()
+    }
+
+
+def _samples(arguments, usable):
+    """Return indices of usable cases with the least and the greatest values of each argument, and of the ends."""
+    indices = {int(usable[0]), int(usable[-1])}
+    for values in arguments.values():
+        for column in values.values() if isinstance(values, dict) else (values,):
+            indices |= {int(usable[np.argmin(column[usable])]), int(usable[np.argmax(column[usable])])}
+    return sorted(indices)
+
+
+def _agrees(module, steps, arguments, stack, case):
+    """Return True if the numbers of one case are those that the module computes."""
+    try:
+        grid = module.make_grid(steps, **case_of(arguments, case))
+    except NUMBERS_ONLY:
+        return False
+    pairs = [
+        (grid.h, stack.h[case]), (grid.parameters, stack.parameters[case]),
+        (module.initial_guess(grid), stack.guesses[case]),
+    ]  # fmt: skip
+    if module.problem.variable_bounds is not None:
+        lower, upper = module.problem.variable_bounds(grid)
+        pairs += [(lower, stack.lower[case]), (upper, stack.upper[case])]
+    return all(np.allclose(one, other, rtol=AGREES, atol=0.0) for one, other in pairs)
+
+
+def _with_names(function, names):
+    """Return a copy of a function of a module with other global names, also in the module's functions that it calls."""
+    space = dict(function.__globals__)
+    for name, value in function.__globals__.items():
+        if isinstance(value, FunctionType) and value.__globals__ is function.__globals__:
+            space[name] = FunctionType(value.__code__, space, name, value.__defaults__)
+            space[name].__kwdefaults__ = value.__kwdefaults__
+    space |= {name: value for name, value in names.items() if name in space}
+    return space[function.__name__]
