@@ -140,7 +140,7 @@ def solve_cases(grid, common, numbers, tolerance, limit, is_warm, space, found, 
     problem, k = grid.problem, numbers.h.size
     is_whole = problem.shooting is None
     kernel, common = kernel_of(problem), sent(numbered(common, is_whole))
-    threads, cases = shares(space, numbers, found, free_memory(), is_whole)
+    threads, cases = shares(*bytes_of(space, numbers, found, is_whole), k, free_memory())
     spaces = spaces_of(space, threads)
     for begin in range(0, k, cases):
         part = slice(begin, min(k, begin + cases))
@@ -170,17 +170,22 @@ def numbered(common, is_whole):
     return common._replace(problem=(GRADIENT, HESSIANS, SYSTEM), with_stages=loops)
 
 
-def shares(space, numbers, found, free, is_whole):
-    """Return how many threads and how many cases fit into `free` bytes of memory; raises Full for less than a block."""
-    of_thread = sum(array.nbytes for array in arrays_in(space))
+def bytes_of(space, numbers, found, is_whole):
+    """Return the bytes of memory that a thread and a case need."""
     of_case = sum(array[:1].nbytes for array in (*numbers, *found)) + (0 if is_whole else found.sizes[:1].nbytes) + 8
-    # Half of the cases' memory is for the next ones, so that threads have several cases in turn.
-    threads = min(MOST_THREADS, numbers.h.size, int(PART_OF_MEMORY * free / (of_thread + 2 * of_case)))
-    threads = max(threads, min(IN_BLOCK, numbers.h.size)) // IN_BLOCK * IN_BLOCK or numbers.h.size
+    return sum(array.nbytes for array in arrays_in(space)), of_case
+
+
+def shares(of_thread, of_case, number, free):
+    """Return how many threads and how many of `number` cases fit into `free` bytes; raises Full for less than a block.
+
+    A thread and a case need `of_thread` and `of_case` bytes. Threads have the memory for at least two cases each.
+    """
+    threads = min(MOST_THREADS, number, int(PART_OF_MEMORY * free / (of_thread + 2 * of_case)))
+    threads = max(threads // IN_BLOCK * IN_BLOCK, min(IN_BLOCK, number))
     if threads * (of_thread + of_case) > free:
-        raise Full(
-            f"{IN_BLOCK} threads need {IN_BLOCK * (of_thread + of_case) / 1e6:.0f} MB, {free / 1e6:.0f} MB are free"
-        )
+        needed = threads * (of_thread + of_case)
+        raise Full(f"{threads} threads need {needed / 1e6:.0f} MB, {free / 1e6:.0f} MB are free")
     return threads, max(threads, int((PART_OF_MEMORY * free - threads * of_thread) / of_case))
 
 

@@ -1,0 +1,125 @@
+"""Many solves at once on a GPU: correctness against the processor, cases per second, memory and compilation.
+
+    python tests/benchmarks/cuda.py [--scale S] [--sample N] [--seconds S]
+
+It needs a GPU by NVIDIA, its driver, and `pip install -e ".[cuda]"`. The problems are the orbital transfer (N = 100),
+the cart-pole (N = 50, with bounds) and the planar quadrotor (N = 50), with random parameters, for numbers of cases that
+grow by factors of ten up to a million, a hundred thousand and a hundred thousand times `--scale`. The first call
+compiles the kernel; it is timed by itself. `kernel` is the time of the search on the device, without Python and
+transfers. `on device` is the part of the cases that the device solved, and `largest difference` that of the costs,
+relative, in a sample that the processor solves as well. With the environment variable NUMBA_ENABLE_CUDASIM=1 the script
+runs in numba's simulator, with `--scale 1e-5`. No problem begins after `--seconds`.
+"""
+
+import os
+
+os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+
+import argparse
+import sys
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+import codegen  # noqa: E402
+from codegen.runtime.cuda import memory, optima  # noqa: E402
+
+PROBLEMS = {
+    "orbital_transfer": (100, 1_000_000, {"r1": (5.5, 6.5), "m": (90.0, 110.0)}),
+    "cart_pole": (50, 100_000, {"rod": (0.45, 0.55), "m1": (0.9, 1.1)}),
+    "quadrotor": (50, 100_000, {"m": (0.9, 1.1)}),
+}
+"""Intervals, largest number of cases, and ranges of parameters."""
+LEAST = 1000
+"""Smallest number of cases, if the largest is larger."""
+COLUMNS = (
+    "problem", "N", "cases", "seconds", "us a case", "kernel us", "GB", "on device", "solved", "us by 1 core",
+    "us by all cores", "largest difference",
+)  # fmt: skip
+
+
+class Measured:
+    """Seconds, memory and numbers of cases of all calls of `optima.solve_cases` since the last reset."""
+
+    def __init__(self) -> None:
+        self.reset()
+        self._solve_cases = optima.solve_cases
+        optima.solve_cases = self
+
+    def reset(self) -> None:
+        """Begin again."""
+        self.seconds, self.cases, self.on_device, self.bytes = 0.0, 0, 0, 0
+
+    def __call__(self, *arguments: Any) -> None:
+        """Solve cases, and note time and memory."""
+        grid, _, numbers, *_, space, found, _, _ = arguments
+        of_thread, of_case = optima.bytes_of(space, numbers, found, grid.problem.shooting is None)
+        threads, cases = optima.shares(of_thread, of_case, numbers.h.size, memory.free_memory())
+        begin = perf_counter()
+        self._solve_cases(*arguments)
+        self.seconds += perf_counter() - begin
+        is_found = found.is_found
+        self.cases, self.on_device = self.cases + is_found.size, self.on_device + int(is_found.sum())
+        self.bytes = max(self.bytes, threads * of_thread + min(cases, numbers.h.size) * of_case)
+
+
+def per_case(solver: Any, steps: int, parameters: dict[str, Any], threads: int) -> tuple[float, Any]:
+    """The seconds of a case by threads of the processor, and the Solutions."""
+    begin = perf_counter()
+    found = codegen.solve_many(solver, parameters, steps=steps, threads=threads)
+    return (perf_counter() - begin) / len(found), found
+
+
+def main() -> None:
+    """Measure and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scale", type=float, default=1.0)
+    parser.add_argument("--sample", type=int, default=2000)
+    parser.add_argument("--seconds", type=float, default=480.0)
+    options = parser.parse_args()
+    begin, rng, measured, console = perf_counter(), np.random.default_rng(1), Measured(), Console(width=150)
+    memory.require_device()
+    console.print(memory.device_name())
+    cores, table = len(os.sched_getaffinity(0)), Table(*COLUMNS)
+    for name, (steps, most, ranges) in PROBLEMS.items():
+        if perf_counter() - begin > options.seconds:
+            console.print(f"{name}: not measured, {options.seconds:.0f} s are over")
+            continue
+        largest = max(4, int(options.scale * most))
+        parameters = {key: rng.uniform(*limits, largest) for key, limits in ranges.items()}
+        solver = codegen.compile(ROOT / "problems" / f"{name}.py")
+        few = {key: values[:64] for key, values in parameters.items()}
+        codegen.solve_many(solver, few, steps=steps)
+        first = perf_counter()
+        codegen.solve_many(solver, few, steps=steps, executor="cuda")
+        console.print(f"{name}: compilation and 64 cases {perf_counter() - first:.1f} s")
+        sample = {key: values[: options.sample] for key, values in parameters.items()}
+        alone, expected = per_case(solver, steps, sample, 1)
+        by_all, _ = per_case(solver, steps, sample, cores)
+        number = min(LEAST, largest)
+        while number <= largest:
+            cases = {key: values[:number] for key, values in parameters.items()}
+            measured.reset()
+            start = perf_counter()
+            found = codegen.solve_many(solver, cases, steps=steps, executor="cuda")
+            seconds, both = perf_counter() - start, min(number, len(expected))
+            difference = np.abs(found.cost[:both] / expected.cost[:both] - 1.0).max()
+            table.add_row(
+                name, str(steps), str(number), f"{seconds:.2f}", f"{1e6 * seconds / number:.2f}",
+                f"{1e6 * measured.seconds / number:.2f}", f"{measured.bytes / 1e9:.2f}",
+                f"{measured.on_device / max(1, measured.cases):.2%}", f"{found.solved.mean():.2%}",
+                f"{1e6 * alone:.0f}", f"{1e6 * by_all:.0f}", f"{difference:.1e}",
+            )  # fmt: skip
+            number = largest if number < largest < 10 * number else 10 * number
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
