@@ -275,8 +275,9 @@ def solve_batch(
     found, begin = list[tuple[Optimum | Exception, float]](), time.perf_counter()
     columns = {own: np.array([values[own] for values in cases]) for own in cases[0]}
     for block in optima(varied.module, steps, given_to(columns), len(cases), guesses, limits, is_wanted):
-        seconds = (time.perf_counter() - begin) / len(block)
-        found += [(result, seconds) for result in block]
+        number = len(block.optima.status)
+        seconds = (time.perf_counter() - begin) / number
+        found += [(block.errors.get(case) or block.optima.one(case), seconds) for case in range(number)]
         begin = time.perf_counter()
     return found
 

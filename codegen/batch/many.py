@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from codegen.batch.executors import team_size
-from codegen.batch.optima import THREADS, Limits, optima, part_of, require_place
+from codegen.batch.optima import THREADS, Limits, Outcomes, optima, part_of, require_place
 from codegen.errors import ArgumentError, ExtraError, NumericsError, clause, one_line
-from codegen.runtime.search.batch import Optimum, is_ready
+from codegen.runtime.search.batch import LONGEST_STATUS, SOLVED, is_ready
+from codegen.runtime.search.messages import solved_message
 from codegen.runtime.search.problem import ControlProblem
 from codegen.solving import compiler, loading
 from codegen.solving.loading import ControlModule, Matrix, Vector, is_control
@@ -35,12 +36,10 @@ from codegen.solving.results.sensitivities import rates_at, require_sensitive
 if TYPE_CHECKING:
     from xarray import Dataset
 
-SOLVED, UNUSABLE = "solved", "unusable"
-"""Statuses of a case: solved, and numbers with which no grid exists."""
+UNUSABLE = "unusable"
+"""The status of a case with whose numbers no grid exists."""
 MOST_AT_ONCE, LEAST_PARTS = 2000, 8
 """Largest number of cases that a thread takes at a time; least number of such parts for each thread."""
-LONGEST_STATUS = "<U24"
-"""The type of a status in an array."""
 _OPTIONS = "arguments scheme method controls out sensitivities tolerance max_iterations time_limit scaling".split()
 """Options of `codegen.solve` that apply to many cases."""
 
@@ -51,9 +50,9 @@ class Solutions:
 
     Attributes
     ----------
-    status, message : ndarray of str, (n,)
-        The termination status, such as "solved", and its explanation, as of `codegen.solve`. The status is "unusable"
-        for a case whose numbers have no grid, such as a negative duration.
+    status : ndarray of str, (n,)
+        The termination status, such as "solved", as of `codegen.solve`. It is "unusable" for a case whose numbers have
+        no grid, such as a negative duration.
     cost, residual, stationarity : ndarray, (n,)
         The cost, and the max-norms of all discrete equations and of the optimality conditions, as of `codegen.solve`.
         The cost of a case that is not solved is NaN.
@@ -70,7 +69,6 @@ class Solutions:
     """
 
     status: NDArray[np.str_]
-    message: NDArray[np.object_]
     cost: Vector
     residual: Vector
     stationarity: Vector
@@ -80,6 +78,13 @@ class Solutions:
     steps: int
     module: ControlModule
     limits: Limits = field(default_factory=Limits)
+    messages: dict[int, str] = field(default_factory=dict)
+
+    @cached_property
+    def message(self) -> NDArray[np.object_]:
+        """The explanation (n,) of each status, as of `codegen.solve`."""
+        numbers = zip(self.residual.tolist(), self.stationarity.tolist(), strict=True)
+        return np.array([self.messages.get(i) or solved_message(*pair) for i, pair in enumerate(numbers)], object)
 
     @property
     def solved(self) -> NDArray[np.bool_]:
@@ -310,9 +315,8 @@ def solve_many(
         own = part_of(arguments, part)
         cases = part.stop - first
         for block in optima(module, count, own, cases, guesses[part], limits, lambda: not ended.is_set()):
-            for index, result in enumerate(block, first):
-                _put(solutions, index, result)
-            first += len(block)
+            _put(solutions, first, block)
+            first += len(block.optima.status)
         return first
 
     if not is_on_device and not is_ready():
@@ -416,17 +420,24 @@ def _empty(module: ControlModule, columns: dict[str, Vector], steps: int, limits
         raise NumericsError(f"{module.metadata.problem}: {error}", "give other values") from error
     cost, residual, stationarity = (np.full(number, np.nan) for _ in range(3))
     return Solutions(
-        np.full(number, "", LONGEST_STATUS), np.full(number, "", object), cost, residual, stationarity,
+        np.full(number, "", LONGEST_STATUS), cost, residual, stationarity,
         np.zeros(number, np.int64), np.full((number, size), np.nan), columns, steps, module, limits,
     )  # fmt: skip
 
 
-def _put(solutions: Solutions, index: int, result: Optimum | Exception) -> None:
-    """Write the result of a case into the arrays."""
-    if isinstance(result, Exception):
-        solutions.status[index], solutions.message[index] = UNUSABLE, f"{UNUSABLE}: {one_line(str(result))}"
-        return
-    solutions.status[index], solutions.message[index] = result.status, result.message
-    solutions.cost[index] = result.cost if result.status == SOLVED else np.nan
-    solutions.residual[index], solutions.stationarity[index] = result.residual, result.stationarity
-    solutions.iterations[index], solutions.unknowns[index] = result.iterations, result.unknowns
+def _put(solutions: Solutions, first: int, block: Outcomes) -> None:
+    """Write the outcomes of a block of cases, the first of which has the index `first`, into the arrays."""
+    optima = block.optima
+    part = slice(first, first + len(optima.status))
+    solutions.status[part], solutions.iterations[part] = optima.status, optima.iterations
+    solutions.cost[part] = np.where(optima.status == SOLVED, optima.cost, np.nan)
+    solutions.residual[part], solutions.stationarity[part] = optima.residual, optima.stationarity
+    if optima.unknowns.shape[1]:
+        solutions.unknowns[part] = optima.unknowns
+    messages = {first + case: message for case, message in optima.messages.items()}
+    for case, error in block.errors.items():
+        index = first + case
+        solutions.status[index], messages[index] = UNUSABLE, f"{UNUSABLE}: {one_line(str(error))}"
+        solutions.cost[index] = solutions.residual[index] = solutions.stationarity[index] = np.nan
+        solutions.unknowns[index] = np.nan
+    solutions.messages.update(messages)

@@ -12,9 +12,11 @@ from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from codegen.batch.executors.chunks import Abandoned
 from codegen.errors import ArgumentError, DeviceError, clause
-from codegen.runtime.search.batch import Optimum, Options, solve_grids, solve_stack
+from codegen.runtime.search.batch import Optima, Options, no_optima, solve_grids, solve_stack
 from codegen.runtime.search.solution import Log
 from codegen.runtime.search.stacks import case_of, stack_of
 from codegen.solving.drivers.newton import TOLERANCE
@@ -26,6 +28,14 @@ BLOCK_ON_DEVICE = 20_000_000
 """Number of unknowns in a block on a GPU, which needs many cases at once."""
 MOST_ITERATIONS = 3000
 """Default limit of iterations, as for `solve` of a generated module."""
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """The optima of a block of cases, and the errors of cases with unusable numbers, by index."""
+
+    optima: Optima
+    errors: Mapping[int, Exception]
 
 
 @dataclass(frozen=True)
@@ -84,8 +94,8 @@ def errors_of_device() -> Iterator[None]:
 def optima(
     module: ControlModule, steps: int, arguments: Mapping[str, Any], number: int, guesses: Sequence[Vector | None],
     limits: Limits, is_wanted: Callable[[], bool],
-) -> Iterator[list[Optimum | Exception]]:  # fmt: skip
-    """Yield, block by block, the optimum of each case, or the error of a case whose numbers cannot be used.
+) -> Iterator[Outcomes]:  # fmt: skip
+    """Yield, block by block, the outcomes of all cases.
 
     `arguments` are keyword arguments of `make_grid` of the module, with arrays (`number`,) in place of numbers. A guess
     that is None is the problem's own. Raises Abandoned once `is_wanted` returns False.
@@ -108,32 +118,33 @@ def optima(
 def _solved(
     module: ControlModule, steps: int, arguments: Mapping[str, Any], guesses: Sequence[Vector | None], limits: Limits,
     log: Callable[[], Log],
-) -> list[Optimum | Exception]:  # fmt: skip
-    """Return the optimum of each case, or the error of a case whose numbers cannot be used."""
+) -> Outcomes:  # fmt: skip
+    """Return the outcomes of a block of cases."""
     options = Options(
         limits.tolerance or TOLERANCE, limits.max_iterations or MOST_ITERATIONS, limits.is_warm, limits.scaling,
         limits.is_on_device,
     )  # fmt: skip
-    results: list[Any] = [None] * len(guesses)
-    stack = stack_of(module, steps, arguments, len(guesses)) if all(guess is None for guess in guesses) else None
-    if stack is not None:
-        results = solve_stack(stack, options, log)
+    number, errors = len(guesses), dict[int, Exception]()
+    stack = stack_of(module, steps, arguments, number) if all(guess is None for guess in guesses) else None
+    optima = None if stack is None else solve_stack(stack, options, log)
+    rest = range(number) if optima is None else np.flatnonzero(optima.status == "").tolist()
     grids, starts, alone = list[Any](), list[Vector](), list[int]()
-    for case in (case for case, result in enumerate(results) if result is None):
+    for case in rest:
         try:
             grid = module.make_grid(steps, **case_of(arguments, case))
             guess = guesses[case]
             start = module.initial_guess(grid) if guess is None else module.with_pinned_values(grid, guess)
         except (ValueError, ArithmeticError) as error:  # generated modules raise built-in exceptions
-            results[case] = error
+            errors[case] = error
             continue
         grids.append(grid)
         starts.append(start)
         alone.append(case)
-    if grids:
-        for case, result in zip(alone, solve_grids(grids, starts, options, log), strict=True):
-            results[case] = result
-    return results
+    if optima is None:
+        optima = no_optima(number, starts[0].size if starts else 0)
+    for case, result in zip(alone, solve_grids(grids, starts, options, log), strict=True):
+        optima.put(case, result)
+    return Outcomes(optima, errors)
 
 
 def _unknowns(module: ControlModule, steps: int, arguments: Mapping[str, Any]) -> int:

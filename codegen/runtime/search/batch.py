@@ -472,6 +472,60 @@ class Optimum(NamedTuple):
     unknowns: np.ndarray
 
 
+SOLVED, LONGEST_STATUS = "solved", "<U24"
+"""The status of an optimum, and the type of a status in an array."""
+
+
+class Optima(NamedTuple):
+    """The outcomes for k cases.
+
+    Attributes
+    ----------
+    status : (k,)
+        See `descent.WORDS`; empty for a case without an outcome.
+    cost, residual, stationarity, iterations : (k,)
+        The corrected costs, the largest moduli of residuals, the stationarities, the numbers of iterations.
+    unknowns : (k, m)
+        All unknowns.
+    messages : dict of int to str
+        The messages of cases, except for solved cases with the usual message, see `message`.
+    """
+
+    status: np.ndarray
+    cost: np.ndarray
+    residual: np.ndarray
+    stationarity: np.ndarray
+    iterations: np.ndarray
+    unknowns: np.ndarray
+    messages: dict[int, str]
+
+    def message(self, case):
+        """Return the message of a case."""
+        own = self.messages.get(case)
+        return solved_message(self.residual[case], self.stationarity[case]) if own is None else own
+
+    def one(self, case):
+        """Return the Optimum of a case."""
+        numbers = (float(array[case]) for array in self[1:4])
+        return Optimum(
+            str(self.status[case]), self.message(case), *numbers, int(self.iterations[case]), self.unknowns[case]
+        )
+
+    def put(self, case, optimum):
+        """Write the Optimum of a case into the arrays."""
+        self.messages[case] = optimum.message
+        for name in ("status", "cost", "residual", "stationarity", "iterations", "unknowns"):
+            getattr(self, name)[case] = getattr(optimum, name)
+
+
+def no_optima(k, m):
+    """Return Optima for k cases without outcomes, with m unknowns each."""
+    cost, residual, stationarity = np.full((3, k), np.nan)
+    return Optima(
+        np.full(k, "", LONGEST_STATUS), cost, residual, stationarity, np.zeros(k, np.int64), np.full((k, m), np.nan), {}
+    )
+
+
 class Options(NamedTuple):
     """The options of the searches of all cases, see `solution.solve_on`; `is_on_device` is True for a GPU."""
 
@@ -501,8 +555,8 @@ def solve_grids(grids, guesses, options, log):
     results = [None] * len(grids)
     for alike in groups(grids):
         of_group = solve_stack(stacked([grids[i] for i in alike], [guesses[i] for i in alike]), options, log)
-        for i, result in zip(alike, of_group, strict=True):
-            results[i] = result
+        for number, i in enumerate(alike):
+            results[i] = of_group.one(number)
     return results
 
 
@@ -529,28 +583,41 @@ def stacked(grids, guesses):
 
 
 def solve_stack(stack, options, log):
-    """Find a local minimum of each case of a Stack; return a list of Optimum, or None for unusable numbers.
+    """Find a local minimum of each case of a Stack with usable numbers; return Optima.
 
     `options` and `log` are explained in `solve_grids`.
     """
     tolerance, max_iterations, is_warm, scaling, _ = options
     whole, residuals, found = solve_at_once(stack, options)
-    results = []
-    for case in range(stack.h.size):
-        result, guess = None, None
-        if found.is_found[case]:
-            result = optimum_of(stack, whole[case], float(residuals[case]), found, case)
-        if result is None and stack.is_usable[case]:
-            grid, guess = stack.grid_of(case), np.array(stack.guesses[case])
-            status, message, point, iterations, _ = optimise(
-                grid, guess, tolerance, max_iterations, is_warm, scaling, log()
-            )
-            result = Optimum(
-                status, message, float(point.cost), float(point.residual), float(point.stationarity), iterations,
-                point.unknowns,
-            )  # fmt: skip
-        results.append(result)
-    return results
+    problem, is_found = stack.grid.problem, found.is_found
+    messages = {}
+    status = np.where(is_found, SOLVED, "").astype(LONGEST_STATUS)
+    optima = Optima(status, found.costs, residuals, found.stationarities, found.iterations, whole, messages)
+    if problem.structure.shared or stack.lower.shape[1] or problem.inputs is not None:
+        for case in np.flatnonzero(is_found).tolist():
+            status[case], messages[case] = described(stack, optima, case)
+    for case in np.flatnonzero(stack.is_usable & (status == "")).tolist():
+        grid, guess = stack.grid_of(case), np.array(stack.guesses[case])
+        of_case, message, point, iterations, _ = optimise(
+            grid, guess, tolerance, max_iterations, is_warm, scaling, log()
+        )
+        optima.put(
+            case,
+            Optimum(of_case, message, point.cost, point.residual, point.stationarity, iterations, point.unknowns),
+        )
+    return optima
+
+
+def described(stack, optima, case):
+    """Return status and message of a case that has been found; two empty texts if a free duration is not positive."""
+    problem, grid, unknowns = stack.grid.problem, stack.grid_of(case), optima.unknowns[case]
+    if problem.structure.shared and not least_duration(grid, unknowns) > 0.0:
+        return "", ""
+    if stack.lower.shape[1]:
+        grid = grid._replace(bounds=(stack.lower[case], stack.upper[case]))
+    residual, stationarity = float(optima.residual[case]), float(optima.stationarity[case])
+    point = Point(unknowns, NONE, float(optima.cost[case]), residual, np.nan, stationarity, max(residual, stationarity))
+    return describe(grid, unknowns, point, SOLVED)
 
 
 def solve_at_once(stack, options):
@@ -595,22 +662,6 @@ def space_for(grid, search):
         room_for(quantities_of(problem), m), np.empty((4, n)), np.empty((2, own.without_cost.size)),
         np.empty(bounds, np.int64), np.empty((3, bounds)),
     )  # fmt: skip
-
-
-def optimum_of(stack, unknowns, residual, found, case):
-    """Return the Optimum of a case that has been found; None if a free duration is not positive."""
-    problem, grid = stack.grid.problem, None
-    cost, stationarity = float(found.costs[case]), float(found.stationarities[case])
-    point = Point(unknowns, NONE, cost, residual, np.nan, stationarity, max(residual, stationarity))
-    status, message = "solved", solved_message(point)
-    if problem.structure.shared or stack.lower.shape[1] or problem.inputs is not None:
-        grid = stack.grid_of(case)
-        if stack.lower.shape[1]:
-            grid = grid._replace(bounds=(stack.lower[case], stack.upper[case]))
-        if problem.structure.shared and not least_duration(grid, unknowns) > 0.0:
-            return None
-        status, message = describe(grid, unknowns, point, "solved")
-    return Optimum(status, message, cost, residual, stationarity, int(found.iterations[case]), unknowns)
 
 
 def common_of(grid, search, scaling):

@@ -52,7 +52,7 @@ def describe(grid, guess, point, status):
         if excess:
             return OUTSIDE_TABLE, f"{OUTSIDE_TABLE}: {excess}; {REMEDIES[OUTSIDE_TABLE]}"
     if status == "solved":
-        return status, solved_message(point)
+        return status, solved_message(point.residual, point.stationarity)
     if grid.sizes.size:
         grid = plain_grid(grid)
     if grid.problem.structure.slacks.size:
@@ -60,9 +60,9 @@ def describe(grid, guess, point, status):
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
 
 
-def solved_message(point):
-    """Return the message on a solution."""
-    return f"all {reached(point)}"
+def solved_message(residual, stationarity):
+    """Return the message on a solution with these norms."""
+    return f"all equations hold to {residual:.1e}, optimality conditions to {stationarity:.1e}"
 
 
 def reached(point):
