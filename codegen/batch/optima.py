@@ -120,9 +120,14 @@ def _solved(
     log: Callable[[], Log],
 ) -> Outcomes:  # fmt: skip
     """Return the outcomes of a block of cases."""
+    on_device = None
+    if limits.is_on_device:
+        from codegen.runtime.cuda import optima as of_device
+
+        on_device = of_device.solve_cases
     options = Options(
         limits.tolerance or TOLERANCE, limits.max_iterations or MOST_ITERATIONS, limits.is_warm, limits.scaling,
-        limits.is_on_device,
+        on_device,
     )  # fmt: skip
     number, errors = len(guesses), dict[int, Exception]()
     stack = stack_of(module, steps, arguments, number) if all(guess is None for guess in guesses) else None

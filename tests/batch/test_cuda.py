@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -52,6 +53,17 @@ for path, options, steps, name, values in kinds:
         float(np.abs(first.cost - other.cost).max()), list(on_device),
     ]
     on_device.clear()
+
+axes, options = {"r1": [5.6, 6.0, -6.0, 6.4], "m": [90.0, 110.0]}, {"steps": 6, "chunk": 3}
+one, other = (codegen.sweep(kinds[0][0], axes, executor=executor, **options) for executor in ("threads", "cuda"))
+results["sweep"] = [
+    one.status.values.tolist(), other.status.values.tolist(), float(abs(one.q - other.q).max()), len(on_device)
+]
+optima.free_memory = lambda: 20_000
+try:
+    codegen.solve_many(kinds[0][0], {"r1": [6.0]}, steps=6, executor="cuda")
+except codegen.errors.DeviceError as error:
+    results["full"] = str(error)
 print(json.dumps(results))
 """
 
@@ -65,7 +77,7 @@ def simulated():
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    return {Path(path).stem: of_kind for path, of_kind in json.loads(done.stdout.splitlines()[-1]).items()}
+    return {Path(path).stem: found for path, found in json.loads(done.stdout.splitlines()[-1]).items()}
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -79,8 +91,29 @@ def test_the_device_finds_the_optima_of_the_processor(simulated, name):
 
 
 def test_most_cases_are_solved_on_the_device(simulated):
-    on_device = [is_found for of_kind in simulated.values() for is_found in of_kind[4]]
+    on_device = [is_found for name in KINDS for is_found in simulated[name][4]]
     assert sum(on_device) >= 0.7 * len(on_device)
+
+
+def test_a_sweep_has_the_same_data_set(simulated):
+    one, other, difference, on_device = simulated["sweep"]
+    assert one == other == [["solved"] * 2, ["solved"] * 2, ["unusable"] * 2, ["solved"] * 2]
+    assert difference <= 1e-9
+    assert on_device >= 6
+
+
+def test_too_little_memory_is_told_in_one_line(simulated):
+    needed = r"2 cases at once need 0\.\d+ MB, 0\.02 MB are free"
+    told = f"the memory of the GPU does not suffice: {needed}; solve with fewer steps"
+    assert re.fullmatch(told, simulated["full"])
+
+
+def test_workers_are_refused_beside_a_gpu(simulated, monkeypatch):
+    from codegen.runtime.cuda import memory
+
+    monkeypatch.setattr(memory, "require_device", lambda: None)
+    with pytest.raises(ArgumentError, match="--executor cuda with --workers or --cluster"):
+        codegen.sweep(PROBLEMS / "orbital_transfer.py", {"r1": [6.0]}, executor="cuda", workers=2)
 
 
 def test_without_a_gpu_there_is_one_line(monkeypatch):

@@ -16,19 +16,20 @@ class NoDevice(Exception):
 class Columns:
     """A copy of an array (k, ..) on the device, whose first index is the last one in memory.
 
-    `view` has the shape of the array.
+    `view` has the shape of the array. An array without numbers stays as it is: there is nothing to describe to others.
     """
 
     def __init__(self, array):
-        moved = np.ascontiguousarray(np.moveaxis(array, 0, -1))
+        self.is_empty = array.size == 0
+        moved = np.ascontiguousarray(array if self.is_empty else np.moveaxis(array, 0, -1))
         self.on_device = moved if IS_SIMULATED else cuda.to_device(moved)
 
     @property
     def view(self):
         """The array (k, ..) for a kernel."""
-        if IS_SIMULATED:
-            return np.moveaxis(self.on_device, -1, 0)
-        return cuda.as_cuda_array(self) if self.on_device.size else self.on_device
+        if self.is_empty:
+            return self.on_device
+        return np.moveaxis(self.on_device, -1, 0) if IS_SIMULATED else cuda.as_cuda_array(self)
 
     @property
     def __cuda_array_interface__(self):
@@ -41,7 +42,8 @@ class Columns:
 
     def fetched(self):
         """Return a copy (k, ..) in the memory of the process."""
-        return np.moveaxis(self.on_device if IS_SIMULATED else self.on_device.copy_to_host(), -1, 0)
+        array = self.on_device if IS_SIMULATED else self.on_device.copy_to_host()
+        return array if self.is_empty else np.moveaxis(array, -1, 0)
 
 
 def viewed(columns):

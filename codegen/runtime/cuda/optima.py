@@ -181,11 +181,11 @@ def shares(of_thread, of_case, number, free):
 
     A thread and a case need `of_thread` and `of_case` bytes. Threads have the memory for at least two cases each.
     """
-    threads = min(MOST_THREADS, number, int(PART_OF_MEMORY * free / (of_thread + 2 * of_case)))
-    threads = max(threads // IN_BLOCK * IN_BLOCK, min(IN_BLOCK, number))
+    fitting = int(PART_OF_MEMORY * free / (of_thread + 2 * of_case))
+    threads = max(1, min(MOST_THREADS // IN_BLOCK, -(-number // IN_BLOCK), fitting // IN_BLOCK)) * IN_BLOCK
     if threads * (of_thread + of_case) > free:
         needed = threads * (of_thread + of_case)
-        raise Full(f"{threads} threads need {needed / 1e6:.0f} MB, {free / 1e6:.0f} MB are free")
+        raise Full(f"{threads} cases at once need {needed / 1e6:.3g} MB, {free / 1e6:.3g} MB are free")
     return threads, max(threads, int((PART_OF_MEMORY * free - threads * of_thread) / of_case))
 
 

@@ -9,6 +9,7 @@ restoration, other scaling factors or another guess, is marked. It is then solve
 otherwise be compiled a second time as part of this function.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -527,13 +528,16 @@ def no_optima(k, m):
 
 
 class Options(NamedTuple):
-    """The options of the searches of all cases, see `solution.solve_on`; `is_on_device` is True for a GPU."""
+    """The options of the searches of all cases, see `solution.solve_on`.
+
+    `on_device` is None, or the function `cuda.optima.solve_cases`, which solves the cases on a GPU.
+    """
 
     tolerance: float
     max_iterations: int
     is_warm: bool
     scaling: str
-    is_on_device: bool = False
+    on_device: Callable[..., None] | None = None
 
 
 def solve_grids(grids, guesses, options, log):
@@ -639,10 +643,8 @@ def solve_at_once(stack, options):
     space, limit = space_for(grid, search), min(SLOW, options.max_iterations)
     whole, residuals = found.unknowns if problem.shooting is None else np.empty((k, m)), np.empty(k)
     common_arguments = options.tolerance, limit, options.is_warm, space, found
-    if options.is_on_device:
-        from codegen.runtime.cuda import optima
-
-        optima.solve_cases(grid, common, numbers, *common_arguments, whole, residuals)
+    if options.on_device is not None:
+        options.on_device(grid, common, numbers, *common_arguments, whole, residuals)
     else:
         numbers = Numbers(*map(np.ascontiguousarray, numbers))
         calls = calls_of(search, common, numbers, space, options.tolerance)
