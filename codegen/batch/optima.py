@@ -68,8 +68,9 @@ def require_place(executor: object) -> bool:
         try:
             require_device()
         except NoDevice as error:
+            reason = str(error).removeprefix("Error at driver init: ").partition(". ")[0]
             raise DeviceError(
-                clause(f"numba finds no GPU that it can use: {error}"),
+                clause(f"numba finds no GPU that it can use: {reason}"),
                 'use executor "threads", or install a driver of NVIDIA and codegen[cuda]',
             ) from None
     return executor == CUDA
