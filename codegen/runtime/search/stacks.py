@@ -5,6 +5,8 @@ well if the index of a case is the last one of each array: a parameter is an arr
 cases take hardly longer than one. Some formulas need numbers, such as those with conditions or tables, and some
 problems have several bodies or phases. For these, and if a few cases do not agree with those of the module, there is no
 stack, and the cases are computed one after the other.
+
+Formulas of parameters are evaluated with the numbers of Python, so that a case has the bits that it has by itself.
 """
 
 import math
@@ -15,19 +17,23 @@ import numpy as np
 
 from codegen.runtime.search.grid import NONE, Grid, checked_count, checked_nodes
 
-_OTHER_NAMES = {
-    "acos": "arccos", "asin": "arcsin", "atan": "arctan", "atan2": "arctan2", "acosh": "arccosh", "asinh": "arcsinh",
-    "atanh": "arctanh", "pow": "power", "fabs": "abs",
-}  # fmt: skip
+
+def _of_each(function):
+    """Return a function of arrays that calls a function of numbers for each number; NaN outside its domain."""
+
+    def of_numbers(*numbers):
+        try:
+            return function(*numbers)
+        except ValueError:
+            return math.nan
+
+    return lambda *arrays: np.frompyfunc(of_numbers, len(arrays), 1)(*arrays)
+
+
 OF_ARRAYS = SimpleNamespace(
-    **{name: value for name, value in vars(math).items() if isinstance(value, float)},
-    **{
-        name: getattr(np, _OTHER_NAMES.get(name, name))
-        for name in vars(math)
-        if callable(getattr(np, _OTHER_NAMES.get(name, name), None))
-    },
+    **{name: _of_each(value) if callable(value) else value for name, value in vars(math).items() if name[0] != "_"}
 )
-"""The functions of the module math for arrays, under the same names."""
+"""The module math for arrays of Python's numbers: the results have the bits of those of single numbers."""
 NUMBERS_ONLY = (ArithmeticError, AttributeError, IndexError, TypeError, ValueError)
 """Errors of formulas that cannot be evaluated on arrays."""
 AGREES = 1e-14
@@ -96,7 +102,7 @@ def stack_of(module, steps, arguments, k):
     names = {"math": OF_ARRAYS, "checked_grid": checked_grid}
     try:
         with np.errstate(all="ignore"):
-            whole = _with_names(module.make_grid, names)(steps, **arguments)
+            whole = _with_names(module.make_grid, names)(steps, **_as_objects(arguments))
             guesses = _with_names(problem.initial_guess, names)(whole)
             bounds = None
             if problem.variable_bounds is not None:
@@ -117,6 +123,14 @@ def case_of(arguments, case):
     """Return the keyword arguments of one case, from arrays of all cases."""
     return {
         name: case_of(values, case) if isinstance(values, dict) else float(values[case])
+        for name, values in arguments.items()
+    }
+
+
+def _as_objects(arguments):
+    """Return arguments with arrays of Python's numbers."""
+    return {
+        name: _as_objects(values) if isinstance(values, dict) else values.astype(object)
         for name, values in arguments.items()
     }
 
