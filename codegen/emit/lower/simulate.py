@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import sympy
 from sympy import Symbol
@@ -61,6 +61,8 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
                 decorators=VALUE, straight_line=needed(program.state_assignments, (program.energy,)),
             )
         )  # fmt: skip
+    if program.constraints:
+        kernels.append(_constraints_kernel(program, codes))
     if ranged:
         arguments, entry = ("state", "interval", *_ARGUMENTS[1:]), "inputs[2*{0} + {1}]"
         kernels.append(inputs_kernel("step_inputs", "in a step", arguments, inside, ranged, equations, entry, KERNEL))
@@ -82,6 +84,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     fields |= {"fractions": "FRACTIONS"} if program.fractions else {}
     fields |= {"inputs": "step_inputs", "ranges": "RANGES", "range_names": "RANGE_NAMES"} if ranged else {}
     fields |= {"tables": "TABLES"} if tables else {}
+    fields |= {"constraints": "node_constraints", "constraint_names": "CONSTRAINT_NAMES"} if program.constraints else {}
     sizes = f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}"
     stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
     meanings = "; ".join(f"{i}: {phrase(u.meaning)}" for i, u in enumerate(program.state))
@@ -96,6 +99,9 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
         meaning = "lengths of the steps of the base scheme that make up one step, relative to it"
         lines.append(Line("FRACTIONS", f"np.array([{', '.join(rows)}])", meaning))
+    if program.constraints:
+        written = repr(tuple(c.name for c in program.constraints))
+        lines.append(Line("CONSTRAINT_NAMES", written, "expressions that vanish at all nodes"))
     return SimulateModule(
         template="simulate.py.j2",
         name=model.name,
@@ -121,6 +127,25 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         start_example=f'{{"{program.start_values[0].quantity}": 0.5}}',
         state_names=", ".join(unknown.name for unknown in program.state),
     )
+
+
+def _constraints_kernel(program: StepProgram, codes: Mapping[Symbol, str]) -> Kernel:
+    """Return the kernel that checks of a state and messages read."""
+    outputs, width = list[Output](), 2 + len(program.model.coordinates)
+    for i, constraint in enumerate(program.constraints):
+        row = (constraint.value, constraint.rate, *constraint.gradient)
+        meanings = (constraint.name, "its rate", *(f"its derivative by {q}" for q in program.model.coordinates))
+        outputs += [
+            Output(f"values[{i * width + j}]", value, meaning)
+            for j, (value, meaning) in enumerate(zip(row, meanings, strict=True))
+        ]
+    return kernel(
+        "node_constraints",
+        "Fill `values` (CONSTRAINTS, 2 + coordinates), with value, rate and gradient of each constraint at `state`.",
+        ("state", "t", "parameters", "values"), codes, outputs,
+        decorators=KERNEL,
+        straight_line=needed(program.state_assignments, [output.value for output in outputs]),
+    )  # fmt: skip
 
 
 def _codes(program: StepProgram) -> dict[Symbol, str]:
@@ -207,9 +232,14 @@ def _description(program: StepProgram, kernels: Sequence[Kernel], tables: Sequen
     lines += [f"    {name} = {readable(value)}" for name, value in program.summary]
     if program.method == "variational":
         lines += ["", "where each p_k = -D1 Ld - f- and p_k1 = D2 Ld + f+ (position-momentum form)."]
+        if program.constraints:
+            names = ", ".join(u.name for u in program.holonomic_multipliers)
+            lines.append(f"The forces {names} of the constraints act at both nodes, each during half a step.")
     if program.unknowns:
         names = ", ".join(symbol.name for symbol in program.unknowns)
         lines += ["", f"These are solved for {names}; the rest is explicit."]
+    if program.constraints:
+        lines.append("An impulse is the force at its node times h/2.")
     if program.velocities:
         lines += ["", "Velocities of the step are unknowns in place of positions, so that no digits cancel:", ""]
         for velocity, after, before, time in program.velocities:
@@ -247,7 +277,7 @@ def _record(
             out.append("forces: there are none")
         elif idle:
             out.append(f"forces on {', '.join(idle)}: there are none")
-    if not any(e.has(model.time) for e in (model.function, *model.force, *model.dynamics)):
+    if not any(e.has(model.time) for e in (model.function, *model.force, *model.dynamics, *model.holonomic)):
         out.append("time in the kernels: nothing depends on it explicitly")
     return SimulationRecord(
         **record_fields(model),
@@ -268,5 +298,7 @@ def _record(
         node=tuple(u.name for u in program.state),
         stages=tuple(s.name for s in program.stage_symbols),
         unknowns=tuple(s.name for s in program.unknowns),
-        conservative=model.form != "first-order" and not any(model.force) and not model.function.has(model.time),
+        conservative=model.form != "first-order"
+        and not any(model.force)
+        and not any(e.has(model.time) for e in (model.function, *model.holonomic)),
     )

@@ -12,6 +12,9 @@ from codegen.runtime.stepping.problem import StepProblem
 from codegen.runtime.stepping.steps import EQUAL, LEFT_TABLE, energies, largest_residual, make_step, memory_for
 from codegen.runtime.tabulated import table_numbers
 
+CONSISTENT = 1e-10  # value and rate of a constraint at the start, relative to the size of its terms
+SINGULAR, NEARLY = 1e-10, 1e-3  # singular values of gradients of length one: dependent, and suspected after a failure
+INVOLVED = 1e-6  # least weight of a constraint in a dependence that names it
 TOLERANCE, MOST = 1e-13, 50  # defaults of Newton's method: relative size of the last correction, number of iterations
 FAILURES = {
     -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
@@ -143,6 +146,7 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
         tolerance=checked_tolerance(tolerance, 1e-6), max_iterations=checked_count("max_iterations", max_iterations)
     )
     problem, (steps, h, parameters, start) = grid.problem, grid[:4]
+    require_constraints(grid)
     every, size = min(checked_count("every", every), steps), start.size
     path = np.empty((1 - (-steps // every), size))
     before = path if every == 1 else np.empty((path.shape[0] - 1, size))
@@ -160,9 +164,51 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     status, message = describe(steps, failed, made, iterations, outcome)
     if outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], times_at(grid, made)))
+    if outcome < 0 and (names := dependent_constraints(grid, path[rows - 1], times_at(grid, made), NEARLY)):
+        message += f"; the constraint forces are nearly undetermined there: {names}"
     positions = size if energy is None else size // 2
     q, p = path[:rows, :positions].copy(), path[:rows, positions:].copy()
     return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations)
+
+
+def constraint_values(grid, state, t=0.0):
+    """Return value, rate and gradient of each constraint at `state` as an array (constraints, 2 + coordinates)."""
+    values = np.empty((len(grid.problem.constraint_names), 2 + grid.problem.state // 2))
+    if grid.problem.constraints is not None:
+        grid.problem.constraints(np.array(state, dtype=float), float(t), grid.parameters, values.reshape(-1))
+    return values
+
+
+def require_constraints(grid):
+    """Raise ValueError if the start violates a constraint or its rate, or if constraints depend on each other there."""
+    values, coordinates = constraint_values(grid, grid.start), grid.problem.state // 2
+    for name, (value, rate, *gradient) in zip(grid.problem.constraint_names, values, strict=True):
+        size = np.abs(gradient) @ np.abs(grid.start[:coordinates])
+        if not abs(value) <= CONSISTENT * max(1.0, size):
+            raise ValueError(f"the start violates the constraint {name} = 0, whose value is {value:.6g}")
+        if not abs(rate) <= CONSISTENT * max(1.0, np.abs(gradient).sum()):
+            raise ValueError(f"the velocities at the start violate the constraint {name} = 0, whose rate is {rate:.6g}")
+    if names := dependent_constraints(grid, grid.start, 0.0, SINGULAR):
+        raise ValueError(f"at the start the constraint forces are undetermined: {names}")
+
+
+def dependent_constraints(grid, state, t, limit):
+    """Return a text with the constraints whose gradients at `state` depend on each other, or "".
+
+    The gradients have length one. They are dependent if their matrix has a singular value below `limit`.
+    """
+    gradients, names = constraint_values(grid, state, t)[:, 2:], grid.problem.constraint_names
+    if not names or not np.isfinite(gradients).all():
+        return ""
+    lengths = np.sqrt((gradients**2).sum(axis=1))
+    for name, length in zip(names, lengths, strict=True):
+        if not length > limit * max(1.0, lengths.max()):
+            return f"the gradient of the constraint {name} = 0 vanishes"
+    left, singular, _ = np.linalg.svd(gradients / lengths[:, None], full_matrices=len(names) > gradients.shape[1])
+    if len(singular) == len(names) and singular[-1] > limit:
+        return ""
+    involved = [f"{name} = 0" for name, weight in zip(names, left[:, -1], strict=True) if abs(weight) > INVOLVED]
+    return f"the constraints {' and '.join(involved)} depend on each other"
 
 
 def describe(steps, failed, made, iterations, outcome, failures=FAILURES):

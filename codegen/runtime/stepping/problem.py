@@ -49,6 +49,11 @@ class StepProblem:
         Indices of the parameters that are the first and the last breakpoint for each input.
     range_names : tuple of str
         Names of the inputs for messages.
+    constraints : Kernel or None
+        Fills an array (constraints, 2 + coordinates): value, rate and gradient of each holonomic constraint at a node.
+        Its arguments are (state, t, parameters).
+    constraint_names : tuple of str
+        The constraints as expressions, for messages.
     tables : mapping
         Breakpoints and values of each table, as one array for each name.
     """
@@ -71,6 +76,8 @@ class StepProblem:
     inputs: Kernel | None = None
     ranges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     range_names: tuple[str, ...] = ()
+    constraints: Kernel | None = None
+    constraint_names: tuple[str, ...] = ()
     tables: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __reduce__(self):
@@ -110,7 +117,7 @@ class StepProblem:
         """Return the kernels that a solution calls, as a tuple without None."""
         every = (
             self.all_steps, self.jacobian, self.explicit, self.predict, self.residual if self.is_constant else None,
-            self.complete, self.equations, self.inputs, self.energy,
+            self.complete, self.equations, self.inputs, self.energy, self.constraints,
         )  # fmt: skip
         return tuple(kernel for kernel in every if kernel is not None)
 
