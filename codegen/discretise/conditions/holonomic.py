@@ -178,7 +178,7 @@ class Constraints:
 
 def rates(model: Model) -> tuple[Expr, ...]:
     """Return the time derivatives G v + dc/dt of the constraints, in the coordinates and velocities of the model."""
-    moving = list(zip(model.coordinates, model.rates, strict=True))
+    moving = list(zip(model.coordinates, model.rates, strict=model.form != "first-order"))
     return tuple(
         sympy.Add(sympy.diff(c, model.time), *(sympy.diff(c, q) * v for q, v in moving)) for c in model.holonomic
     )

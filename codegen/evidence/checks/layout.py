@@ -463,6 +463,9 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
     yield from _run(module, "step_equations", (base[0], at(interval), *base[1:]), residual=(whole,))
     if program.energy is not None:
         yield from _run(module, "energy", (base[0], base[1], base[3]))
+    if program.constraints:
+        shape = (len(program.constraints) * (2 + len(program.model.coordinates)),)
+        yield from _run(module, "node_constraints", (base[0], base[1], base[3]), values=shape)
     if not size:
         yield from _run(module, "explicit_step", base, interval=(whole,))
         return
