@@ -363,12 +363,21 @@ class ControlProgram:
 
 @dataclass(frozen=True)
 class ConstraintAtNode:
-    """A holonomic constraint at the left node of a step: its name, value c, rate dc/dt and gradient dc/dq."""
+    """A holonomic constraint at the left node of a step: its name, value c, rate dc/dt and gradient dc/dq.
+
+    The terms of the rate are at most of the size `scale`.
+    """
 
     name: str
     value: Expr
     rate: Expr
+    scale: Expr
     gradient: tuple[Expr, ...]
+
+    @property
+    def row(self) -> tuple[Expr, ...]:
+        """Value, rate, scale of the rate, and gradient."""
+        return (self.value, self.rate, self.scale, *self.gradient)
 
 
 @dataclass(frozen=True)

@@ -457,15 +457,14 @@ def _constraints(model: Model, left: Sequence[Symbol], velocities: Sequence[Expr
     """Return the holonomic constraints at the left node, where the coordinates have the given velocities."""
     positions = dict(zip(model.coordinates, left, strict=False))
     at_node = {**positions, **dict(zip(model.rates, velocities, strict=True))}
-    return tuple(
-        ConstraintAtNode(
-            text(c),
-            c.xreplace(positions),
-            rate.xreplace(at_node),
-            tuple(slope.xreplace(positions) for slope in gradient(c, model.coordinates)),
-        )
-        for c, rate in zip(model.holonomic, holonomic.rates(model), strict=True)
-    )
+    speed = sympy.sqrt(Add(*(v**2 for v in velocities)))
+    rows = list[ConstraintAtNode]()
+    for c, rate in zip(model.holonomic, holonomic.rates(model), strict=True):
+        slopes = tuple(slope.xreplace(positions) for slope in gradient(c, model.coordinates))
+        by_time = diff(c, model.time).xreplace(positions)
+        scale = speed * sympy.sqrt(Add(*(slope**2 for slope in slopes))) + sympy.sqrt(by_time**2)
+        rows.append(ConstraintAtNode(text(c), c.xreplace(positions), rate.xreplace(at_node), scale, slopes))
+    return tuple(rows)
 
 
 def _variational_step(

@@ -157,9 +157,13 @@ class SimulateSolution(Protocol):
 
 
 class SimulateModule(Protocol):
-    """The functions of a generated module for a simulation; a module for first-order dynamics has no `energy`."""
+    """The functions of a generated module for a simulation; a module for first-order dynamics has no `energy`.
+
+    `problem` is the StepProblem.
+    """
 
     metadata: Any
+    problem: Any
 
     solve: Callable[..., SimulateSolution]
     make_grid: Callable[..., StepGrid]

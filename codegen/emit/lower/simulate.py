@@ -131,17 +131,15 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
 
 def _constraints_kernel(program: StepProgram, codes: Mapping[Symbol, str]) -> Kernel:
     """Return the kernel that checks of a state and messages read."""
-    outputs, width = list[Output](), 2 + len(program.model.coordinates)
-    for i, constraint in enumerate(program.constraints):
-        row = (constraint.value, constraint.rate, *constraint.gradient)
-        meanings = (constraint.name, "its rate", *(f"its derivative by {q}" for q in program.model.coordinates))
-        outputs += [
-            Output(f"values[{i * width + j}]", value, meaning)
-            for j, (value, meaning) in enumerate(zip(row, meanings, strict=True))
-        ]
+    outputs = list[Output]()
+    for constraint in program.constraints:
+        slopes = (f"its derivative by {q}" for q in program.model.coordinates)
+        meanings = (constraint.name, "its rate", "scale of its rate", *slopes)
+        for value, meaning in zip(constraint.row, meanings, strict=True):
+            outputs.append(Output(f"values[{len(outputs)}]", value, meaning))
     return kernel(
         "node_constraints",
-        "Fill `values` (CONSTRAINTS, 2 + coordinates), with value, rate and gradient of each constraint at `state`.",
+        "Fill `values` (constraints, 3 + coordinates): value, rate, scale of the rate, gradient at `state` (STATE,).",
         ("state", "t", "parameters", "values"), codes, outputs,
         decorators=KERNEL,
         straight_line=needed(program.state_assignments, [output.value for output in outputs]),

@@ -274,7 +274,7 @@ def verify_step(program: StepProgram, text: Text) -> None:
     kernels.compare("step_equations", interval, (), list(values), [f"the equation {name}" for name in written])
     if program.energy is not None:
         kernels.compare("energy", [], program.state_assignments, [program.energy], ["the energy"])
-    rows = [(c.name, value) for c in program.constraints for value in (c.value, c.rate, *c.gradient)]
+    rows = [(c.name, value) for c in program.constraints for value in c.row]
     held = [f"the constraint {name}, its rate or gradient" for name, _ in rows]
     kernels.compare("node_constraints", [], program.state_assignments, [value for _, value in rows], held)
     named = [f"the {symbol} of a step" for symbol in interval]

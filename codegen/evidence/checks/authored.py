@@ -730,9 +730,7 @@ def _constrained(author: Author, values: dict[sympy.Symbol, Any], t: Array) -> A
     return np.block([[np.eye(size), np.zeros((size, size))], [np.zeros((len(tangents), size)), tangents]])
 
 
-def _step_limits(
-    author: Author, state: Array, t: float, sizes: Sequence[float], directions: Array
-) -> list[tuple[float, float]]:
+def _step_limits(author: Author, state: Array, t: float, sizes: Array, directions: Array) -> list[tuple[float, float]]:
     """Return the limit of the change per time for short steps along `directions` (rows, state), and its error.
 
     Of several step lengths, down to a millionth of the problem's own, those with the least errors relative to `sizes`

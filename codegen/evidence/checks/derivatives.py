@@ -124,7 +124,7 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     equations = function_of([*base, *interval], [value for _, value in program.equations])
     energy = None if program.energy is None else function_of(base, [program.energy], program.state_assignments)
-    rows = [value for c in program.constraints for value in (c.value, c.rate, *c.gradient)]
+    rows = [value for c in program.constraints for value in c.row]
     held, constraints = np.empty(len(rows)), function_of(base, rows, program.state_assignments)
     residuals, heights, closed, constrained = Agreement(), Agreement(), Agreement(), Agreement()
     names = [name for name, _ in program.equations]

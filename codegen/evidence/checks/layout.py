@@ -464,7 +464,7 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
     if program.energy is not None:
         yield from _run(module, "energy", (base[0], base[1], base[3]))
     if program.constraints:
-        shape = (len(program.constraints) * (2 + len(program.model.coordinates)),)
+        shape = (sum(len(c.row) for c in program.constraints),)
         yield from _run(module, "node_constraints", (base[0], base[1], base[3]), values=shape)
     if not size:
         yield from _run(module, "explicit_step", base, interval=(whole,))

@@ -12,9 +12,13 @@ from codegen.runtime.stepping.problem import StepProblem
 from codegen.runtime.stepping.steps import EQUAL, LEFT_TABLE, energies, largest_residual, make_step, memory_for
 from codegen.runtime.tabulated import table_numbers
 
-CONSISTENT = 1e-10  # value and rate of a constraint at the start, relative to the size of its terms
-SINGULAR, NEARLY = 1e-10, 1e-3  # singular values of gradients of length one: dependent, and suspected after a failure
-INVOLVED = 1e-6  # least weight of a constraint in a dependence that names it
+CONSISTENT, LEAST_LENGTH = 1e-10, 1e-6  # accuracy of constraints at the start, and least length to which it is relative
+    1e-10,
+    1e-6,
+)  # accuracy of constraints at the start, relative to terms of at least this length
+DEPENDENT, NEARLY = 1e-10, 1e-3  # limits of singular gradients at the start, and after a failed step
+AWAY, INVOLVED = 0.1, 1e-6  # relative distance of a regular point; least weight of a constraint in a dependence
+HALVINGS = 30  # of a failed step, whose longest part is sought
 TOLERANCE, MOST = 1e-13, 50  # defaults of Newton's method: relative size of the last correction, number of iterations
 FAILURES = {
     -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
@@ -164,16 +168,21 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     status, message = describe(steps, failed, made, iterations, outcome)
     if outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], times_at(grid, made)))
-    if outcome < 0 and (names := dependent_constraints(grid, path[rows - 1], times_at(grid, made), NEARLY)):
-        message += f"; the constraint forces are nearly undetermined there: {names}"
+    if outcome < 0 and problem.constraint_names:
+        reached = longest_part(grid, path[rows - 1], times_at(grid, made))
+        if names := dependent_constraints(grid, *reached, NEARLY):
+            message += f"; {names} there"
     positions = size if energy is None else size // 2
     q, p = path[:rows, :positions].copy(), path[:rows, positions:].copy()
     return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations)
 
 
 def constraint_values(grid, state, t=0.0):
-    """Return value, rate and gradient of each constraint at `state` as an array (constraints, 2 + coordinates)."""
-    values = np.empty((len(grid.problem.constraint_names), 2 + grid.problem.state // 2))
+    """Return the holonomic constraints at `state` as an array (constraints, 3 + coordinates).
+
+    The columns are value, rate, scale of the rate, and gradient.
+    """
+    values = np.empty((len(grid.problem.constraint_names), 3 + grid.problem.state // 2))
     if grid.problem.constraints is not None:
         grid.problem.constraints(np.array(state, dtype=float), float(t), grid.parameters, values.reshape(-1))
     return values
@@ -181,34 +190,51 @@ def constraint_values(grid, state, t=0.0):
 
 def require_constraints(grid):
     """Raise ValueError if the start violates a constraint or its rate, or if constraints depend on each other there."""
-    values, coordinates = constraint_values(grid, grid.start), grid.problem.state // 2
-    for name, (value, rate, *gradient) in zip(grid.problem.constraint_names, values, strict=True):
-        size = np.abs(gradient) @ np.abs(grid.start[:coordinates])
-        if not abs(value) <= CONSISTENT * max(1.0, size):
+    largest = max(LEAST_LENGTH, np.abs(grid.start[: grid.problem.state // 2]).max(initial=0.0))
+    rows = zip(grid.problem.constraint_names, constraint_values(grid, grid.start), strict=True)
+    for name, (value, rate, scale, *gradient) in rows:
+        if not abs(value) <= CONSISTENT * np.abs(gradient).sum() * largest:
             raise ValueError(f"the start violates the constraint {name} = 0, whose value is {value:.6g}")
-        if not abs(rate) <= CONSISTENT * max(1.0, np.abs(gradient).sum()):
+        if not abs(rate) <= CONSISTENT * scale:
             raise ValueError(f"the velocities at the start violate the constraint {name} = 0, whose rate is {rate:.6g}")
-    if names := dependent_constraints(grid, grid.start, 0.0, SINGULAR):
-        raise ValueError(f"at the start the constraint forces are undetermined: {names}")
+    if names := dependent_constraints(grid, grid.start, 0.0, DEPENDENT):
+        raise ValueError(f"the start does not determine the constraint forces: {names}")
 
 
 def dependent_constraints(grid, state, t, limit):
-    """Return a text with the constraints whose gradients at `state` depend on each other, or "".
+    """Return a text on the constraints whose gradients at `state` vanish or depend on each other, or "".
 
-    The gradients have length one. They are dependent if their matrix has a singular value below `limit`.
+    A gradient vanishes if its length is below `limit` times its length at a point away from the start. Gradients of
+    length one are dependent if their matrix has a singular value below `limit`.
     """
-    gradients, names = constraint_values(grid, state, t)[:, 2:], grid.problem.constraint_names
+    names, half = grid.problem.constraint_names, grid.problem.state // 2
+    gradients = constraint_values(grid, state, t)[:, 3:]
     if not names or not np.isfinite(gradients).all():
         return ""
-    lengths = np.sqrt((gradients**2).sum(axis=1))
-    for name, length in zip(names, lengths, strict=True):
-        if not length > limit * max(1.0, lengths.max()):
+    away = grid.start.copy()
+    away[:half] += AWAY * (np.abs(away[:half]).max() or 1.0) * np.linspace(0.5, 1.0, half)
+    lengths, typical = (np.linalg.norm(g, axis=1) for g in (gradients, constraint_values(grid, away, t)[:, 3:]))
+    for name, length, usual in zip(names, lengths, typical, strict=True):
+        if not length > limit * usual:
             return f"the gradient of the constraint {name} = 0 vanishes"
-    left, singular, _ = np.linalg.svd(gradients / lengths[:, None], full_matrices=len(names) > gradients.shape[1])
-    if len(singular) == len(names) and singular[-1] > limit:
+    left, singular, _ = np.linalg.svd(gradients / lengths[:, None])
+    if len(names) <= half and singular[-1] > limit:
         return ""
     involved = [f"{name} = 0" for name, weight in zip(names, left[:, -1], strict=True) if abs(weight) > INVOLVED]
     return f"the constraints {' and '.join(involved)} depend on each other"
+
+
+def longest_part(grid, state, t):
+    """Return the state at the end of the longest part of a step from `state` that can be made, and its time."""
+    reached, done, failed, length = state, 0.0, 1.0, length_at(grid, t)
+    for _ in range(HALVINGS):
+        part = 0.5 * (done + failed)
+        outcome, interval, _ = _made(grid._replace(h=part * length, spans=EQUAL), state, t)
+        if outcome >= 0 and np.isfinite(interval).all():
+            reached, done = interval[grid.problem.stages :], part
+        else:
+            failed = part
+    return reached, t + done * length
 
 
 def describe(steps, failed, made, iterations, outcome, failures=FAILURES):

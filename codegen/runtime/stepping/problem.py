@@ -50,8 +50,8 @@ class StepProblem:
     range_names : tuple of str
         Names of the inputs for messages.
     constraints : Kernel or None
-        Fills an array (constraints, 2 + coordinates): value, rate and gradient of each holonomic constraint at a node.
-        Its arguments are (state, t, parameters).
+        Fills an array (constraints, 3 + coordinates): value, rate, scale of the rate, and gradient of each holonomic
+        constraint at a node. Its arguments are (state, t, parameters).
     constraint_names : tuple of str
         The constraints as expressions, for messages.
     tables : mapping
