@@ -12,10 +12,8 @@ from codegen.runtime.stepping.problem import StepProblem
 from codegen.runtime.stepping.steps import EQUAL, LEFT_TABLE, energies, largest_residual, make_step, memory_for
 from codegen.runtime.tabulated import table_numbers
 
-CONSISTENT, LEAST_LENGTH = 1e-10, 1e-6  # accuracy of constraints at the start, and least length to which it is relative
-    1e-10,
-    1e-6,
-)  # accuracy of constraints at the start, relative to terms of at least this length
+CONSISTENT = 1e-10  # accuracy of constraints at the start, relative to their terms
+LEAST_LENGTH = 1e-6  # least size of coordinates in these terms
 DEPENDENT, NEARLY = 1e-10, 1e-3  # limits of singular gradients at the start, and after a failed step
 AWAY, INVOLVED = 0.1, 1e-6  # relative distance of a regular point; least weight of a constraint in a dependence
 HALVINGS = 30  # of a failed step, whose longest part is sought
