@@ -150,6 +150,9 @@ def test_double_pendulum_keeps_constraints_and_energy_over_many_steps():
     assert np.abs((x2 - x1) ** 2 + (y2 - y1) ** 2 - 1).max() < LIMIT
     assert np.abs(x1 * vx1 + y1 * vy1).max() < LIMIT
     assert np.abs((x2 - x1) * (vx2 - vx1) + (y2 - y1) * (vy2 - vy1)).max() < LIMIT
+    first, second = x1**2 + y1**2 - 1, (x2 - x1) ** 2 + (y2 - y1) ** 2 - 1
+    assert result.summary["constraint_error"] == pytest.approx(np.abs([first, second]).max(), abs=1e-15)
+    assert result.summary["constraint_rate"] < LIMIT
     error = result.energy - result.energy[0]
     means = error[1:].reshape(8, -1).mean(axis=1)
     assert np.abs(error).max() < 0.05  # of 2 g

@@ -84,7 +84,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     fields |= {"fractions": "FRACTIONS"} if program.fractions else {}
     fields |= {"inputs": "step_inputs", "ranges": "RANGES", "range_names": "RANGE_NAMES"} if ranged else {}
     fields |= {"tables": "TABLES"} if tables else {}
-    fields |= {"constraints": "node_constraints", "constraint_names": "CONSTRAINT_NAMES"} if program.constraints else {}
+    fields |= {"constraints": "node_constraints"} if program.constraints else {}
     sizes = f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}"
     stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
     meanings = "; ".join(f"{i}: {phrase(u.meaning)}" for i, u in enumerate(program.state))
@@ -99,9 +99,6 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
         meaning = "lengths of the steps of the base scheme that make up one step, relative to it"
         lines.append(Line("FRACTIONS", f"np.array([{', '.join(rows)}])", meaning))
-    if program.constraints:
-        written = repr(tuple(c.name for c in program.constraints))
-        lines.append(Line("CONSTRAINT_NAMES", written, "expressions that vanish at all nodes"))
     return SimulateModule(
         template="simulate.py.j2",
         name=model.name,
@@ -296,6 +293,7 @@ def _record(
         node=tuple(u.name for u in program.state),
         stages=tuple(s.name for s in program.stage_symbols),
         unknowns=tuple(s.name for s in program.unknowns),
+        constraints=tuple(c.name for c in program.constraints),
         conservative=model.form != "first-order"
         and not any(model.force)
         and not any(e.has(model.time) for e in (model.function, *model.holonomic)),

@@ -439,6 +439,7 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
         "node": tuple(u.name for u in program.state),
         "stages": tuple(s.name for s in program.stage_symbols),
         "unknowns": tuple(s.name for s in program.unknowns),
+        "constraints": tuple(c.name for c in program.constraints),
         "parameters": tuple(p.name for p in program.model.parameters),
     }
     if program.fractions:

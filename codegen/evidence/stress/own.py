@@ -81,7 +81,7 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
         of_particles = [candidate(None, scheme) for scheme in PARTICLE_SCHEMES.values() if not scheme.adaptive]
         return [case for one in of_particles for case in refined_cases(default, one, points)]
     methods = (FIRST_ORDER,) if first else ("hamiltonian", "variational")
-    if is_simulation(default) and default.problem.constraint_names:  # explicit Euler gives no vector field
+    if is_simulation(default) and default.metadata.constraints:  # explicit Euler gives no vector field
         usable = [scheme for scheme in of_method("variational") if len(scheme.discrete_lagrangian().nodes) == 2]
         return [case for s in usable for case in refined_cases(default, candidate("variational", s), ())]
     if is_simulation(default):

@@ -9,7 +9,15 @@ import numpy as np
 
 from codegen.runtime.search.grid import checked_count, checked_times, checked_tolerance
 from codegen.runtime.stepping.problem import StepProblem
-from codegen.runtime.stepping.steps import EQUAL, LEFT_TABLE, energies, largest_residual, make_step, memory_for
+from codegen.runtime.stepping.steps import (
+    EQUAL,
+    LEFT_TABLE,
+    energies,
+    largest_constraints,
+    largest_residual,
+    make_step,
+    memory_for,
+)
 from codegen.runtime.tabulated import table_numbers
 
 CONSISTENT = 1e-10  # accuracy of constraints at the start, relative to their terms
@@ -166,7 +174,7 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     status, message = describe(steps, failed, made, iterations, outcome)
     if outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], times_at(grid, made)))
-    if outcome < 0 and problem.constraint_names:
+    if outcome < 0 and problem.metadata.constraints:
         reached = longest_part(grid, path[rows - 1], times_at(grid, made))
         if names := dependent_constraints(grid, *reached, NEARLY):
             message += f"; {names} there"
@@ -180,16 +188,23 @@ def constraint_values(grid, state, t=0.0):
 
     The columns are value, rate, scale of the rate, and gradient.
     """
-    values = np.empty((len(grid.problem.constraint_names), 3 + grid.problem.state // 2))
+    values = np.empty((len(grid.problem.metadata.constraints), 3 + grid.problem.state // 2))
     if grid.problem.constraints is not None:
         grid.problem.constraints(np.array(state, dtype=float), float(t), grid.parameters, values.reshape(-1))
     return values
 
 
+def constraint_errors(grid, path, times):
+    """Return the largest moduli of the constraints and of their rates, at the states `path` (M, size) at `times`."""
+    path, times = np.ascontiguousarray(path, dtype=float), np.ascontiguousarray(times, dtype=float)
+    constraints, count = grid.problem.constraints, len(grid.problem.metadata.constraints)
+    return largest_constraints(constraints.address, count, path, times, grid.parameters)
+
+
 def require_constraints(grid):
     """Raise ValueError if the start violates a constraint or its rate, or if constraints depend on each other there."""
     largest = max(LEAST_LENGTH, np.abs(grid.start[: grid.problem.state // 2]).max(initial=0.0))
-    rows = zip(grid.problem.constraint_names, constraint_values(grid, grid.start), strict=True)
+    rows = zip(grid.problem.metadata.constraints, constraint_values(grid, grid.start), strict=True)
     for name, (value, rate, scale, *gradient) in rows:
         if not abs(value) <= CONSISTENT * np.abs(gradient).sum() * largest:
             raise ValueError(f"the start violates the constraint {name} = 0, whose value is {value:.6g}")
@@ -205,7 +220,7 @@ def dependent_constraints(grid, state, t, limit):
     A gradient vanishes if its length is below `limit` times its length at a point away from the start. Gradients of
     length one are dependent if their matrix has a singular value below `limit`.
     """
-    names, half = grid.problem.constraint_names, grid.problem.state // 2
+    names, half = grid.problem.metadata.constraints, grid.problem.state // 2
     gradients = constraint_values(grid, state, t)[:, 3:]
     if not names or not np.isfinite(gradients).all():
         return ""

@@ -52,8 +52,6 @@ class StepProblem:
     constraints : Kernel or None
         Fills an array (constraints, 3 + coordinates): value, rate, scale of the rate, and gradient of each holonomic
         constraint at a node. Its arguments are (state, t, parameters).
-    constraint_names : tuple of str
-        The constraints as expressions, for messages.
     tables : mapping
         Breakpoints and values of each table, as one array for each name.
     """
@@ -77,7 +75,6 @@ class StepProblem:
     ranges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     range_names: tuple[str, ...] = ()
     constraints: Kernel | None = None
-    constraint_names: tuple[str, ...] = ()
     tables: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __reduce__(self):
