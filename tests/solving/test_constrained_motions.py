@@ -1,5 +1,7 @@
 """Simulations with holonomic constraints, against elliptic functions and motions in angles by DOP853 of scipy."""
 
+import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -222,6 +224,57 @@ def test_mass_matrix_that_couples_many_coordinates():
     assert slopes(errors, steps) == pytest.approx(2, abs=0.1)
 
 
+def quaternion_body(added: float = 1.0) -> Simulate:
+    """Spin a free rigid body with the moments of inertia 1, 2, 3; `added` is a factor of the square of a rate."""
+    (q0, q1, q2, q3), (d0, d1, d2, d3) = coordinates("q0 q1 q2 q3")
+    spin = (
+        2 * (q0 * d1 - q1 * d0 - q2 * d3 + q3 * d2),
+        2 * (q0 * d2 - q2 * d0 - q3 * d1 + q1 * d3),
+        2 * (q0 * d3 - q3 * d0 - q1 * d2 + q2 * d1),
+    )
+    return Simulate(
+        lagrangian=(spin[0] ** 2 + 2 * spin[1] ** 2 + 3 * spin[2] ** 2) / 2
+        + added * (q0 * d0 + q1 * d1 + q2 * d2 + q3 * d3) ** 2,
+        constraint=[q0**2 + q1**2 + q2**2 + q3**2 - 1],
+        duration=4,
+        start={q0: 1, q1: 0, q2: 0, q3: 0, d0: 0, d1: 0.1, d2: 1, d3: 0.2},
+    )
+
+
+def product(a, b):
+    """Return the product of two quaternions."""
+    scalar = a[0] * b[0] - a[1:] @ b[1:]
+    return np.concatenate([[scalar], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])])
+
+
+def test_rigid_body_by_a_quaternion_follows_the_equations_of_euler():
+    """The reference is DOP853 for I w' = I w x w and q' = q w/2. The spatial angular momentum is a momentum map."""
+    inertia = np.array([1.0, 2.0, 3.0])
+
+    def field(t, state):
+        q, w = state[:4], state[4:]
+        return np.concatenate([product(q, np.array([0, *w])) / 2, np.cross(inertia * w, w) / inertia])
+
+    start = np.array([1, 0, 0, 0, 0.2, 2, 0.4])
+    exact = solve_ivp(field, (0, 4), start, "DOP853", rtol=1e-12, atol=1e-13).y[:4, -1]
+    solver, steps = codegen.compile(quaternion_body(), scheme="trapezoidal"), [200, 400, 800]
+    results = [solver.solve(steps=n) for n in steps]
+    errors = [np.abs(result.q[-1] - exact).max() for result in results]
+    assert slopes(errors, steps) == pytest.approx(2, abs=0.1)
+    units = np.eye(4)[1:]
+    momentum = np.array(
+        [[p @ product(e, q) / 2 for e in units] for q, p in zip(results[0].q, results[0].p, strict=True)]
+    )
+    assert momentum[0] == pytest.approx(inertia * start[4:])
+    assert np.abs(momentum - momentum[0]).max() < 1e-12
+    assert np.abs(np.linalg.norm(results[0].q, axis=1) - 1).max() < LIMIT
+
+
+def test_a_lagrangian_without_kinetic_energy_across_a_constraint_is_refused():
+    with pytest.raises(DegenerateError, match="across a constraint, add the square of its time derivative"):
+        codegen.solve(quaternion_body(added=0))
+
+
 # ---- Refusals ----
 
 
@@ -309,6 +362,13 @@ def test_a_constraint_of_a_simulation_with_first_order_dynamics_is_refused():
     (x,) = codegen.states("x")
     with pytest.raises(ExpressionError, match="constraint x = 0 beside dynamics; give a Lagrangian"):
         codegen.solve(Simulate(dynamics={x: -x}, constraint=[x], start={x: 1}, duration=1))
+
+
+def test_a_constraint_of_particles_is_refused():
+    particles = runpy.run_path(str(PROBLEMS / "lennard_jones.py"))["problem"]()
+    (x,), _ = coordinates("x")
+    with pytest.raises(ExpressionError, match="constraint beside particles; leave it out"):
+        codegen.solve(replace(particles, constraint=[x]))
 
 
 # ---- Evidence ----
