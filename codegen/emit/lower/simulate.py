@@ -30,6 +30,8 @@ from codegen.symbolic.tables import TableData
 
 _LONG = 1000
 """Number of operations from which common subexpressions of the equations are found on an expression graph."""
+_LONGEST_LIST = 21
+"""Greatest length of a list of names in a docstring; the comments at STATE and UNKNOWNS always have the list."""
 _ARGUMENTS = ("state", "t", "lengths", "parameters")
 """The arguments that all kernels of a time step have in common."""
 
@@ -87,6 +89,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     fields |= {"constraints": "node_constraints"} if program.constraints else {}
     sizes = f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}"
     stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
+    state_names = ", ".join(unknown.name for unknown in program.state)
     meanings = "; ".join(f"{i}: {phrase(u.meaning)}" for i, u in enumerate(program.state))
     lines = [
         Line("STATE", str(len(program.state)), meanings),
@@ -122,7 +125,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
             Line(unknown.name, scalar_code(value)) for unknown, value in zip(program.state, program.start, strict=True)
         ),
         start_example=f'{{"{program.start_values[0].quantity}": 0.5}}',
-        state_names=", ".join(unknown.name for unknown in program.state),
+        state_names=state_names if len(state_names) <= _LONGEST_LIST else "in the order of STATE",
     )
 
 
@@ -136,7 +139,7 @@ def _constraints_kernel(program: StepProgram, codes: Mapping[Symbol, str]) -> Ke
             outputs.append(Output(f"values[{len(outputs)}]", value, meaning))
     return kernel(
         "node_constraints",
-        "Fill `values` (constraints, 3 + coordinates): value, rate, scale of the rate, gradient at `state` (STATE,).",
+        "Fill `values` (constraints, 3 + coordinates): value, rate, scale of the rate, gradient, at a `state`.",
         ("state", "t", "parameters", "values"), codes, outputs,
         decorators=KERNEL,
         straight_line=needed(program.state_assignments, [output.value for output in outputs]),
@@ -177,6 +180,8 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
         for j, entry in enumerate(row)
     ]
     listed = ", ".join(names)
+    if len(listed) > _LONGEST_LIST:
+        listed = "the unknowns"
     written = (*program.before, *derivatives.assignments)
     of_residual = needed(written, derivatives.residual)
     of_both = needed(written, (*derivatives.residual, *(entry.value for entry in entries)))
