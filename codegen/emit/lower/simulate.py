@@ -125,7 +125,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
             Line(unknown.name, scalar_code(value)) for unknown, value in zip(program.state, program.start, strict=True)
         ),
         start_example=f'{{"{program.start_values[0].quantity}": 0.5}}',
-        state_names=state_names if len(state_names) <= _LONGEST_LIST else "in the order of STATE",
+        state_names=state_names if len(state_names) <= _LONGEST_LIST else "ordered as STATE",
     )
 
 
