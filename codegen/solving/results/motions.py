@@ -8,7 +8,6 @@ import numpy as np
 
 from codegen.errors import PointsError
 from codegen.runtime.record import Record, SimulationRecord
-from codegen.runtime.stepping.motion import constraint_errors
 from codegen.solving.loading import Case, ConnectModule, Matrix, SimulateModule, Vector
 from codegen.solving.results.result import (
     ConnectAttempt,
@@ -68,6 +67,8 @@ def simulate_result(
         else:
             summary["energy_change"] = float(change[-1])
     if isinstance(module.metadata, SimulationRecord) and module.metadata.constraints:
+        from codegen.runtime.stepping.motion import constraint_errors  # imports numba
+
         states = np.hstack([attempt.q, attempt.p])
         errors = constraint_errors(module.make_grid(run.steps), states, attempt.t)
         summary["constraint_error"], summary["constraint_rate"] = errors
