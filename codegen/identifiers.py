@@ -32,7 +32,8 @@ _IN_KERNELS = {
     "control": "unknowns t h parameters gradient hessian block values slopes curvatures common duration body own "
     "shared_views lower_own upper_own lower_common upper_common NODE START END BODIES PHASES node_times interval_times "
     "with_slacks checked_grid with_inner_times with_tables with_observations",
-    "simulate": "unknowns t h parameters state lengths interval residual jacobian inputs Kernel Value step_inputs",
+    "simulate": "unknowns t h parameters state lengths interval residual jacobian inputs values Kernel Value "
+    "step_inputs",
 }
 _IN_LOOPS = (
     "z own parameters singles rates gradient hessian products directions margin place fraction start target energy "

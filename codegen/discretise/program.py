@@ -362,6 +362,25 @@ class ControlProgram:
 
 
 @dataclass(frozen=True)
+class ConstraintAtNode:
+    """A holonomic constraint at the left node of a step: its name, value c, rate dc/dt and gradient dc/dq.
+
+    The terms of the rate are at most of the size `scale`.
+    """
+
+    name: str
+    value: Expr
+    rate: Expr
+    scale: Expr
+    gradient: tuple[Expr, ...]
+
+    @property
+    def row(self) -> tuple[Expr, ...]:
+        """Value, rate, scale of the rate, and gradient."""
+        return (self.value, self.rate, self.scale, *self.gradient)
+
+
+@dataclass(frozen=True)
 class StepProgram:
     """An initial value problem: one step from the left node (q_k, p_k), or x_k, to the right node.
 
@@ -373,6 +392,9 @@ class StepProgram:
     replace positions as unknowns: each has the two positions of its divided difference and the time between them.
     `guess` is the initial guess of Newton's method. `energy` is the Hamiltonian at the left node, or None for
     first-order dynamics. `start` is the initial state in terms of the parameters and the symbols of `start_values`.
+
+    With holonomic constraints, the forces along their normals at both nodes are values inside the step, and
+    `holonomic_multipliers` are their names without the suffix of a node. `constraints` are read from the left node.
 
     For a composition this is one step of its base scheme with the `lengths` as symbols. `fractions` has a row for each
     step of the base: its lengths as fractions of the whole step. Otherwise the only length is h, without fractions.
@@ -401,10 +423,11 @@ class StepProgram:
     lengths: tuple[Symbol, ...]
     fractions: tuple[tuple[Expr, ...], ...] = ()
     state_assignments: tuple[tuple[Symbol, Expr], ...] = ()
+    holonomic_multipliers: tuple[Unknown, ...] = ()
+    constraints: tuple[ConstraintAtNode, ...] = ()
 
     controlled: ClassVar[str] = "interval"
-    holonomic_multipliers: ClassVar[tuple[Unknown, ...]] = ()
-    """Attributes of control programs, which are constant in simulations."""
+    """An attribute of control programs, which is constant in simulations."""
 
     def in_time(self, expression: Expr) -> Expr:
         """Return an expression of t and h unchanged."""

@@ -9,6 +9,16 @@ Hamiltonian method, and first-order dynamics: the equations of a one-step method
 is one step of its base scheme, which the generated module repeats with other lengths: the code does not grow with their
 number.
 
+Holonomic constraints c(q, t) = 0, variational method: impulses along the normals G = dc/dq act at both nodes of a step,
+
+    p_k + h/2 G(q_k)^T kappa_k = -D1 Ld - f-,    c(q_k1) = 0,
+    p_k1 = D2 Ld + f+ + h/2 G(q_k1)^T kappa_k1,    G(q_k1) v(q_k1, p_k1) + dc/dt = 0.
+
+The second pair is a projection of p_k1, so that a state (q, p) satisfies the constraint and its time derivative. For
+the trapezoidal rule and a constant mass matrix the scheme is RATTLE. The impulses h/2 kappa are unknowns in place of
+the forces, whose rounding errors grow like 1/h^2. Source: Hairer, Lubich and Wanner (2006), VII.1.3 and VII.1.4;
+Marsden and West (2001), section 3.5.
+
 Explicit elimination leaves to Newton's method only the unknowns without a symbolic solution. Equation i belongs to
 unknown i: for a consistent scheme the coefficient of the unknown is 1 + O(h), or an entry of the mass matrix, and does
 not vanish. An equation that is linear in an unknown is solved for it, and the solution is substituted into the other
@@ -32,6 +42,7 @@ import numpy as np
 import sympy
 from sympy import Add, Expr, S, Symbol, diff, expand, expand_mul
 
+from codegen.discretise.conditions import holonomic
 from codegen.discretise.forms import with_symbolic_boundaries
 from codegen.discretise.interval import (
     STEP,
@@ -42,8 +53,9 @@ from codegen.discretise.interval import (
 )
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.relations import text
 from codegen.discretise.model.smoothness import sample_points
-from codegen.discretise.program import StepProgram, Unknown
+from codegen.discretise.program import ConstraintAtNode, Names, StepProgram, Unknown, symbols
 from codegen.discretise.schemes.base import Scheme
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic import checks as expressions
@@ -370,7 +382,10 @@ Equation = tuple[str, Expr]
 
 @dataclass(frozen=True)
 class _Step:
-    """One step: its equations, the formulas behind them (`summary`), their solution, and the initial guesses."""
+    """One step: its equations, the formulas behind them (`summary`), their solution, and the initial guesses.
+
+    `multipliers` are the forces of holonomic constraints, without the suffix of a node.
+    """
 
     equations: tuple[Equation, ...]
     summary: tuple[Equation, ...]
@@ -378,14 +393,18 @@ class _Step:
     stages: tuple[Symbol, ...]
     solution: Elimination
     guesses: dict[Symbol, Expr]
+    multipliers: tuple[Unknown, ...] = ()
 
 
 def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
     """Return the program of an initial value problem, by the "variational", "hamiltonian" or "one-step" method.
 
-    First-order dynamics have no momenta and no energy. Raises SchemeError when the scheme belongs to another method,
-    and the errors of the Legendre transforms.
+    First-order dynamics have no momenta and no energy. Raises SchemeError when the scheme belongs to another method, or
+    has inner points beside holonomic constraints; ArgumentError for such constraints in another method; and the errors
+    of the Legendre transforms.
     """
+    if method != "variational":
+        holonomic.refuse(model, method)
     model, start_values = with_symbolic_boundaries(model)
     stepwise = phase_functions(model) if method == "variational" else None
     phase = legendre.in_phase_space(model) if stepwise else legendre.hamiltonian_form(model)
@@ -394,9 +413,13 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
     lengths, part = repeated(scheme)
     if method == "variational":
         velocities = [_at(phase, v, left) for v in stepwise.velocities] if stepwise else _mean_velocities(phase, left)
-        step = _variational_step(legendre.lagrangian_form(model), part, left, right, velocities)
+        at_left = velocities if stepwise else rates_of_change(phase, left)[: len(phase.coordinates)]
+        lagrangian = legendre.lagrangian_form(model)
+        step = _variational_step(lagrangian, part, left, right, velocities, at_left)
+        constraints = _constraints(lagrangian, left, at_left)
     else:
         step = _one_step(phase, part, left, right, lengths)
+        constraints = ()
     is_mechanical = phase.form != "first-order"
     kind = Kind.COORDINATE if is_mechanical else Kind.STATE
     kinds = [*((kind, q) for q in phase.coordinates), *((Kind.MOMENTUM, p) for p in phase.rates)]
@@ -425,7 +448,23 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         start=tuple(value for value in (*phase.start.positions, *phase.start.rates) if value is not None),
         lengths=lengths,
         fractions=scheme.parts,
+        holonomic_multipliers=step.multipliers,
+        constraints=constraints,
     )
+
+
+def _constraints(model: Model, left: Sequence[Symbol], velocities: Sequence[Expr]) -> tuple[ConstraintAtNode, ...]:
+    """Return the holonomic constraints at the left node, where the coordinates have the given velocities."""
+    positions = dict(zip(model.coordinates, left, strict=False))
+    at_node = {**positions, **dict(zip(model.rates, velocities, strict=True))}
+    speed = sympy.sqrt(Add(*(v**2 for v in velocities)))
+    rows = list[ConstraintAtNode]()
+    for c, rate in zip(model.holonomic, holonomic.rates(model), strict=True):
+        slopes = tuple(slope.xreplace(positions) for slope in gradient(c, model.coordinates))
+        by_time = diff(c, model.time).xreplace(positions)
+        scale = speed * sympy.sqrt(Add(*(slope**2 for slope in slopes))) + sympy.sqrt(by_time**2)
+        rows.append(ConstraintAtNode(text(c), c.xreplace(positions), rate.xreplace(at_node), scale, slopes))
+    return tuple(rows)
 
 
 def _variational_step(
@@ -434,12 +473,16 @@ def _variational_step(
     left: Sequence[Symbol],
     right: Sequence[Symbol],
     mean_velocities: Sequence[Expr],
+    left_velocities: Sequence[Expr],
 ) -> _Step:
     interval = variational_interval(model, scheme)
+    holonomic.require_no_inner_points(model, interval.inner, scheme.name)
+    normal = _NormalForces(model, left, right)
     dimension = len(model.coordinates)
+    impulses = normal.constraints.force("_k"), normal.constraints.force("_k1")
     transforms = [
-        *zip(left[dimension:], interval.left_momentum, strict=True),
-        *zip(right[dimension:], interval.right_momentum, strict=True),
+        *((p, value - i) for p, value, i in zip(left[dimension:], interval.left_momentum, impulses[0], strict=True)),
+        *((p, value + i) for p, value, i in zip(right[dimension:], interval.right_momentum, impulses[1], strict=True)),
     ]
     names = [q.name for q in model.coordinates]
     summary = [("Ld", interval.lagrangian)]
@@ -470,25 +513,81 @@ def _variational_step(
         terms = Add.make_args(momentum.xreplace(arrival))
         return Add(*(expand_mul(term, deep=False) if term.has(1 / STEP) else term for term in terms))
 
+    leaving, gained = (list(map(normal.in_impulses, side)) for side in impulses)
     equations = [
-        *(p - in_velocities(value) for p, value in zip(left[dimension:], interval.left_momentum, strict=True)),
+        *(p + i - in_velocities(m) for p, i, m in zip(left[dimension:], leaving, interval.left_momentum, strict=True)),
         *(in_velocities(value) for value in interval.inner_balance),
         *(q1 - value for q1, value in arrival.items()),
-        *(p - in_velocities(value) for p, value in zip(right[dimension:], arriving, strict=True)),
+        *(p - i - in_velocities(value) for p, i, value in zip(right[dimension:], gained, arriving, strict=True)),
+        *normal.solved,
     ]
-    unknowns = (*velocities, *arrival, *right[dimension:])
+    unknowns = (*velocities, *arrival, *right[dimension:], *normal.unknowns)
+    guesses = dict(zip(velocities, list(mean_velocities) * (1 + len(points)), strict=True))
+    if model.holonomic:  # elimination may leave any of the unknowns
+        guesses |= {q1: q + STEP * v for q1, q, v in zip(right, left, mean_velocities, strict=False)}
+        guesses |= dict(zip(right[dimension:], left[dimension:], strict=True))
+        guesses |= dict.fromkeys(normal.unknowns, S.Zero) | dict(zip(normal.velocities, left_velocities, strict=True))
+    written = [*inner, *normal.equations]
     return _Step(
-        equations=(*inner, *((p.name, p - momentum) for p, momentum in transforms)),
+        equations=(*written, *((p.name, p - momentum) for p, momentum in transforms)),
         summary=(
             *summary,
-            *((f"0 = {name}", value) for name, value in inner),
+            *((f"0 = {name}", value) for name, value in written),
             *((p.name, momentum) for p, momentum in transforms),
         ),
         velocities=tuple((v, *d) for v, d in zip(velocities, differences, strict=True)),
-        stages=interval.inner,
+        stages=(*interval.inner, *normal.stages),
         solution=eliminate(equations, unknowns, model.parameters),
-        guesses=dict(zip(velocities, list(mean_velocities) * (1 + len(points)), strict=True)),
+        guesses=guesses,
+        multipliers=normal.constraints.kappa,
     )
+
+
+class _NormalForces:
+    """The forces kappa of holonomic constraints at both nodes of a step, and the velocities at the right node.
+
+    `equations` of the scheme, with names, determine the `stages`: kappa at the left node, velocities and kappa at the
+    right node. `solved` are equations for the `unknowns` in the same order, for an elimination.
+    """
+
+    def __init__(self, model: Model, left: Sequence[Symbol], right: Sequence[Symbol]) -> None:
+        names, dimension = Names(model), len(model.coordinates)
+        self.constraints = holonomic.Constraints(model, names)
+        multipliers = [unknown.name for unknown in self.constraints.kappa]
+        forces = [symbols(multipliers, suffix) for suffix in ("_k", "_k1")]
+        numbered = [names.numbered("impulse") for _ in multipliers]
+        impulses = [symbols(numbered, suffix) for suffix in ("_k", "_k1")]
+        moving = model.coordinates if multipliers else ()
+        self.velocities = symbols([names.named("velocity", q) for q in moving], "_k1")
+        at_right: dict[Symbol, Expr] = dict(zip(model.coordinates, right, strict=False))
+        at_right |= dict(zip(model.rates, self.velocities, strict=False))
+        at_right[model.time] = model.time + STEP
+        positions = [c.xreplace(at_right) for c in model.holonomic]
+        rates = [rate.xreplace(at_right) for rate in holonomic.rates(model)]
+        momenta = [value.xreplace(at_right) for value in gradient(model.function, model.rates)]
+        transforms = [p - value for p, value in zip(right[dimension:], momenta, strict=True)] if multipliers else []
+        self.stages = (*forces[0], *self.velocities, *forces[1])
+        self.equations = [
+            *((f"constraint {text(c)}", value) for c, value in zip(model.holonomic, positions, strict=True)),
+            *((f"{v} of momenta", value) for v, value in zip(self.velocities, transforms, strict=True)),
+            *((f"rate of constraint {text(c)}", rate) for c, rate in zip(model.holonomic, rates, strict=True)),
+        ]
+        self._impulses: dict[Symbol, Expr] = {
+            kappa: 2 * impulse / STEP
+            for pair in zip(forces, impulses, strict=True)
+            for kappa, impulse in zip(*pair, strict=True)
+        }
+        self.unknowns = (*impulses[0], *self.velocities, *impulses[1], *self._impulses)
+        self.solved = [
+            *(value / STEP for value in positions),
+            *transforms,
+            *rates,
+            *(kappa - value for kappa, value in self._impulses.items()),
+        ]
+
+    def in_impulses(self, expression: Expr) -> Expr:
+        """Return an expression of forces kappa in terms of the impulses h/2 kappa."""
+        return expression.xreplace(self._impulses)
 
 
 def _one_step(

@@ -22,7 +22,7 @@ from sympy import Expr, S, Symbol
 from codegen.discretise.assembly import Motion, assemble
 from codegen.discretise.conditions import path
 from codegen.discretise.conditions.ends import End, conditioned_end, pinned_at_zero, with_bounds
-from codegen.discretise.conditions.holonomic import Constraints
+from codegen.discretise.conditions.holonomic import Constraints, require_no_inner_points
 from codegen.discretise.conditions.linking import joined_momenta, joined_unknowns, shared_unknowns
 from codegen.discretise.conditions.path import nodal_conditions
 from codegen.discretise.conditions.periodic import (
@@ -38,7 +38,7 @@ from codegen.discretise.model.definitions import Boundary, Condition, Model
 from codegen.discretise.model.guesses import coordinate_guess
 from codegen.discretise.program import ControlProgram, Equation, Names, Unknown, occurring, symbols
 from codegen.discretise.schemes.base import Scheme
-from codegen.errors import BoundaryError, SchemeError
+from codegen.errors import BoundaryError
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic.derivatives import gradient
 
@@ -177,11 +177,7 @@ def _momentum_end(
 def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraints) -> Motion:
     """Return the discrete equations of motion: forced Euler-Lagrange equations with constraint forces."""
     interval = variational_interval(path.with_inner_path(model), scheme, controls)
-    if interval.inner and model.holonomic:
-        raise SchemeError(
-            f"scheme {scheme.name!r} has inner points, where holonomic constraints are not imposed",
-            "use midpoint or trapezoidal",
-        )
+    require_no_inner_points(model, interval.inner, scheme.name)
     names = [q.name for q in model.coordinates]
     multipliers = [f"lambda_{name}" for name in names]
     inner_multipliers = [f"lambda_{q.name}" for q in interval.inner]

@@ -454,8 +454,13 @@ def general_form(
 
 
 def _explicit_guess(program: StepProgram, unknown: Symbol) -> Expr:
-    """Return an initial guess of an unknown: an explicit Euler step to the right node, or half a step to a stage."""
+    """Return an initial guess of an unknown: an explicit Euler step to the right node, or half a step to a stage.
+
+    Forces of constraints, and velocities at the right node, are zero.
+    """
     left = program.left_symbols
+    if program.constraints and unknown in program.stage_symbols:
+        return sympy.S.Zero
     rates = rates_of_change(legendre.hamiltonian_form(program.model), left)
     stage = re.search(r"_stage\d+$", unknown.name)
     name = unknown.name[: stage.start()] if stage else unknown.name.removesuffix("_k1")

@@ -38,11 +38,6 @@ Relations = Sequence[Relation] | Mapping[str, Relation]
 """Relations as a list, or as a mapping from names to relations; messages use the names."""
 
 
-OF_CONTROLS = {
-    "constraint": "write the motion in coordinates that fulfil it, or as Control(...) without controls and cost",
-}
-"""Special remedies for arguments of a Control that a Simulate does not have."""
-
 Author = TypeVar("Author", bound=type[Any])
 
 
@@ -61,10 +56,7 @@ def refusing(kind: Author) -> Author:
                 continue
             remedy = perhaps(name, known) or f"use one of {', '.join(known)}"
             if kind is Simulate and name in [argument.name for argument in fields(Control)]:
-                remedy = OF_CONTROLS.get(
-                    name,
-                    "a simulation follows the motion from its start; write a Control(...) for costs and conditions",
-                )
+                remedy = "a simulation follows the motion from its start; write a Control(...) for costs and conditions"
             raise ProblemFileError(f"{kind.__name__}(...) has no argument {name!r}", remedy)
         for each in fields(kind):
             if not positional and each.name not in named and each.default is each.default_factory is MISSING:
@@ -131,7 +123,7 @@ class Problem(AuthorObject):
 class Simulate(Problem):
     """Simulate the motion from a complete initial state, step by step.
 
-    For holonomic constraints and delays, use a Control without controls and cost, whose time steps are solved together.
+    For delays, use a Control without controls and cost, whose time steps are solved together.
 
     Parameters
     ----------
@@ -144,6 +136,10 @@ class Simulate(Problem):
         Duration T of the motion.
     start : dict
         Values at t = 0 of all coordinates and all velocities (or all momenta), or of all states.
+    constraint : list of expressions
+        Holonomic constraints c(q) = 0 of a Lagrangian system, which the values at the start must satisfy, and their
+        time derivatives too. Every stored state satisfies both to rounding. The scheme is midpoint, trapezoidal
+        (RATTLE for a constant mass matrix) or rectangle, or a composition of midpoint or trapezoidal.
     steps : int
         Default number N of time steps.
     drawing : sequence of Item
@@ -151,6 +147,9 @@ class Simulate(Problem):
     """
 
     task: ClassVar[str] = "simulate"
+
+    _: KW_ONLY
+    constraint: Sequence[Expression] = ()
 
 
 @refusing

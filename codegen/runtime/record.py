@@ -480,6 +480,8 @@ class SimulationRecord(Record):
         The solver of the equations of a step.
     momenta, node, stages, unknowns : tuple of str
         Names of momenta, of the state at a node, of values inside a step, and of the unknowns of a step.
+    constraints : tuple of str
+        The holonomic constraints, as expressions that vanish.
     """
 
     parts: int = 0
@@ -488,6 +490,7 @@ class SimulationRecord(Record):
     node: tuple[str, ...]
     stages: tuple[str, ...] = ()
     unknowns: tuple[str, ...] = ()
+    constraints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -314,6 +314,9 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
             balances.append((_named("0"), _shortest(before - _shortest(interval.left_momentum[i]))))
         heading = ("Forced discrete" if any(side.force) else "Discrete") + " Euler-Lagrange equations"
         yield Block(heading, tuple(balances), (_BALANCE,))
+        if isinstance(program, StepProgram) and program.constraints:
+            rows = [(_named("0"), _shortest(value)) for _, value in program.equations]
+            yield Block("Equations of one step, with the forces of the constraints at both nodes", tuple(rows))
         cost, quadratures = interval.cost, interval.integrals
     else:
         step = one_step_interval(side, scheme, controls)

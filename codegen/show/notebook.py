@@ -17,13 +17,13 @@ import sympy
 from sympy.logic.boolalg import Boolean
 from sympy.printing.latex import LatexPrinter
 
-from codegen.discretise.conditions import CONDITIONS
+from codegen.discretise.conditions import CONDITIONS, HOLONOMIC
 from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import ArgumentError, CodegenError
 from codegen.identifiers import in_latex, written_unit
 from codegen.problem.description import quantities_in
 from codegen.problem.particles import Connect, Pairwise
-from codegen.problem.problem import Control, Phases, Problem
+from codegen.problem.problem import Control, Phases, Problem, Simulate
 from codegen.problem.sources import ProblemObject
 from codegen.problem.symbols import Coordinate, Delayed, FreeParameter, Moving, Parameter, Quantity, Velocity
 from codegen.solving import loading
@@ -178,6 +178,8 @@ def _rows(
         yield rf"&\text{{for each of }} {print_(problem.bodies)} \text{{ bodies}}"  # type: ignore[attr-defined]
     for mapping, time in ((problem.start, print_.first), (getattr(problem, "end", {}), print_.last)):
         yield from (f"{print_.at(key, time)} &= {print_(value)}" for key, value in _items(mapping))
+    if isinstance(problem, Simulate):
+        yield from HOLONOMIC.displayed(problem, print_)
     if isinstance(problem, Control):
         for symbol, value in _items(problem.history):
             yield rf"{print_.at(symbol, 't')} &= {print_(value)}\quad\text{{for }} t \le 0"

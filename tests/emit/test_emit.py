@@ -157,6 +157,7 @@ def test_names_that_generated_functions_use_are_marked(name, tree):
     """A parameter of the same name as a local or a function that its own module calls would shadow it."""
     metadata = record_in(text_of(name))
     own = {*metadata.parameters, *getattr(metadata, "own", ()), "t"}
+    moving = (*metadata.coordinates, *metadata.rates)
     for function in [node for node in tree.body if isinstance(node, ast.FunctionDef)]:
         if not own & {argument.arg for argument in function.args.kwonlyargs}:
             continue
@@ -164,7 +165,7 @@ def test_names_that_generated_functions_use_are_marked(name, tree):
         names |= {argument.arg for argument in (*function.args.args, *function.args.kwonlyargs)}
         # Points that move one by one have locals of their own kind, which no symbol is called.
         task = "particles" if metadata.of_particles and metadata.task == Task.SIMULATE else metadata.task
-        lacking = {n for n in names - own if identifiers.marked(n, task, (), moving=False) == n}
+        lacking = {n for n in names - own if identifiers.marked(n, task, moving, moving=False) == n}
         assert not lacking, function.name
 
 

@@ -19,7 +19,6 @@ FREE = {"lagrangian": dx**2 / 2, "duration": 1}
 @pytest.mark.parametrize(
     ("kind", "unknown", "message"),
     [
-        (codegen.Simulate, "constraint", "Simulate(...) has no argument 'constraint'; write the motion in coordinates"),
         (
             codegen.Simulate,
             "cost",

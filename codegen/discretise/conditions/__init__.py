@@ -11,9 +11,12 @@ from codegen.discretise.conditions.measurements import Observations
 from codegen.discretise.conditions.path import Path
 from codegen.discretise.conditions.periodic import PeriodicKind
 
+HOLONOMIC = Holonomic()
+"""The only kind of conditions that simulations have."""
+
 CONDITIONS: tuple[ConditionKind, ...] = (
     Path(),
-    Holonomic(),
+    HOLONOMIC,
     Integrals(),
     AtTimes(),
     Waypoints(),

@@ -38,10 +38,10 @@ from codegen.discretise.conditions.base import (
 from codegen.discretise.conditions.path import NodalTerms, nodal_equalities
 from codegen.discretise.interval import STEP, at_nodes
 from codegen.discretise.model.definitions import Boundary, Condition, Model
-from codegen.discretise.model.relations import Entry, text
+from codegen.discretise.model.relations import Entry, relation_entries, text
 from codegen.discretise.program import Names, Unknown, occurring, symbols
-from codegen.errors import ArgumentError, DegenerateError, ExpressionError
-from codegen.problem.problem import Control
+from codegen.errors import ArgumentError, DegenerateError, ExpressionError, SchemeError
+from codegen.problem.problem import Control, Simulate
 from codegen.problem.symbols import Coordinate, Parameter, Time
 from codegen.runtime.record import Kind, Meaning
 
@@ -58,11 +58,17 @@ class Holonomic(ConditionKind):
     )
     check = "holonomic drift"
 
-    def require_fitting(self, entry: Entry, control: Control, form: str) -> None:
+    def written(self, control: Control | Simulate) -> Iterator[Entry]:
+        return relation_entries(self.argument, control.constraint)
+
+    def require_fitting(self, entry: Entry, control: Control | Simulate, form: str) -> None:
+        has_path = isinstance(control, Control)
         if form != "lagrangian":
-            raise ExpressionError(f"{entry.what} beside {form}", "give a Lagrangian, or write the condition in path")
+            remedy = "give a Lagrangian" + (", or write the condition in path" if has_path else "")
+            raise ExpressionError(f"{entry.what} beside {form}", remedy)
         if not entry.equality:
-            raise ExpressionError(f"{entry.what} is an inequality", "write it in path")
+            remedy = "write it in path" if has_path else "give an equation between coordinates"
+            raise ExpressionError(f"{entry.what} is an inequality", remedy)
 
     def conditions(self, entries: Sequence[Entry]) -> tuple[Expr, ...]:
         return tuple(condition.expression for condition in conditions_of(entries, self.argument))
@@ -72,10 +78,9 @@ class Holonomic(ConditionKind):
 
     def at(self, model: Model, end: str) -> Iterator[Condition]:
         """Yield the constraints and their time derivatives, which vanish too."""
-        for c in model.holonomic:
+        for c, rate in zip(model.holonomic, rates(model), strict=True):
             yield Condition(f"constraint {text(c)} = 0", c)
-            rate = sympy.Add(*(sympy.diff(c, q) * v for q, v in zip(model.coordinates, model.rates, strict=True)))
-            yield Condition(f"the rate of constraint {text(c)} = 0", rate + sympy.diff(c, model.time))
+            yield Condition(f"the rate of constraint {text(c)} = 0", rate)
 
     def require_regular(self, model: Model, points: Points) -> None:
         """Raise an error for constant or dependent constraints, and for as many constraints as coordinates."""
@@ -99,23 +104,21 @@ class Holonomic(ConditionKind):
         if model.holonomic:
             yield "Holonomic constraints", tuple(("0", constraint) for constraint in model.holonomic)
 
-    def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
+    def displayed(self, control: Control | Simulate, latex: Latex) -> Iterator[str]:
         for constraint in listed(control.constraint):
             yield rf"0 &= {latex(constraint)}\quad\text{{(holonomic)}}"
 
 
 class Constraints:
-    """The holonomic constraints of a model with the unknowns kappa and eta of every node."""
+    """The holonomic constraints of a model with the forces kappa and, in control problems, eta of every node."""
 
     def __init__(self, model: Model, names: Names) -> None:
-        """Name the unknowns; the attribute `touched` has the indices of the coordinates in each constraint."""
-        self.model = model
+        """Name the forces; the attribute `touched` has the indices of the coordinates in each constraint."""
+        self.model, self.names = model, names
         self.touched = tuple(occurring(model.coordinates, c) for c in model.holonomic)
         self.kappa = tuple(
             Unknown(names.numbered("kappa"), Meaning(Kind.NORMAL_FORCE, str(c))) for c in model.holonomic
         )
-        conditions = [Condition(str(c), c) for c in model.holonomic]
-        self.eta = nodal_equalities(model, conditions, "eta", names, Kind.CONSTRAINT)
 
     def force(self, suffix: str) -> list[Expr]:
         """Return the impulse h/2 G^T kappa of the constraint force at the left (`_k`) or right (`_k1`) node."""
@@ -133,12 +136,14 @@ class Constraints:
         Where both ends match the same pi, only the sum of both kappa acts, and the kappa of the end is zero.
         """
         pairs = list(zip(self.kappa, self.touched, strict=True))
+        conditions = [Condition(str(c), c) for c in self.model.holonomic]
+        eta = nodal_equalities(self.model, conditions, "eta", self.names, Kind.CONSTRAINT)
         return NodalTerms(
-            unknowns=(*self.kappa, *self.eta.unknowns),
-            element=self.eta.element,
-            start_pins=(*self.eta.start_pins, *(k.name for k, t in pairs if not t & (matched[0] | by_pi[0]))),
-            end_pins=(*self.eta.end_pins, *(k.name for k, t in pairs if not t & matched[1] or t & by_pi[1])),
-            equations=self.eta.equations,
+            unknowns=(*self.kappa, *eta.unknowns),
+            element=eta.element,
+            start_pins=(*eta.start_pins, *(k.name for k, t in pairs if not t & (matched[0] | by_pi[0]))),
+            end_pins=(*eta.end_pins, *(k.name for k, t in pairs if not t & matched[1] or t & by_pi[1])),
+            equations=eta.equations,
         )
 
     def tangency(self, boundary: Boundary, matched: set[int], values: Mapping[Symbol, Expr]) -> tuple[Condition, ...]:
@@ -171,10 +176,27 @@ class Constraints:
         return tuple(conditions)
 
 
+def rates(model: Model) -> tuple[Expr, ...]:
+    """Return the time derivatives G v + dc/dt of the constraints, in the coordinates and velocities of the model."""
+    moving = list(zip(model.coordinates, model.rates, strict=model.form != "first-order"))
+    return tuple(
+        sympy.Add(sympy.diff(c, model.time), *(sympy.diff(c, q) * v for q, v in moving)) for c in model.holonomic
+    )
+
+
+def require_no_inner_points(model: Model, inner: Sequence[Symbol], scheme: str) -> None:
+    """Raise SchemeError if a scheme with inner points is to discretise a model with holonomic constraints."""
+    if inner and model.holonomic:
+        raise SchemeError(
+            f"scheme {scheme!r} has inner points, where holonomic constraints are not imposed",
+            "use midpoint or trapezoidal" + (", or suzuki-4-of-trapezoidal" if model.task == "simulate" else ""),
+        )
+
+
 def refuse(model: Model, method: str) -> None:
     """Raise ArgumentError for a model with holonomic constraints: the method has no discrete constraint forces."""
     if model.holonomic:
         raise ArgumentError(
-            f"the {method} method has no holonomic constraints, and {model.holonomic[0]} = 0 is one",
+            f"the {method} method has no holonomic constraints, and {text(model.holonomic[0])} = 0 is one",
             "use --method variational, or generalised coordinates",
         )

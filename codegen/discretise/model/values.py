@@ -74,19 +74,21 @@ def require_values(model: Model, bounds: Sequence[Bounds], points: Points) -> No
 def require_regular_lagrangian(model: Model, points: Points) -> None:
     """Raise DegenerateError if the Hessian of a Lagrangian with respect to the velocities is singular.
 
-    Directions normal to holonomic constraints are excepted: the Lagrangian of a rigid body does not depend on the rate
-    of change of the length of its quaternion.
+    Directions normal to holonomic constraints are excepted in control problems: the Lagrangian of a rigid body does not
+    depend on the rate of change of the length of its quaternion. A simulation has momenta, which determine velocities.
     """
     if model.form != "lagrangian":
         return
-    across = [sympy.Matrix([c]).jacobian(model.coordinates).dot(model.rates) for c in model.holonomic]
+    constraints = model.holonomic if model.task == "control" else ()
+    across = [sympy.Matrix([c]).jacobian(model.coordinates).dot(model.rates) for c in constraints]
     regularised = model.function + sum(rate**2 for rate in across)
     null = expressions.null_direction(hessian_samples(regularised, model.rates, points))
     if null is not None:
         names = " ".join(str(v) for v, weight in zip(model.rates, null, strict=True) if abs(weight) > 1e-6)
-        raise DegenerateError(
-            f"the Lagrangian is degenerate in {names}", "give every coordinate a kinetic energy, or leave it out"
-        )
+        remedy = "give every coordinate a kinetic energy, or leave it out"
+        if len(constraints) < len(model.holonomic):
+            remedy += "; across a constraint, add the square of its time derivative, which vanishes along the motion"
+        raise DegenerateError(f"the Lagrangian is degenerate in {names}", remedy)
 
 
 def require_agreement(model: Model) -> None:

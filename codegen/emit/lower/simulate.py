@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import sympy
 from sympy import Symbol
@@ -30,6 +30,8 @@ from codegen.symbolic.tables import TableData
 
 _LONG = 1000
 """Number of operations from which common subexpressions of the equations are found on an expression graph."""
+_LONGEST_LIST = 21
+"""Greatest length of a list of names in a docstring; the comments at STATE and UNKNOWNS always have the list."""
 _ARGUMENTS = ("state", "t", "lengths", "parameters")
 """The arguments that all kernels of a time step have in common."""
 
@@ -61,6 +63,8 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
                 decorators=VALUE, straight_line=needed(program.state_assignments, (program.energy,)),
             )
         )  # fmt: skip
+    if program.constraints:
+        kernels.append(_constraints_kernel(program, codes))
     if ranged:
         arguments, entry = ("state", "interval", *_ARGUMENTS[1:]), "inputs[2*{0} + {1}]"
         kernels.append(inputs_kernel("step_inputs", "in a step", arguments, inside, ranged, equations, entry, KERNEL))
@@ -82,8 +86,10 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     fields |= {"fractions": "FRACTIONS"} if program.fractions else {}
     fields |= {"inputs": "step_inputs", "ranges": "RANGES", "range_names": "RANGE_NAMES"} if ranged else {}
     fields |= {"tables": "TABLES"} if tables else {}
+    fields |= {"constraints": "node_constraints"} if program.constraints else {}
     sizes = f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}"
     stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
+    state_names = ", ".join(unknown.name for unknown in program.state)
     meanings = "; ".join(f"{i}: {phrase(u.meaning)}" for i, u in enumerate(program.state))
     lines = [
         Line("STATE", str(len(program.state)), meanings),
@@ -119,8 +125,25 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
             Line(unknown.name, scalar_code(value)) for unknown, value in zip(program.state, program.start, strict=True)
         ),
         start_example=f'{{"{program.start_values[0].quantity}": 0.5}}',
-        state_names=", ".join(unknown.name for unknown in program.state),
+        state_names=state_names if len(state_names) <= _LONGEST_LIST else "ordered as STATE",
     )
+
+
+def _constraints_kernel(program: StepProgram, codes: Mapping[Symbol, str]) -> Kernel:
+    """Return the kernel that checks of a state and messages read."""
+    outputs = list[Output]()
+    for constraint in program.constraints:
+        slopes = (f"its derivative by {q}" for q in program.model.coordinates)
+        meanings = (constraint.name, "its rate", "scale of its rate", *slopes)
+        for value, meaning in zip(constraint.row, meanings, strict=True):
+            outputs.append(Output(f"values[{len(outputs)}]", value, meaning))
+    return kernel(
+        "node_constraints",
+        "Fill `values` (constraints, 3 + coordinates): value, rate, scale of the rate, gradient, at a `state`.",
+        ("state", "t", "parameters", "values"), codes, outputs,
+        decorators=KERNEL,
+        straight_line=needed(program.state_assignments, [output.value for output in outputs]),
+    )  # fmt: skip
 
 
 def _codes(program: StepProgram) -> dict[Symbol, str]:
@@ -157,6 +180,8 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
         for j, entry in enumerate(row)
     ]
     listed = ", ".join(names)
+    if len(listed) > _LONGEST_LIST:
+        listed = "the unknowns"
     written = (*program.before, *derivatives.assignments)
     of_residual = needed(written, derivatives.residual)
     of_both = needed(written, (*derivatives.residual, *(entry.value for entry in entries)))
@@ -207,9 +232,14 @@ def _description(program: StepProgram, kernels: Sequence[Kernel], tables: Sequen
     lines += [f"    {name} = {readable(value)}" for name, value in program.summary]
     if program.method == "variational":
         lines += ["", "where each p_k = -D1 Ld - f- and p_k1 = D2 Ld + f+ (position-momentum form)."]
+        if program.constraints:
+            names = ", ".join(u.name for u in program.holonomic_multipliers)
+            lines.append(f"The forces {names} of the constraints act at both nodes, each during half a step.")
     if program.unknowns:
         names = ", ".join(symbol.name for symbol in program.unknowns)
         lines += ["", f"These are solved for {names}; the rest is explicit."]
+    if program.constraints:
+        lines.append("An impulse is the force at its node times h/2.")
     if program.velocities:
         lines += ["", "Velocities of the step are unknowns in place of positions, so that no digits cancel:", ""]
         for velocity, after, before, time in program.velocities:
@@ -247,7 +277,7 @@ def _record(
             out.append("forces: there are none")
         elif idle:
             out.append(f"forces on {', '.join(idle)}: there are none")
-    if not any(e.has(model.time) for e in (model.function, *model.force, *model.dynamics)):
+    if not any(e.has(model.time) for e in (model.function, *model.force, *model.dynamics, *model.holonomic)):
         out.append("time in the kernels: nothing depends on it explicitly")
     return SimulationRecord(
         **record_fields(model),
@@ -268,5 +298,8 @@ def _record(
         node=tuple(u.name for u in program.state),
         stages=tuple(s.name for s in program.stage_symbols),
         unknowns=tuple(s.name for s in program.unknowns),
-        conservative=model.form != "first-order" and not any(model.force) and not model.function.has(model.time),
+        constraints=tuple(c.name for c in program.constraints),
+        conservative=model.form != "first-order"
+        and not any(model.force)
+        and not any(e.has(model.time) for e in (model.function, *model.holonomic)),
     )

@@ -274,6 +274,9 @@ def verify_step(program: StepProgram, text: Text) -> None:
     kernels.compare("step_equations", interval, (), list(values), [f"the equation {name}" for name in written])
     if program.energy is not None:
         kernels.compare("energy", [], program.state_assignments, [program.energy], ["the energy"])
+    rows = [(c.name, value) for c in program.constraints for value in c.row]
+    held = [f"the constraint {name}, its rate or gradient" for name, _ in rows]
+    kernels.compare("node_constraints", [], program.state_assignments, [value for _, value in rows], held)
     named = [f"the {symbol} of a step" for symbol in interval]
     if not program.unknowns:
         kernels.compare("explicit_step", [], program.before, list(interval), named)
@@ -314,7 +317,9 @@ class _StepKernels:
             within, results = [at[symbol] for symbol in inside], [0] * len(values)
             if name == "energy":
                 return [kernel(state, time, parameters)]
-            if name == "step_equations":
+            if name == "node_constraints":
+                kernel(state, time, parameters, results)
+            elif name == "step_equations":
                 kernel(state, within, time, lengths, parameters, results)
             elif name == "explicit_step":
                 kernel(state, time, lengths, parameters, results)

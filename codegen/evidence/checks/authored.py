@@ -18,7 +18,8 @@ author's conditions, and costs to the author's costs. Limits are extrapolated by
 integrals use Gauss-Legendre quadrature. The limits of momentum equations at both ends vanish, because the motion has
 the author's end velocities.
 
-A step of a simulation from a random state, divided by its length, must tend to the author's equations of motion.
+A step of a simulation from a random state, divided by its length, must tend to the author's equations of motion. With
+holonomic constraints the state satisfies them, and momenta are compared along the directions that they leave free.
 """
 
 from __future__ import annotations
@@ -677,12 +678,15 @@ def _simulation(author: Author) -> Iterator[Finding]:
             values[s] = start[s] + 0.2 * size * generator.uniform(-1.0, 1.0)
         t = generator.uniform(0.0, author.durations[0], 1)
         values[author.time] = t
+        free = _constrained(author, values, t)
         state, terms = _state(author, values), _rates(author, values, t)
-        sizes = [sum(abs(term) for term in row) for row in terms]
-        sizes = [size + 1e-6 * max(sizes) for size in sizes]
-        limits = _step_limits(author, state, float(t[0]), sizes)
-        for name, row, size, (limit, error) in zip(names, terms, sizes, limits, strict=True):
-            motions.append(Item(str(name), sum(row), limit, LIMIT * size, error))
+        rates, sizes = (free @ [sum(row) for row in terms], np.abs(free) @ [sum(map(abs, row)) for row in terms])
+        sizes += 1e-6 * max(sizes)
+        limits = _step_limits(author, state, float(t[0]), sizes, free)
+        along = [f"momentum {i + 1} along the constraints" for i in range(len(free) - len(author.coordinates))]
+        labels = names if len(free) == len(state) else [*author.coordinates, *along]
+        for name, rate, size, (limit, error) in zip(labels, rates, sizes, limits, strict=True):
+            motions.append(Item(str(name), float(rate), limit, LIMIT * size, error))
         if author.rates and (energy := getattr(module, "energy", None)) is not None:
             exact, size = _energy(author, values, t)
             parameters = module.make_grid(1, **arguments).parameters
@@ -691,8 +695,43 @@ def _simulation(author: Author) -> Iterator[Finding]:
     yield from _verdict("energy", energies)
 
 
-def _step_limits(author: Author, state: Array, t: float, sizes: Sequence[float]) -> list[tuple[float, float]]:
-    """Return, for each entry of the state, the limit of the change per time for short steps, and its error.
+def _constrained(author: Author, values: dict[sympy.Symbol, Any], t: Array) -> Array:
+    """Move coordinates and velocities onto the holonomic constraints; return the free directions (rows, state).
+
+    The rows of the result are all directions of coordinates, then an orthonormal basis of the momenta without forces
+    of the constraints. Raise NoMotionError if the constraints cannot be satisfied near the given values.
+    """
+    size, constraints = len(author.coordinates), relations_of(getattr(author.first, "constraint", ()))
+    if not constraints:
+        return np.eye(size + len(author.rates))
+
+    def numbers(expressions: Iterable[Any]) -> Array:
+        return np.array([values_along(e, values, t)[0] for e in expressions])
+
+    written = [relation.expression for relation in constraints]
+    slopes = [sympy.diff(c, q) for c in written for q in author.coordinates]
+    for _ in range(50):
+        gradients = numbers(slopes).reshape(len(written), size)
+        change = np.linalg.pinv(gradients) @ numbers(written)
+        for q, correction in zip(author.coordinates, change, strict=True):
+            values[q] = values[q] - correction
+        if np.abs(change).max() < 1e-14 * (1.0 + max(np.abs(values[q]).max() for q in author.coordinates)):
+            break
+    else:
+        raise NoMotionError("the constraints have no solution near the start")
+    gradients = numbers(slopes).reshape(len(written), size)
+    velocities = np.array([np.ravel(values[v])[0] for v in author.rates])
+    clock = sympy.Dummy("t")  # authors must not differentiate by the time, which has other rules in their expressions
+    partial = [sympy.diff(c.xreplace({author.time: clock}), clock).xreplace({clock: author.time}) for c in written]
+    excess = gradients @ velocities + numbers(partial)
+    for v, correction in zip(author.rates, np.linalg.pinv(gradients) @ excess, strict=True):
+        values[v] = values[v] - correction
+    tangents = np.linalg.svd(gradients)[2][len(written) :]
+    return np.block([[np.eye(size), np.zeros((size, size))], [np.zeros((len(tangents), size)), tangents]])
+
+
+def _step_limits(author: Author, state: Array, t: float, sizes: Array, directions: Array) -> list[tuple[float, float]]:
+    """Return the limit of the change per time for short steps along `directions` (rows, state), and its error.
 
     Of several step lengths, down to a millionth of the problem's own, those with the least errors relative to `sizes`
     are taken: stiff dynamics need short steps, and very short steps have rounding errors.
@@ -702,7 +741,7 @@ def _step_limits(author: Author, state: Array, t: float, sizes: Sequence[float])
         rows = []
         for h in (scale * author.durations[0] / author.first.steps / 2**i for i in range(1, 6)):
             grid = author.module.make_grid(1, **author.arguments, duration=h)
-            rows.append((np.asarray(author.module.step(grid, state, t)) - state) / h)
+            rows.append(directions @ (np.asarray(author.module.step(grid, state, t)) - state) / h)
         found.append([extrapolated(column) for column in zip(*rows, strict=True)])
 
     def worst(limits: list[tuple[float, float]]) -> float:

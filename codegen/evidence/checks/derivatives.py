@@ -124,7 +124,9 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     equations = function_of([*base, *interval], [value for _, value in program.equations])
     energy = None if program.energy is None else function_of(base, [program.energy], program.state_assignments)
-    residuals, heights, closed = Agreement(), Agreement(), Agreement()
+    rows = [value for c in program.constraints for value in c.row]
+    held, constraints = np.empty(len(rows)), function_of(base, rows, program.state_assignments)
+    residuals, heights, closed, constrained = Agreement(), Agreement(), Agreement(), Agreement()
     names = [name for name, _ in program.equations]
     module, emitted, after = context.module, np.empty(len(interval)), np.empty(len(program.equations))
     for point in random_points([v for _, v in program.equations], [*base, *interval], program.model):
@@ -136,6 +138,9 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
             residuals.compare(names, emitted, equations(*numbers, *map(mpmath.mpf, drawn)))
             if energy is not None:
                 heights.compare(["H"], [module.energy(arguments[0], arguments[1], arguments[3])], energy(*numbers))
+            if rows:
+                module.node_constraints(arguments[0], arguments[1], arguments[3], held)
+                constrained.compare([f"value {i}" for i in range(len(rows))], held, constraints(*numbers))
 
         # A long step may have no solution, for example where bodies happen to be close; a short step has one.
         errors = [mpmath.inf] * len(names)
@@ -157,6 +162,8 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     yield residuals.finding("step_equations", "the scheme's equations")
     if energy is not None:
         yield heights.finding("energy", "the Hamiltonian")
+    if rows:
+        yield constrained.finding("node_constraints", "the constraints, their rates and gradients")
     yield closed.finding("one step", "the scheme's equations")
     if not program.unknowns:
         return

@@ -439,6 +439,7 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
         "node": tuple(u.name for u in program.state),
         "stages": tuple(s.name for s in program.stage_symbols),
         "unknowns": tuple(s.name for s in program.unknowns),
+        "constraints": tuple(c.name for c in program.constraints),
         "parameters": tuple(p.name for p in program.model.parameters),
     }
     if program.fractions:
@@ -463,6 +464,9 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
     yield from _run(module, "step_equations", (base[0], at(interval), *base[1:]), residual=(whole,))
     if program.energy is not None:
         yield from _run(module, "energy", (base[0], base[1], base[3]))
+    if program.constraints:
+        shape = (sum(len(c.row) for c in program.constraints),)
+        yield from _run(module, "node_constraints", (base[0], base[1], base[3]), values=shape)
     if not size:
         yield from _run(module, "explicit_step", base, interval=(whole,))
         return

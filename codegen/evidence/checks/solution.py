@@ -45,6 +45,7 @@ from codegen.evidence.analysis.modified_equations import vector_field
 from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.runtime.search import point
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
+from codegen.runtime.stepping.motion import constraint_values
 from codegen.solving.arcs import order_of_optima
 from codegen.solving.drivers import find
 from codegen.solving.loading import ControlSolution, Grid, Vector
@@ -64,6 +65,8 @@ def free_values(module: ModuleType, solution: ControlSolution) -> Vector:
 def data_at_solution(context: Context) -> dict[Symbol, float]:
     """Return the values of all parameters by symbol: the defaults, and the free parameters at the solution."""
     model = context.model
+    if not model.free_parameters:
+        return model.default_values
     free = map(float, free_values(context.module, context.solution))
     return model.default_values | dict(zip((p.symbol for p in model.free_parameters), free, strict=True))
 
@@ -124,6 +127,15 @@ def check_holonomic_drift(context: Context) -> Iterator[Finding]:
         if not passed:
             detail = f"the motion leaves the constraint: |c| = {largest:.2g} at node {node}{of_body}"
         yield Finding("holonomic drift", f"c = {sympy.sstr(constraint)}", passed, detail)
+    if model.task != "simulate":
+        return
+    grid = context.module.make_grid(1)
+    states = zip(np.hstack([solution.q, solution.p]), solution.t, strict=True)
+    rates = np.array([constraint_values(grid, *state)[:, 1] for state in states])
+    for constraint, rate in zip(model.holonomic, rates.T, strict=True):
+        largest, size = float(np.abs(rate).max()), max(1.0, float(np.abs(solution.p).max()))
+        detail = f"|dc/dt| <= {largest:.1g} at all {solution.t.size} nodes"
+        yield Finding("holonomic drift", f"rate of {sympy.sstr(constraint)}", largest <= _HELD * size, detail)
 
 
 _MET = 1e-7  # violation of a condition relative to its terms

@@ -2,7 +2,8 @@
 
 A simulation is compared with DOP853 of scipy, or Radau if it is stiff, on the vector field of an explicit Euler module.
 The eigenvalues of the field's Jacobian along this motion tell which steps resolve the motion, and which are stable.
-Optima, and motions of particles, are compared with the same scheme on eight times as many intervals.
+Optima, motions of particles and motions with holonomic constraints are compared with the same scheme on eight times as
+many intervals.
 """
 
 from __future__ import annotations
@@ -80,6 +81,9 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
         of_particles = [candidate(None, scheme) for scheme in PARTICLE_SCHEMES.values() if not scheme.adaptive]
         return [case for one in of_particles for case in refined_cases(default, one, points)]
     methods = (FIRST_ORDER,) if first else ("hamiltonian", "variational")
+    if is_simulation(default) and default.metadata.constraints:  # explicit Euler gives no vector field
+        usable = [scheme for scheme in of_method("variational") if len(scheme.discrete_lagrangian().nodes) == 2]
+        return [case for s in usable for case in refined_cases(default, candidate("variational", s), ())]
     if is_simulation(default):
         candidates = [candidate(method, scheme) for method in methods for scheme in of_method(method)]
         euler = compiler.build(problem, arguments, scheme="explicit-euler", method=None if first else "hamiltonian")
@@ -268,7 +272,8 @@ def largest_stable(module: SimulateModule, truth: Truth) -> float:
 
 def refined_cases(default: GeneratedModule, candidate: Candidate, points: tuple[tuple[float, ...], ...]) -> list[Case]:
     """Return the cases of one scheme: its own grid, ten times as many intervals, a long horizon, noisy guesses."""
-    setup, steps, is_control = candidate[0], int(default.metadata.steps), not is_of_particles(default)
+    setup, steps = candidate[0], int(default.metadata.steps)
+    is_control = not (is_of_particles(default) or is_simulation(default))
 
     def case(name: str, reason: str, n: int, reference: str = "refined", **more: object) -> Case:
         return Case(

@@ -9,9 +9,22 @@ import numpy as np
 
 from codegen.runtime.search.grid import checked_count, checked_times, checked_tolerance
 from codegen.runtime.stepping.problem import StepProblem
-from codegen.runtime.stepping.steps import EQUAL, LEFT_TABLE, energies, largest_residual, make_step, memory_for
+from codegen.runtime.stepping.steps import (
+    EQUAL,
+    LEFT_TABLE,
+    energies,
+    largest_constraints,
+    largest_residual,
+    make_step,
+    memory_for,
+)
 from codegen.runtime.tabulated import table_numbers
 
+CONSISTENT = 1e-10  # accuracy of constraints at the start, relative to their terms
+LEAST_LENGTH = 1e-6  # least size of coordinates in these terms
+DEPENDENT, NEARLY = 1e-10, 1e-3  # limits of singular gradients at the start, and after a failed step
+AWAY, INVOLVED = 0.1, 1e-6  # relative distance of a regular point; least weight of a constraint in a dependence
+HALVINGS = 30  # of a failed step, whose longest part is sought
 TOLERANCE, MOST = 1e-13, 50  # defaults of Newton's method: relative size of the last correction, number of iterations
 FAILURES = {
     -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
@@ -143,6 +156,7 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
         tolerance=checked_tolerance(tolerance, 1e-6), max_iterations=checked_count("max_iterations", max_iterations)
     )
     problem, (steps, h, parameters, start) = grid.problem, grid[:4]
+    require_constraints(grid)
     every, size = min(checked_count("every", every), steps), start.size
     path = np.empty((1 - (-steps // every), size))
     before = path if every == 1 else np.empty((path.shape[0] - 1, size))
@@ -160,9 +174,80 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     status, message = describe(steps, failed, made, iterations, outcome)
     if outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], times_at(grid, made)))
+    if outcome < 0 and problem.metadata.constraints:
+        reached = longest_part(grid, path[rows - 1], times_at(grid, made))
+        if names := dependent_constraints(grid, *reached, NEARLY):
+            message += f"; {names} there"
     positions = size if energy is None else size // 2
     q, p = path[:rows, :positions].copy(), path[:rows, positions:].copy()
     return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations)
+
+
+def constraint_values(grid, state, t=0.0):
+    """Return the holonomic constraints at `state` as an array (constraints, 3 + coordinates).
+
+    The columns are value, rate, scale of the rate, and gradient.
+    """
+    values = np.empty((len(grid.problem.metadata.constraints), 3 + grid.problem.state // 2))
+    if grid.problem.constraints is not None:
+        grid.problem.constraints(np.array(state, dtype=float), float(t), grid.parameters, values.reshape(-1))
+    return values
+
+
+def constraint_errors(grid, path, times):
+    """Return the largest moduli of the constraints and of their rates, at the states `path` (M, size) at `times`."""
+    path, times = np.ascontiguousarray(path, dtype=float), np.ascontiguousarray(times, dtype=float)
+    constraints, count = grid.problem.constraints, len(grid.problem.metadata.constraints)
+    return largest_constraints(constraints.address, count, path, times, grid.parameters)
+
+
+def require_constraints(grid):
+    """Raise ValueError if the start violates a constraint or its rate, or if constraints depend on each other there."""
+    largest = max(LEAST_LENGTH, np.abs(grid.start[: grid.problem.state // 2]).max(initial=0.0))
+    rows = zip(grid.problem.metadata.constraints, constraint_values(grid, grid.start), strict=True)
+    for name, (value, rate, scale, *gradient) in rows:
+        if not abs(value) <= CONSISTENT * np.abs(gradient).sum() * largest:
+            raise ValueError(f"the start violates the constraint {name} = 0, whose value is {value:.6g}")
+        if not abs(rate) <= CONSISTENT * scale:
+            raise ValueError(f"the velocities at the start violate the constraint {name} = 0, whose rate is {rate:.6g}")
+    if names := dependent_constraints(grid, grid.start, 0.0, DEPENDENT):
+        raise ValueError(f"the start does not determine the constraint forces: {names}")
+
+
+def dependent_constraints(grid, state, t, limit):
+    """Return a text on the constraints whose gradients at `state` vanish or depend on each other, or "".
+
+    A gradient vanishes if its length is below `limit` times its length at a point away from the start. Gradients of
+    length one are dependent if their matrix has a singular value below `limit`.
+    """
+    names, half = grid.problem.metadata.constraints, grid.problem.state // 2
+    gradients = constraint_values(grid, state, t)[:, 3:]
+    if not names or not np.isfinite(gradients).all():
+        return ""
+    away = grid.start.copy()
+    away[:half] += AWAY * (np.abs(away[:half]).max() or 1.0) * np.linspace(0.5, 1.0, half)
+    lengths, typical = (np.linalg.norm(g, axis=1) for g in (gradients, constraint_values(grid, away, t)[:, 3:]))
+    for name, length, usual in zip(names, lengths, typical, strict=True):
+        if not length > limit * usual:
+            return f"the gradient of the constraint {name} = 0 vanishes"
+    left, singular, _ = np.linalg.svd(gradients / lengths[:, None])
+    if len(names) <= half and singular[-1] > limit:
+        return ""
+    involved = [f"{name} = 0" for name, weight in zip(names, left[:, -1], strict=True) if abs(weight) > INVOLVED]
+    return f"the constraints {' and '.join(involved)} depend on each other"
+
+
+def longest_part(grid, state, t):
+    """Return the state at the end of the longest part of a step from `state` that can be made, and its time."""
+    reached, done, failed, length = state, 0.0, 1.0, length_at(grid, t)
+    for _ in range(HALVINGS):
+        part = 0.5 * (done + failed)
+        outcome, interval, _ = _made(grid._replace(h=part * length, spans=EQUAL), state, t)
+        if outcome >= 0 and np.isfinite(interval).all():
+            reached, done = interval[grid.problem.stages :], part
+        else:
+            failed = part
+    return reached, t + done * length
 
 
 def describe(steps, failed, made, iterations, outcome, failures=FAILURES):

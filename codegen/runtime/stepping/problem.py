@@ -49,6 +49,9 @@ class StepProblem:
         Indices of the parameters that are the first and the last breakpoint for each input.
     range_names : tuple of str
         Names of the inputs for messages.
+    constraints : Kernel or None
+        Fills an array (constraints, 3 + coordinates): value, rate, scale of the rate, and gradient of each holonomic
+        constraint at a node. Its arguments are (state, t, parameters).
     tables : mapping
         Breakpoints and values of each table, as one array for each name.
     """
@@ -71,6 +74,7 @@ class StepProblem:
     inputs: Kernel | None = None
     ranges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     range_names: tuple[str, ...] = ()
+    constraints: Kernel | None = None
     tables: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __reduce__(self):
@@ -110,7 +114,7 @@ class StepProblem:
         """Return the kernels that a solution calls, as a tuple without None."""
         every = (
             self.all_steps, self.jacobian, self.explicit, self.predict, self.residual if self.is_constant else None,
-            self.complete, self.equations, self.inputs, self.energy,
+            self.complete, self.equations, self.inputs, self.energy, self.constraints,
         )  # fmt: skip
         return tuple(kernel for kernel in every if kernel is not None)
 

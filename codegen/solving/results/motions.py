@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from codegen.errors import PointsError
-from codegen.runtime.record import Record
+from codegen.runtime.record import Record, SimulationRecord
 from codegen.solving.loading import Case, ConnectModule, Matrix, SimulateModule, Vector
 from codegen.solving.results.result import (
     ConnectAttempt,
@@ -66,6 +66,12 @@ def simulate_result(
             summary["energy_drift"] = float(np.abs(change).max())
         else:
             summary["energy_change"] = float(change[-1])
+    if isinstance(module.metadata, SimulationRecord) and module.metadata.constraints:
+        from codegen.runtime.stepping.motion import constraint_errors  # imports numba
+
+        states = np.hstack([attempt.q, attempt.p])
+        errors = constraint_errors(module.make_grid(run.steps), states, attempt.t)
+        summary["constraint_error"], summary["constraint_rate"] = errors
     summary["steps_per_second"] = attempt.steps / seconds if seconds > 0.0 else float("inf")
     return Result(
         **origin(module.metadata, driver, run, attempt, seconds), status=status, message=message,
