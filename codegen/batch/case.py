@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -256,6 +256,10 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start | 
     return replace(attempt, rates=varied.wanted.of_solution(module, varied.driver, run, result, values))
 
 
+Solved: TypeAlias = tuple[Optimum | Exception, float, Any]
+"""The optimum of a case or its error, the seconds of the search, and the grid of the case, or None if not known yet."""
+
+
 def is_batched(varied: Varied) -> bool:
     """Return True if `solve_batch` can solve cases of a module: optimisations by the generated solver."""
     return varied.driver == "newton" and isinstance(varied.module.problem, ControlProblem)
@@ -263,21 +267,23 @@ def is_batched(varied: Varied) -> bool:
 
 def solve_batch(
     varied: Varied, cases: Sequence[Mapping[Quantity, float]], is_wanted: Callable[[], bool]
-) -> list[tuple[Optimum | Exception, float]]:
-    """Solve cases with as many steps from their own guesses; return the optimum of each, or its error, and its seconds.
+) -> list[Solved]:
+    """Solve cases with as many steps from their own guesses; return what is found of each.
 
-    `attempt_of` makes an attempt of both. The seconds of a case are its part of the time of its block. Raises Abandoned
+    `attempt_of` makes an attempt of it. The seconds of a case are its part of the time of its block. Raises Abandoned
     once `is_wanted` returns False.
     """
     steps, run = _steps(varied, cases[0]), varied.run
     guesses = [_guess(varied, steps, values) for values in cases]
     limits = Limits(run.tolerance, run.max_iterations, run.time_limit, run.scaling, is_on_device=varied.is_on_device)
-    found, begin = list[tuple[Optimum | Exception, float]](), time.perf_counter()
+    found, begin = list[Solved](), time.perf_counter()
     columns = {own: np.array([values[own] for values in cases]) for own in cases[0]}
     for block in optima(varied.module, steps, given_to(columns), len(cases), guesses, limits, is_wanted):
         number = len(block.optima.status)
         seconds = (time.perf_counter() - begin) / number
-        found += [(block.errors.get(case) or block.optima.one(case), seconds) for case in range(number)]
+        found += [
+            (block.errors.get(case) or block.optima.one(case), seconds, block.grid(case)) for case in range(number)
+        ]
         begin = time.perf_counter()
     return found
 
@@ -295,13 +301,18 @@ def _guess(varied: Varied, steps: int, values: Mapping[Quantity, float]) -> Vect
     return None if number == 1 else varied_guess(varied.given(values), steps, number - 1)
 
 
-def attempt_of(varied: Varied, values: Mapping[Quantity, float], found: Optimum | Exception, seconds: float) -> Attempt:
-    """Return the attempt at a case of a batch, which has evaluated its optimum outside the search."""
+def attempt_of(
+    varied: Varied, values: Mapping[Quantity, float], found: Optimum | Exception, seconds: float, grid: Any
+) -> Attempt:
+    """Return the attempt at a case of a batch, which has evaluated its optimum outside the search.
+
+    `grid` is the grid of the case, or None for one that is not known yet.
+    """
     if isinstance(found, Exception):
         return unusable(found, values)
     steps, is_whole = _steps(varied, values), segments_of(varied.module.metadata) is None
     if found.status == SOLVED and is_whole and varied.wanted is None:  # the most frequent case
-        grid = varied.module.make_grid(steps, **given_to(values))
+        grid = varied.module.make_grid(steps, **given_to(values)) if grid is None else grid
         return Attempt(outline_of_optimum(varied.module, grid, found), steps, found.iterations, seconds)
     module, run = varied.given(values), replace(varied.run, steps=steps)
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance

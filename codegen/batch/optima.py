@@ -18,7 +18,7 @@ from codegen.batch.executors.chunks import Abandoned
 from codegen.errors import ArgumentError, DeviceError, clause
 from codegen.runtime.search.batch import Optima, Options, no_optima, solve_grids, solve_stack
 from codegen.runtime.search.solution import Log
-from codegen.runtime.search.stacks import case_of, stack_of
+from codegen.runtime.search.stacks import Stack, case_of, stack_of
 from codegen.solving.drivers.newton import TOLERANCE
 from codegen.solving.loading import ControlModule, Vector
 
@@ -32,10 +32,15 @@ MOST_ITERATIONS = 3000
 
 @dataclass(frozen=True)
 class Outcomes:
-    """The optima of a block of cases, and the errors of cases with unusable numbers, by index."""
+    """The optima of a block of cases, errors of cases with unusable numbers by index, and the Stack if there is one."""
 
     optima: Optima
     errors: Mapping[int, Exception]
+    stack: Stack | None
+
+    def grid(self, case: int) -> Any:
+        """Return the grid of a case, or None without a Stack."""
+        return None if self.stack is None else self.stack.grid_of(case)
 
 
 @dataclass(frozen=True)
@@ -150,7 +155,7 @@ def _solved(
         optima = no_optima(number, starts[0].size if starts else 0)
     for case, result in zip(alone, solve_grids(grids, starts, options, log), strict=True):
         optima.put(case, result)
-    return Outcomes(optima, errors)
+    return Outcomes(optima, errors, stack)
 
 
 def _unknowns(module: ControlModule, steps: int, arguments: Mapping[str, Any]) -> int:

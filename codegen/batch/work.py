@@ -25,6 +25,7 @@ from codegen.batch.case import (
     NOT_BUILT,
     Attempt,
     Continuation,
+    Solved,
     Start,
     Variant,
     Varied,
@@ -52,7 +53,6 @@ from codegen.batch.layout import JUMPS, RATE, Chunks, Layout, Piece, free_label,
 from codegen.batch.request import GUESS, STEPS, Quantity, Wanted, as_argument, quantities, require_fitting
 from codegen.errors import ArgumentError, CodegenError
 from codegen.files import write_text
-from codegen.runtime.search.batch import Optimum
 from codegen.solving import compiler, loading
 from codegen.solving.drivers import DRIVERS
 from codegen.solving.machine_code import processes
@@ -340,13 +340,13 @@ class Work:
         modules: Mapping[tuple[str, ...], Varied | None],
         values: Sequence[Mapping[Quantity, float]],
         is_wanted: Callable[[], bool],
-    ) -> dict[int, tuple[Optimum | Exception, float]]:
-        """Return optimum and seconds from the problem's own guess, for cases that a compiled call solves together."""
+    ) -> dict[int, Solved]:
+        """Return what is found from the problem's own guess, for cases that a compiled call solves together."""
         groups: dict[tuple[object, ...], list[int]] = {}
         for index, of_case in enumerate(values):
             steps = next((value for own, value in of_case.items() if own.kind == STEPS), None)
             groups.setdefault((keys[index], steps), []).append(index)
-        first = dict[int, tuple[Optimum | Exception, float]]()
+        first = dict[int, Solved]()
         for indices in groups.values():
             varied = modules[keys[indices[0]]]
             if varied is not None and is_batched(varied):
