@@ -156,7 +156,8 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
         tolerance=checked_tolerance(tolerance, 1e-6), max_iterations=checked_count("max_iterations", max_iterations)
     )
     problem, (steps, h, parameters, start) = grid.problem, grid[:4]
-    require_constraints(grid)
+    if problem.constraints is not None:
+        require_constraints(grid)
     every, size = min(checked_count("every", every), steps), start.size
     path = np.empty((1 - (-steps // every), size))
     before = path if every == 1 else np.empty((path.shape[0] - 1, size))
@@ -174,7 +175,7 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     status, message = describe(steps, failed, made, iterations, outcome)
     if outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], times_at(grid, made)))
-    if outcome < 0 and problem.metadata.constraints:
+    if outcome < 0 and problem.constraints is not None:
         reached = longest_part(grid, path[rows - 1], times_at(grid, made))
         if names := dependent_constraints(grid, *reached, NEARLY):
             message += f"; {names} there"
