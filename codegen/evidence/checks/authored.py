@@ -82,6 +82,8 @@ _SEEDS = (1, 2)
 """One random motion for each seed."""
 _AMPLITUDES = (0.25, 0.1, 0.03, 0.01)
 """Sizes of the random part of a motion, relative to its quantities, which are tried until all expressions are real."""
+_ROUNDINGS = 4.0
+"""Rounding error of the change in a step, in units in the last place of the state."""
 _SCALES = (1.0, 1e-2, 1e-4, 1e-6)
 """Lengths of the steps whose limit is taken, relative to the problem's own."""
 _MOST_NAMES = 8
@@ -734,15 +736,18 @@ def _step_limits(author: Author, state: Array, t: float, sizes: Array, direction
     """Return the limit of the change per time for short steps along `directions` (rows, state), and its error.
 
     Of several step lengths, down to a millionth of the problem's own, those with the least errors relative to `sizes`
-    are taken: stiff dynamics need short steps, and very short steps have rounding errors.
+    are taken: stiff dynamics need short steps, and very short steps have rounding errors. The error contains the
+    rounding error of the quotient, of a few units in the last place of the state over the shortest step.
     """
     found = list[list[tuple[float, float]]]()
+    rounding = _ROUNDINGS * np.finfo(float).eps * (np.abs(directions) @ np.abs(state))
     for scale in _SCALES:
         rows = []
         for h in (scale * author.durations[0] / author.first.steps / 2**i for i in range(1, 6)):
             grid = author.module.make_grid(1, **author.arguments, duration=h)
             rows.append(directions @ (np.asarray(author.module.step(grid, state, t)) - state) / h)
-        found.append([extrapolated(column) for column in zip(*rows, strict=True)])
+        limits = [extrapolated(column) for column in zip(*rows, strict=True)]
+        found.append([(limit, error + own / h) for (limit, error), own in zip(limits, rounding, strict=True)])
 
     def worst(limits: list[tuple[float, float]]) -> float:
         """Return the largest relative error, infinite if any error is not a number."""
