@@ -60,7 +60,7 @@ class Limits:
 
 THREADS, CUDA = "threads", "cuda"
 PLACES = (THREADS, CUDA)
-"""Where cases are solved: on threads of this machine, or on its GPU."""
+"""Executors of many cases: the threads of this machine, and its GPU."""
 
 
 def require_place(executor: object) -> bool:
