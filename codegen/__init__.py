@@ -15,6 +15,7 @@ _MODULES = {
         "codegen.problem.symbols",
     ),
     **dict.fromkeys(["Connect", "Pairwise", "particle", "particles"], "codegen.problem.particles"),
+    **dict.fromkeys(["direction", "pose", "rotation"], "codegen.problem.rotations"),
     **dict.fromkeys(["Points"], "codegen.problem.points"),
     **dict.fromkeys(["Measurements", "Table", "Trajectory"], "codegen.problem.tables"),
     **dict.fromkeys(["together"], "codegen.problem.bodies"),
@@ -54,6 +55,7 @@ __all__ = [
     "controls",
     "coordinate",
     "coordinates",
+    "direction",
     "each_body",
     "free_parameter",
     "load",
@@ -61,6 +63,8 @@ __all__ = [
     "parameters",
     "particle",
     "particles",
+    "pose",
+    "rotation",
     "solve",
     "solve_many",
     "state",
@@ -80,6 +84,7 @@ if TYPE_CHECKING:
     from codegen.problem.particles import Connect, Pairwise, particle, particles
     from codegen.problem.points import Points
     from codegen.problem.problem import Control, Phases, Simulate, Waypoint
+    from codegen.problem.rotations import direction, pose, rotation
     from codegen.problem.symbols import (
         body_number,
         canonical_pair,

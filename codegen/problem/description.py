@@ -22,7 +22,7 @@ from codegen.problem.symbols import Quantity
 from codegen.problem.tables import Measurements, Table, Trajectory
 from codegen.symbolic.functions import TableBase
 
-_LINKS = ("partner", "past", "end_values", "declared")
+_LINKS = ("partner", "past", "end_values", "declared", "sphere")
 """Attributes of symbols that are not written in the text.
 
 They link symbols to each other, or express the order of declaration, which is the order of the lines.
@@ -53,7 +53,7 @@ def quantities_in(problem: object) -> list[Quantity]:
         if isinstance(part, Quantity):
             if part not in found:
                 found[part] = None
-                waiting += [value for name, value in _slots(part) if name not in ("past", "end_values")]
+                waiting += [value for name, value in _slots(part) if name not in ("past", "end_values", "sphere")]
         elif isinstance(part, sympy.Basic):
             if id(part) not in seen:  # a subexpression may occur in many expressions
                 seen.add(id(part))

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, TypeVar
 from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
 from codegen.problem import AuthorObject, perhaps
+from codegen.problem.rotations import in_coordinates
 from codegen.problem.tables import Measurements, Trajectory
 
 FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
@@ -116,6 +117,11 @@ class Problem(AuthorObject):
     start: Values = field(default_factory=dict)
     steps: int = 100
     drawing: Sequence[Item] = ()
+
+    def __post_init__(self) -> None:
+        """Write rotations, poses and unit vectors out in their coordinates, with their holonomic constraints."""
+        for name, value in in_coordinates(self).items():
+            object.__setattr__(self, name, value)
 
 
 @refusing

@@ -1,0 +1,427 @@
+"""Rotations, poses and unit vectors as quantities of a problem, and the conversion of a problem to coordinates.
+
+The attitude R of a rigid body, an element of SO(3), has a unit quaternion q = (w, x, y, z) as coordinates. R and the
+angular velocity omega in the body's frame are functions of q and dq that do not depend on the length of q:
+
+    R v = q v q* / |q|^2,    omega = 2 Im(q* dq) / |q|^2.
+
+The holonomic constraint |q|^2 = 1 belongs to every rotation. It has two consequences for the midpoint rule, with
+q = (q_k + q_k1)/2 and dq = (q_k1 - q_k)/h:
+
+- The attitude in the middle is a rotation, and omega is exactly the increment of the attitude by the retraction
+
+      R_k1 = R_k tau(h omega),    |h omega| = 4 tan(angle/4),
+
+  the square of Cayley's map of h omega/2. The variational scheme is the Lie group variational integrator of this
+  retraction, without a singular attitude: increments of less than a whole turn per step are all reached.
+- A rotation of space is a linear map of quaternions, so that the angular momentum in space is conserved to rounding.
+
+The kinetic energy does not depend on the component of dq along q. The square of (q . dq), which vanishes along every
+motion and at the midpoint of every step, is added to the Lagrangian, so that momenta determine velocities.
+
+Sources: Lee, Leok and McClamroch (2007), Lie group variational integrators for the full body problem; Bou-Rabee and
+Marsden (2009), Hamilton-Pontryagin integrators on Lie groups; Hairer, Lubich and Wanner (2006), VII.5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import sympy
+from sympy import Expr, ImmutableMatrix, Matrix
+from numpy.typing import NDArray
+from sympy.matrices.matrixbase import MatrixBase
+
+from codegen.errors import BoundaryError, ExpressionError, SymbolError
+from codegen.problem.symbols import Coordinate, Quantity, Time, Velocity, coordinates, time
+
+_NEARLY = 1e-6
+"""Largest deviation from orthogonality, or from length one, of numbers for an attitude that is taken for rounding."""
+_STRAIGHT = 1e-3
+"""Angle between the values at both ends, in radians, below which a straight line is a good guess."""
+_ATTITUDE = "a rotation matrix (3, 3), a unit quaternion (w, x, y, z), or an axis and an angle as in ([0, 0, 1], pi/2)"
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """Coordinates whose vector has length one: a unit quaternion (4) or a unit vector (3), with their velocities."""
+
+    name: str
+    coordinates: tuple[Coordinate, ...]
+    velocities: tuple[Velocity, ...]
+
+    @property
+    def constraint(self) -> Expr:
+        """The expression |q|^2 - 1."""
+        return sympy.Add(*(q**2 for q in self.coordinates)) - 1
+
+    @property
+    def radial_velocity(self) -> Expr:
+        """The expression q . dq."""
+        return sympy.Add(*(q * v for q, v in zip(self.coordinates, self.velocities, strict=True)))
+
+    @property
+    def is_attitude(self) -> bool:
+        """Whether the vector is the quaternion of an attitude."""
+        return len(self.coordinates) == 4
+
+    @property
+    def matrix(self) -> ImmutableMatrix:
+        """The attitude as a matrix (3, 3), from the frame of the body to the frame of space."""
+        w, x, y, z = self.coordinates
+        squares = self.constraint + 1
+        rows = [
+            [w**2 + x**2 - y**2 - z**2, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), w**2 - x**2 + y**2 - z**2, 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), w**2 - x**2 - y**2 + z**2],
+        ]
+        return ImmutableMatrix([[entry / squares for entry in row] for row in rows])
+
+    @property
+    def angular_velocity(self) -> ImmutableMatrix:
+        """The angular velocity (3,) in the frame of the body."""
+        _, *imaginary = _product(_conjugate(self.coordinates), self.velocities)
+        return ImmutableMatrix([2 * part / (self.constraint + 1) for part in imaginary])
+
+
+class _OnSphere(Coordinate):
+    """A coordinate of a `sphere`."""
+
+    __slots__ = ("sphere",)
+    sphere: Sphere
+
+
+def rotation(name: str) -> tuple[ImmutableMatrix, ImmutableMatrix]:
+    """Declare the attitude of a rigid body, and its angular velocity.
+
+    Parameters
+    ----------
+    name : str
+        An identifier. The coordinates `<name>_w`, `<name>_x`, `<name>_y` and `<name>_z` of the solution are a unit
+        quaternion.
+
+    Returns
+    -------
+    R : ImmutableMatrix (3, 3)
+        The rotation from the frame of the body to the frame of space: `R @ v` is the vector v of the body in space.
+    omega : ImmutableMatrix (3, 1)
+        The angular velocity in the frame of the body.
+
+    Notes
+    -----
+    Both are keys of `start`, `end` and `guess`: `R` has a matrix, a unit quaternion (w, x, y, z), or a pair of an axis
+    and an angle as its value; `omega` has three numbers. A quaternion and its negative are the same attitude, but a
+    motion ends at the one that is given: an angle of 3 pi/2 is not an angle of -pi/2. `force={R: torque}` has the
+    torque in the frame of the body; a torque in space is `R.T @ torque`.
+    """
+    sphere = _sphere(name, [f"{name}_{part}" for part in "wxyz"])
+    return sphere.matrix, sphere.angular_velocity
+
+
+def pose(
+    name: str, *, unit: str | None = None
+) -> tuple[tuple[ImmutableMatrix, ImmutableMatrix], tuple[ImmutableMatrix, ImmutableMatrix]]:
+    """Declare the position and the attitude of a rigid body, and their velocities.
+
+    Parameters
+    ----------
+    name : str
+        An identifier. The coordinates of the solution are `<name>_1`, `<name>_2`, `<name>_3` and those of `rotation`.
+    unit : str
+        Unit of the position, as for `coordinate`.
+
+    Returns
+    -------
+    (x, R) : tuple of ImmutableMatrix
+        Position (3, 1) in the frame of space, and attitude (3, 3).
+    (v, omega) : tuple of ImmutableMatrix
+        Velocity (3, 1) in the frame of space, and angular velocity (3, 1) in the frame of the body.
+    """
+    x, v = coordinates(f"{name}_1:4", unit=unit)
+    R, omega = rotation(name)
+    return (ImmutableMatrix(x), R), (ImmutableMatrix(v), omega)
+
+
+def direction(name: str) -> tuple[ImmutableMatrix, ImmutableMatrix]:
+    """Declare a unit vector, and its velocity.
+
+    Parameters
+    ----------
+    name : str
+        An identifier. The coordinates of the solution are `<name>_x`, `<name>_y` and `<name>_z`.
+
+    Returns
+    -------
+    n, dn : ImmutableMatrix (3, 1)
+        The vector and its velocity, which is perpendicular to it. Both are keys of `start`, `end` and `guess`.
+    """
+    sphere = _sphere(name, [f"{name}_{part}" for part in "xyz"])
+    return ImmutableMatrix(sphere.coordinates), ImmutableMatrix(sphere.velocities)
+
+
+def _sphere(name: str, names: Sequence[str]) -> Sphere:
+    pairs = [(_OnSphere(each), Velocity(f"d{each}")) for each in names]
+    for q, v in pairs:
+        q.partner, v.partner = v, q
+    qs, vs = zip(*pairs, strict=True)
+    sphere = Sphere(name, qs, vs)
+    for q in qs:
+        q.sphere = sphere
+    return sphere
+
+
+def spheres_in(*expressions: Any) -> list[Sphere]:
+    """Return the rotations and unit vectors whose coordinates or velocities occur in expressions, in order."""
+    found: dict[Sphere, None] = {}
+    for expression in expressions:
+        symbols = getattr(expression, "free_symbols", set())
+        for q in sorted((_coordinate(s) for s in symbols if isinstance(s, (Coordinate, Velocity))), key=str):
+            if isinstance(q, _OnSphere):
+                found.setdefault(q.sphere)
+    return list(found)
+
+
+def _coordinate(symbol: Coordinate | Velocity) -> Coordinate:
+    return symbol if isinstance(symbol, Coordinate) else symbol.partner
+
+
+def in_coordinates(problem: Any) -> dict[str, Any]:
+    """Return the arguments of a problem that change when matrices, which are keys, are written out in coordinates.
+
+    The constraints of the rotations and unit vectors in the Lagrangian are added, and so is the term that makes the
+    kinetic energy of a rotation regular. A problem that has the constraints already is left as it is.
+
+    Raises
+    ------
+    SymbolError
+        For a matrix that is no declared vector or rotation.
+    BoundaryError
+        For a value that is no attitude, no vector of three numbers, or an angular velocity without an attitude.
+    """
+    changed, conditions = dict[str, Any](), list[Expr]()
+    for what in ("start", "end", "force", "guess", "bounds", "scale"):
+        mapping = getattr(problem, what, None)
+        if isinstance(mapping, Mapping) and any(isinstance(key, MatrixBase) for key in mapping):
+            changed[what] = dict(_components(what, mapping, conditions))
+    periodic = getattr(problem, "periodic", ())
+    if isinstance(periodic, (list, tuple)) and any(isinstance(each, MatrixBase) for each in periodic):
+        changed["periodic"] = [symbol for each in periodic for symbol in _symbols_of(each)]
+    arcs = _arcs(problem, {**changed})
+    if arcs:
+        changed["guess"] = {**arcs, **changed.get("guess", problem.guess)}
+    if conditions:
+        written = problem.end_conditions
+        changed["end_conditions"] = [*(written.items() if isinstance(written, Mapping) else written), *conditions]
+    constraints = list(problem.constraint) if isinstance(problem.constraint, (list, tuple)) else None
+    spheres = [] if constraints is None else spheres_in(problem.lagrangian)
+    missing = [sphere for sphere in spheres if sphere.constraint not in constraints]
+    if missing:
+        changed["constraint"] = [*constraints, *(sphere.constraint for sphere in missing)]
+        changed["lagrangian"] = sympy.Add(problem.lagrangian, *(_radial_energy(problem.lagrangian, s) for s in missing))
+    return changed
+
+
+def _arcs(problem: Any, changed: Mapping[str, Any]) -> dict[Any, Expr]:
+    """Return guesses on the sphere, from the values at the start to those at the end, in place of straight lines.
+
+    Straight lines would pass near the centre of the sphere between nearly opposite values. Between opposite values the
+    quaternion turns about the axis of the value at the end, or else about the first axis of the body.
+    """
+    ends = [changed.get(where, getattr(problem, where, {})) for where in ("start", "end")]
+    guess = changed.get("guess", getattr(problem, "guess", {}))
+    if not all(isinstance(mapping, Mapping) for mapping in (*ends, guess)):
+        return {}
+    arcs, part = dict[Any, Expr](), _time_in(problem) / problem.duration if hasattr(problem, "end") else None
+    for sphere in spheres_in(problem.lagrangian):
+        if part is None or any(q not in end for q in sphere.coordinates for end in ends) or sphere.coordinates[0] in guess:
+            continue
+        first, last = (sympy.Matrix([end[q] for q in sphere.coordinates]) for end in ends)
+        if first.free_symbols | last.free_symbols:
+            continue
+        a, b = (np.array(point, dtype=float).ravel() for point in (first, last))
+        angle = math.acos(min(1.0, max(-1.0, float(a @ b))))
+        if angle < _STRAIGHT:
+            continue
+        if math.pi - angle < _STRAIGHT:
+            beside = sympy.Matrix(_beside(sphere, a))
+            arc = sympy.cos(sympy.pi * part) * first + sympy.sin(sympy.pi * part) * beside
+        else:
+            arc = (sympy.sin((1 - part) * angle) * first + sympy.sin(part * angle) * last) / math.sin(angle)
+        arcs |= dict(zip(sphere.coordinates, arc, strict=True))
+    return arcs
+
+
+def _beside(sphere: Sphere, point: NDArray[np.float64]) -> list[float]:
+    """Return a unit vector that is perpendicular to a point of a sphere."""
+    if sphere.is_attitude:
+        return [float(part) for part in _product(point, (0.0, 1.0, 0.0, 0.0))]
+    along = np.eye(3)[np.abs(point).argmin()]
+    across = along - (along @ point) * point
+    return [float(part) for part in across / np.linalg.norm(across)]
+
+
+def _time_in(problem: Any) -> Time:
+    """Return the time symbol of a problem, or a new one."""
+    values = [problem.lagrangian, *problem.force.values(), *problem.guess.values(), problem.cost, problem.terminal_cost]
+    found = (s for value in values for s in getattr(value, "free_symbols", ()) if isinstance(s, Time))
+    return next(found, None) or time()
+
+
+def _radial_energy(lagrangian: Expr, sphere: Sphere) -> Expr:
+    """Return the square of q . dq times the mean inertia of a rotation at the identity; zero for a unit vector."""
+    if not sphere.is_attitude:
+        return sympy.S.Zero
+    masses = sympy.Add(*(sympy.diff(lagrangian, v, 2) for v in sphere.velocities))
+    mean = sympy.simplify(masses.subs(dict(zip(sphere.coordinates, (1, 0, 0, 0), strict=True)))) / 3
+    return mean * sphere.radial_velocity**2 / 2
+
+
+def _symbols_of(key: Any) -> list[Any]:
+    """Return the coordinates or velocities of a rotation or vector, or the single symbol itself."""
+    if not isinstance(key, MatrixBase):
+        return [key]
+    attitude, spinning = _attitude(key), _spinning(key)
+    if attitude is not None:
+        return [*attitude.coordinates]
+    return [*spinning.velocities] if spinning is not None else [*key]
+
+
+def _components(what: str, mapping: Mapping[Any, Any], conditions: list[Expr]) -> Iterator[tuple[Any, Any]]:
+    """Yield symbols and values in place of matrices and their values."""
+    attitudes = dict[Sphere, tuple[Any, ...]]()
+    for key, value in mapping.items():
+        sphere = _attitude(key)
+        if sphere is not None and what not in ("force", "bounds"):
+            attitudes[sphere] = quaternion_of(value, f"{what} of {sphere.name}")
+    for key, value in mapping.items():
+        if not isinstance(key, MatrixBase):
+            yield key, value
+            continue
+        sphere, spinning = _attitude(key), _spinning(key)
+        name = sphere.name if sphere else f"the angular velocity of {spinning.name}" if spinning else _listed(key)
+        if what == "bounds":
+            raise ExpressionError(f"bounds has the key {name}, which is no number", "bound parts by path=[... <= ...]")
+        if sphere is not None and what == "force":
+            torque = vector(value, f"the torque on {name}")
+            squares = sphere.constraint + 1
+            push = _product(sphere.coordinates, (sympy.S.Zero, *torque))
+            yield from zip(sphere.coordinates, (2 * part / squares for part in push), strict=True)
+        elif sphere is not None:
+            yield from zip(sphere.coordinates, attitudes[sphere], strict=True)
+        elif spinning is not None and what in ("start", "end"):
+            rates = vector(value, f"{what} of {name}")
+            if spinning in attitudes:
+                half = _product(attitudes[spinning], (sympy.S.Zero, *rates))
+                yield from zip(spinning.velocities, (part / 2 for part in half), strict=True)
+            elif what == "start":
+                raise BoundaryError(f"start has {name} without the attitude", f"add {spinning.name}: ... to start")
+            else:
+                conditions += [own - wanted for own, wanted in zip(key, rates, strict=True)]
+        elif all(isinstance(entry, Quantity) for entry in key):
+            yield from zip(key, vector(value, f"{what} of {name}", len(key)), strict=True)
+        else:
+            raise SymbolError(
+                f"{what} has the key {name}, which was never declared",
+                "use the matrices that rotation(...), pose(...) or direction(...) returned",
+            )
+
+
+def _attitude(key: Any) -> Sphere | None:
+    """Return the rotation whose matrix is a key."""
+    if isinstance(key, MatrixBase) and key.shape == (3, 3):
+        return next((s for s in spheres_in(key) if s.is_attitude and s.matrix == key), None)
+    return None
+
+
+def _spinning(key: Any) -> Sphere | None:
+    """Return the rotation whose angular velocity is a key."""
+    if isinstance(key, MatrixBase) and key.shape == (3, 1):
+        return next((s for s in spheres_in(key) if s.is_attitude and s.angular_velocity == key), None)
+    return None
+
+
+def _listed(key: MatrixBase) -> str:
+    text = str([*key])
+    return text if len(text) <= 60 else f"{text[:60]} ..."
+
+
+def vector(value: Any, what: str, length: int = 3) -> tuple[Any, ...]:
+    """Return the components of a vector; raise BoundaryError with the name `what` for other values."""
+    parts = tuple(value) if isinstance(value, (list, tuple, np.ndarray, MatrixBase)) else ()
+    if len(parts) != length or not all(isinstance(part, (int, float, np.number, Expr)) for part in parts):
+        raise BoundaryError(f"{what} is {_short(value)}", f"give a vector of {length} numbers or expressions")
+    return parts
+
+
+def quaternion_of(value: Any, what: str) -> tuple[Any, ...]:
+    """Return the unit quaternion of an attitude: a matrix, a quaternion, or a pair of an axis and an angle.
+
+    Raise BoundaryError with the name `what` for a value that is no attitude.
+    """
+    if isinstance(value, MatrixBase) and value.shape == (3, 3):
+        value = value.tolist()
+    if not isinstance(value, (list, tuple, np.ndarray, MatrixBase)):
+        raise BoundaryError(f"{what} is {_short(value)}", f"give {_ATTITUDE}")
+    parts = list(value)
+    if len(parts) == 2:
+        return _about(vector(parts[0], f"the axis in {what}"), parts[1], what)
+    if len(parts) == 4:
+        quaternion = vector(parts, what, 4)
+        return _of_length_one(quaternion, what, f"the quaternion in {what}")
+    if len(parts) == 3 and all(isinstance(row, (list, tuple, np.ndarray)) and len(row) == 3 for row in parts):
+        return _of_matrix(parts, what)
+    raise BoundaryError(f"{what} is {_short(value)}", f"give {_ATTITUDE}")
+
+
+def _about(axis: Sequence[Any], angle: Any, what: str) -> tuple[Any, ...]:
+    if isinstance(angle, (list, tuple, np.ndarray, MatrixBase)):
+        raise BoundaryError(f"the angle in {what} is {_short(angle)}", f"give {_ATTITUDE}")
+    length = sympy.sqrt(sympy.Add(*(sympy.sympify(part) ** 2 for part in axis)))
+    if length == 0:
+        raise BoundaryError(f"the axis in {what} has length zero", "give the direction of the axis")
+    half = sympy.nsimplify(angle, rational=True) / 2 if isinstance(angle, (float, np.number)) else sympy.sympify(angle) / 2
+    return (sympy.cos(half), *(sympy.sin(half) * sympy.sympify(part) / length for part in axis))
+
+
+def _of_length_one(quaternion: tuple[Any, ...], what: str, name: str) -> tuple[Any, ...]:
+    parts = tuple(map(sympy.sympify, quaternion))
+    length = sympy.sqrt(sympy.Add(*(part**2 for part in parts)))
+    if length.is_number and abs(float(length) - 1.0) > _NEARLY:
+        raise BoundaryError(f"{name} has the length {float(length):.6g}", "give a quaternion of length one")
+    return tuple(part / length for part in parts) if length.is_number else parts
+
+
+def _of_matrix(rows: Sequence[Any], what: str) -> tuple[Any, ...]:
+    from scipy.spatial.transform import Rotation as Attitude
+
+    try:
+        numbers = np.array([[float(entry) for entry in row] for row in rows])
+    except TypeError:
+        raise BoundaryError(f"the matrix in {what} depends on parameters", "give an axis and an angle") from None
+    error = float(np.abs(numbers.T @ numbers - np.eye(3)).max())
+    if not error <= _NEARLY:
+        raise BoundaryError(f"{what} is no rotation: R.T @ R differs from the identity by {error:.3g}", f"give {_ATTITUDE}")
+    if np.linalg.det(numbers) < 0.0:
+        raise BoundaryError(f"{what} is a reflection, whose determinant is -1", f"give {_ATTITUDE}")
+    x, y, z, w = (float(part) for part in Attitude.from_matrix(numbers).as_quat(canonical=True))
+    return _of_length_one((w, x, y, z), what, what)
+
+
+def _short(value: Any) -> str:
+    text = " ".join(str(value).split())
+    return text if len(text) <= 60 else f"{text[:60]} ..."
+
+
+def _product(left: Sequence[Any], right: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
+    """Return the product of two quaternions (w, x, y, z)."""
+    a, b = (Matrix([0, 0, 0]) + Matrix(each[1:]) for each in (left, right))
+    imaginary = left[0] * b + right[0] * a + a.cross(b)
+    return (left[0] * right[0] - a.dot(b), *imaginary)
+
+
+def _conjugate(quaternion: Sequence[Any]) -> tuple[Any, ...]:
+    return (quaternion[0], *(-part for part in quaternion[1:]))
