@@ -15,7 +15,7 @@ _MODULES = {
         "codegen.problem.symbols",
     ),
     **dict.fromkeys(["Connect", "Pairwise", "particle", "particles"], "codegen.problem.particles"),
-    **dict.fromkeys(["direction", "pose", "rotation"], "codegen.problem.rotations"),
+    **dict.fromkeys(["attitude", "direction", "pose", "rotation"], "codegen.problem.rotations"),
     **dict.fromkeys(["Points"], "codegen.problem.points"),
     **dict.fromkeys(["Measurements", "Table", "Trajectory"], "codegen.problem.tables"),
     **dict.fromkeys(["together"], "codegen.problem.bodies"),
@@ -45,6 +45,7 @@ __all__ = [
     "Table",
     "Trajectory",
     "Waypoint",
+    "attitude",
     "body_number",
     "build",
     "canonical_pair",
@@ -84,7 +85,7 @@ if TYPE_CHECKING:
     from codegen.problem.particles import Connect, Pairwise, particle, particles
     from codegen.problem.points import Points
     from codegen.problem.problem import Control, Phases, Simulate, Waypoint
-    from codegen.problem.rotations import direction, pose, rotation
+    from codegen.problem.rotations import attitude, direction, pose, rotation
     from codegen.problem.symbols import (
         body_number,
         canonical_pair,

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from sympy.matrices.matrixbase import MatrixBase
 
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
-from codegen.problem.symbols import Coordinate, Quantity, Time, Velocity, coordinates, time
+from codegen.problem.symbols import Coordinate, Quantity, State, Time, Velocity, coordinates, time
 
 _NEARLY = 1e-6
 """Largest deviation from orthogonality, or from length one, of numbers for an attitude that is taken for rounding."""
@@ -48,10 +48,13 @@ _ATTITUDE = "a rotation matrix (3, 3), a unit quaternion (w, x, y, z), or an axi
 
 @dataclass(frozen=True)
 class Sphere:
-    """Coordinates whose vector has length one: a unit quaternion (4) or a unit vector (3), with their velocities."""
+    """Coordinates whose vector has length one: a unit quaternion (4) or a unit vector (3), with their velocities.
+
+    A quaternion of states has no velocities.
+    """
 
     name: str
-    coordinates: tuple[Coordinate, ...]
+    coordinates: tuple[Coordinate | State, ...]
     velocities: tuple[Velocity, ...]
 
     @property
@@ -88,8 +91,15 @@ class Sphere:
         return ImmutableMatrix([2 * part / (self.constraint + 1) for part in imaginary])
 
 
-class _OnSphere(Coordinate):
+class _CoordinateOnSphere(Coordinate):
     """A coordinate of a `sphere`."""
+
+    __slots__ = ("sphere",)
+    sphere: Sphere
+
+
+class _StateOnSphere(State):
+    """A state of a `sphere`."""
 
     __slots__ = ("sphere",)
     sphere: Sphere
@@ -163,8 +173,34 @@ def direction(name: str) -> tuple[ImmutableMatrix, ImmutableMatrix]:
     return ImmutableMatrix(sphere.coordinates), ImmutableMatrix(sphere.velocities)
 
 
+def attitude(name: str) -> ImmutableMatrix:
+    """Declare the attitude of a rigid body as a state of first-order dynamics.
+
+    Parameters
+    ----------
+    name : str
+        An identifier. The states `<name>_w`, `<name>_x`, `<name>_y` and `<name>_z` of the solution are a quaternion.
+
+    Returns
+    -------
+    R : ImmutableMatrix (3, 3)
+        The rotation from the frame of the body to the frame of space. It is a key of `start`, `end` and `guess`, as
+        for `rotation`, and of `dynamics`: `dynamics={R: w}` has the angular velocity w (3,) in the frame of the body,
+        which may depend on states and controls.
+
+    Notes
+    -----
+    The midpoint rule and Gauss schemes conserve the length of the quaternion to rounding. R does not depend on it.
+    """
+    states = tuple(_StateOnSphere(f"{name}_{part}") for part in "wxyz")
+    sphere = Sphere(name, states, ())
+    for q in states:
+        q.sphere = sphere
+    return sphere.matrix
+
+
 def _sphere(name: str, names: Sequence[str]) -> Sphere:
-    pairs = [(_OnSphere(each), Velocity(f"d{each}")) for each in names]
+    pairs = [(_CoordinateOnSphere(each), Velocity(f"d{each}")) for each in names]
     for q, v in pairs:
         q.partner, v.partner = v, q
     qs, vs = zip(*pairs, strict=True)
@@ -179,14 +215,10 @@ def spheres_in(*expressions: Any) -> list[Sphere]:
     found: dict[Sphere, None] = {}
     for expression in expressions:
         symbols = getattr(expression, "free_symbols", set())
-        for q in sorted((_coordinate(s) for s in symbols if isinstance(s, (Coordinate, Velocity))), key=str):
-            if isinstance(q, _OnSphere):
+        for q in sorted((s.partner if isinstance(s, Velocity) else s for s in symbols), key=str):
+            if isinstance(q, (_CoordinateOnSphere, _StateOnSphere)):
                 found.setdefault(q.sphere)
     return list(found)
-
-
-def _coordinate(symbol: Coordinate | Velocity) -> Coordinate:
-    return symbol if isinstance(symbol, Coordinate) else symbol.partner
 
 
 def in_coordinates(problem: Any) -> dict[str, Any]:
@@ -202,73 +234,28 @@ def in_coordinates(problem: Any) -> dict[str, Any]:
     BoundaryError
         For a value that is no attitude, no vector of three numbers, or an angular velocity without an attitude.
     """
-    changed, conditions = dict[str, Any](), list[Expr]()
-    for what in ("start", "end", "force", "guess", "bounds", "scale"):
+    reading, changed = _Reading(), dict[str, Any]()
+    for what in ("start", "end", "force", "dynamics", "guess", "bounds", "scale"):
         mapping = getattr(problem, what, None)
         if isinstance(mapping, Mapping) and any(isinstance(key, MatrixBase) for key in mapping):
-            changed[what] = dict(_components(what, mapping, conditions))
+            changed[what] = dict(reading.components(what, mapping))
     periodic = getattr(problem, "periodic", ())
     if isinstance(periodic, (list, tuple)) and any(isinstance(each, MatrixBase) for each in periodic):
         changed["periodic"] = [symbol for each in periodic for symbol in _symbols_of(each)]
-    arcs = _arcs(problem, {**changed})
-    if arcs:
+    if arcs := reading.arcs(problem):
         changed["guess"] = {**arcs, **changed.get("guess", problem.guess)}
-    if conditions:
+    if reading.conditions:
         written = problem.end_conditions
-        changed["end_conditions"] = [*(written.items() if isinstance(written, Mapping) else written), *conditions]
-    constraints = list(problem.constraint) if isinstance(problem.constraint, (list, tuple)) else None
+        changed["end_conditions"] = [
+            *(written.items() if isinstance(written, Mapping) else written), *reading.conditions
+        ]  # fmt: skip
+    constraints = list(problem.constraint) if isinstance(getattr(problem, "constraint", None), (list, tuple)) else None
     spheres = [] if constraints is None else spheres_in(problem.lagrangian)
     missing = [sphere for sphere in spheres if sphere.constraint not in constraints]
     if missing:
         changed["constraint"] = [*constraints, *(sphere.constraint for sphere in missing)]
         changed["lagrangian"] = sympy.Add(problem.lagrangian, *(_radial_energy(problem.lagrangian, s) for s in missing))
     return changed
-
-
-def _arcs(problem: Any, changed: Mapping[str, Any]) -> dict[Any, Expr]:
-    """Return guesses on the sphere, from the values at the start to those at the end, in place of straight lines.
-
-    Straight lines would pass near the centre of the sphere between nearly opposite values. Between opposite values the
-    quaternion turns about the axis of the value at the end, or else about the first axis of the body.
-    """
-    ends = [changed.get(where, getattr(problem, where, {})) for where in ("start", "end")]
-    guess = changed.get("guess", getattr(problem, "guess", {}))
-    if not all(isinstance(mapping, Mapping) for mapping in (*ends, guess)):
-        return {}
-    arcs, part = dict[Any, Expr](), _time_in(problem) / problem.duration if hasattr(problem, "end") else None
-    for sphere in spheres_in(problem.lagrangian):
-        if part is None or any(q not in end for q in sphere.coordinates for end in ends) or sphere.coordinates[0] in guess:
-            continue
-        first, last = (sympy.Matrix([end[q] for q in sphere.coordinates]) for end in ends)
-        if first.free_symbols | last.free_symbols:
-            continue
-        a, b = (np.array(point, dtype=float).ravel() for point in (first, last))
-        angle = math.acos(min(1.0, max(-1.0, float(a @ b))))
-        if angle < _STRAIGHT:
-            continue
-        if math.pi - angle < _STRAIGHT:
-            beside = sympy.Matrix(_beside(sphere, a))
-            arc = sympy.cos(sympy.pi * part) * first + sympy.sin(sympy.pi * part) * beside
-        else:
-            arc = (sympy.sin((1 - part) * angle) * first + sympy.sin(part * angle) * last) / math.sin(angle)
-        arcs |= dict(zip(sphere.coordinates, arc, strict=True))
-    return arcs
-
-
-def _beside(sphere: Sphere, point: NDArray[np.float64]) -> list[float]:
-    """Return a unit vector that is perpendicular to a point of a sphere."""
-    if sphere.is_attitude:
-        return [float(part) for part in _product(point, (0.0, 1.0, 0.0, 0.0))]
-    along = np.eye(3)[np.abs(point).argmin()]
-    across = along - (along @ point) * point
-    return [float(part) for part in across / np.linalg.norm(across)]
-
-
-def _time_in(problem: Any) -> Time:
-    """Return the time symbol of a problem, or a new one."""
-    values = [problem.lagrangian, *problem.force.values(), *problem.guess.values(), problem.cost, problem.terminal_cost]
-    found = (s for value in values for s in getattr(value, "free_symbols", ()) if isinstance(s, Time))
-    return next(found, None) or time()
 
 
 def _radial_energy(lagrangian: Expr, sphere: Sphere) -> Expr:
@@ -290,44 +277,117 @@ def _symbols_of(key: Any) -> list[Any]:
     return [*spinning.velocities] if spinning is not None else [*key]
 
 
-def _components(what: str, mapping: Mapping[Any, Any], conditions: list[Expr]) -> Iterator[tuple[Any, Any]]:
-    """Yield symbols and values in place of matrices and their values."""
-    attitudes = dict[Sphere, tuple[Any, ...]]()
-    for key, value in mapping.items():
-        sphere = _attitude(key)
-        if sphere is not None and what not in ("force", "bounds"):
-            attitudes[sphere] = quaternion_of(value, f"{what} of {sphere.name}")
-    for key, value in mapping.items():
-        if not isinstance(key, MatrixBase):
-            yield key, value
-            continue
-        sphere, spinning = _attitude(key), _spinning(key)
-        name = sphere.name if sphere else f"the angular velocity of {spinning.name}" if spinning else _listed(key)
-        if what == "bounds":
-            raise ExpressionError(f"bounds has the key {name}, which is no number", "bound parts by path=[... <= ...]")
-        if sphere is not None and what == "force":
-            torque = vector(value, f"the torque on {name}")
-            squares = sphere.constraint + 1
-            push = _product(sphere.coordinates, (sympy.S.Zero, *torque))
-            yield from zip(sphere.coordinates, (2 * part / squares for part in push), strict=True)
-        elif sphere is not None:
-            yield from zip(sphere.coordinates, attitudes[sphere], strict=True)
-        elif spinning is not None and what in ("start", "end"):
-            rates = vector(value, f"{what} of {name}")
-            if spinning in attitudes:
-                half = _product(attitudes[spinning], (sympy.S.Zero, *rates))
-                yield from zip(spinning.velocities, (part / 2 for part in half), strict=True)
-            elif what == "start":
-                raise BoundaryError(f"start has {name} without the attitude", f"add {spinning.name}: ... to start")
+class _Reading:
+    """The arguments of a problem, written out one after the other.
+
+    `conditions` must vanish at the end. `ends` has the values of rotations and unit vectors at the "start" and the
+    "end", and `axes` those axes of rotation that are written there.
+    """
+
+    def __init__(self) -> None:
+        self.conditions: list[Expr] = []
+        self.ends: dict[str, dict[Sphere, tuple[Any, ...]]] = {"start": {}, "end": {}}
+        self.axes: dict[Sphere, tuple[Any, ...]] = {}
+        self.guessed: set[Sphere] = set()
+
+    def components(self, what: str, mapping: Mapping[Any, Any]) -> Iterator[tuple[Any, Any]]:
+        """Yield symbols and values of the argument `what` in place of matrices and their values."""
+        attitudes = self.ends.get(what, {})
+        for key, value in mapping.items():
+            sphere = _attitude(key)
+            if sphere is not None and what in self.ends:
+                attitudes[sphere] = quaternion_of(value, f"{what} of {sphere.name}")
+                if isinstance(value, (list, tuple)) and len(value) == 2:
+                    self.axes[sphere] = tuple(value[0])
+        for key, value in mapping.items():
+            if not isinstance(key, MatrixBase):
+                yield key, value
+                continue
+            sphere, spinning = _attitude(key), _spinning(key)
+            name = sphere.name if sphere else f"the angular velocity of {spinning.name}" if spinning else _short([*key])
+            if what in ("bounds", "scale"):
+                remedy = "bound parts by path=[... <= ...]" if what == "bounds" else "give the scale of each symbol"
+                raise ExpressionError(f"{what} has the key {name}, which is no number", remedy)
+            if sphere is not None:
+                yield from zip(sphere.coordinates, self._of_attitude(what, sphere, value), strict=False)
+            elif spinning is not None and what in self.ends:
+                rates = vector(value, f"{what} of {name}")
+                if spinning in attitudes:
+                    half = _product(attitudes[spinning], (sympy.S.Zero, *rates))
+                    yield from zip(spinning.velocities, (part / 2 for part in half), strict=True)
+                elif what == "start":
+                    raise BoundaryError(f"start has {name} without the attitude", f"add {spinning.name}: ... to start")
+                else:
+                    self.conditions += [own - wanted for own, wanted in zip(key, rates, strict=True)]
+            elif all(isinstance(entry, Quantity) for entry in key):
+                values = vector(value, f"{what} of {name}", len(key))
+                for unit in spheres_in(key):
+                    if unit.coordinates == tuple(key):
+                        attitudes[unit] = values
+                        self.guessed |= {unit} if what == "guess" else set()
+                yield from zip(key, values, strict=True)
             else:
-                conditions += [own - wanted for own, wanted in zip(key, rates, strict=True)]
-        elif all(isinstance(entry, Quantity) for entry in key):
-            yield from zip(key, vector(value, f"{what} of {name}", len(key)), strict=True)
-        else:
-            raise SymbolError(
-                f"{what} has the key {name}, which was never declared",
-                "use the matrices that rotation(...), pose(...) or direction(...) returned",
-            )
+                raise SymbolError(
+                    f"{what} has the key {name}, which was never declared",
+                    "use the matrices that rotation(...), pose(...) or direction(...) returned",
+                )
+
+    def _of_attitude(self, what: str, sphere: Sphere, value: Any) -> tuple[Any, ...]:
+        """Return the components of a quaternion, its force or its derivative; none if conditions are added."""
+        if what == "force":
+            torque, squares = vector(value, f"the torque on {sphere.name}"), sphere.constraint + 1
+            return tuple(2 * part / squares for part in _product(sphere.coordinates, (sympy.S.Zero, *torque)))
+        if what == "dynamics":
+            rates = vector(value, f"the angular velocity of {sphere.name}")
+            return tuple(part / 2 for part in _product(sphere.coordinates, (sympy.S.Zero, *rates)))
+        if what == "guess":
+            self.guessed.add(sphere)
+            return quaternion_of(value, f"guess of {sphere.name}")
+        if what == "end" and not sphere.velocities:  # the length of a quaternion of states follows from its dynamics
+            self.conditions += _product(_conjugate(self.ends["end"][sphere]), sphere.coordinates)[1:]
+            return ()
+        return self.ends[what][sphere]
+
+    def arcs(self, problem: Any) -> dict[Any, Expr]:
+        """Return guesses along the sphere from the values at the start to those at the end.
+
+        Straight lines, which other coordinates have, would pass near the centre of the sphere between nearly opposite
+        values. Opposite values are joined by a turn about the axis that is written at the end.
+        """
+        arcs = dict[Any, Expr]()
+        for sphere, last in self.ends["end"].items():
+            first = self.ends["start"].get(sphere)
+            if first is None or sphere in self.guessed or any(sympy.sympify(x).free_symbols for x in (*first, *last)):
+                continue
+            part = _time_in(problem) / problem.duration
+            a, b = (np.array(point, dtype=float) for point in (first, last))
+            angle = math.acos(min(1.0, max(-1.0, float(a @ b))))
+            if angle < _STRAIGHT:
+                continue
+            if math.pi - angle < _STRAIGHT:
+                last, angle = self._across(sphere, a), math.pi / 2
+                part = 2 * part
+            weights = (sympy.sin((1 - part) * angle) / math.sin(angle), sympy.sin(part * angle) / math.sin(angle))
+            for q, x, y in zip(sphere.coordinates, first, last, strict=True):
+                arcs[q] = weights[0] * x + weights[1] * y
+        return arcs
+
+    def _across(self, sphere: Sphere, point: NDArray[np.float64]) -> tuple[float, ...]:
+        """Return a unit vector that is perpendicular to a point of a sphere."""
+        if sphere.is_attitude:
+            axis = np.array(self.axes.get(sphere, (1, 0, 0)), dtype=float)
+            return tuple(float(part) for part in _product((0.0, *axis / np.linalg.norm(axis)), point))
+        along = np.eye(3)[np.abs(point).argmin()]
+        across = along - (along @ point) * point
+        return tuple(across / np.linalg.norm(across))
+
+
+def _time_in(problem: Any) -> Time:
+    """Return the time symbol of a problem, or a new one."""
+    written = [getattr(problem, name, 0) for name in ("lagrangian", "cost", "terminal_cost", "force", "dynamics", "guess")]
+    values = [value for each in written for value in (each.values() if isinstance(each, Mapping) else [each])]
+    symbols = (s for value in values for s in getattr(value, "free_symbols", ()))
+    return next((s for s in symbols if isinstance(s, Time)), None) or time()
 
 
 def _attitude(key: Any) -> Sphere | None:
@@ -342,11 +402,6 @@ def _spinning(key: Any) -> Sphere | None:
     if isinstance(key, MatrixBase) and key.shape == (3, 1):
         return next((s for s in spheres_in(key) if s.is_attitude and s.angular_velocity == key), None)
     return None
-
-
-def _listed(key: MatrixBase) -> str:
-    text = str([*key])
-    return text if len(text) <= 60 else f"{text[:60]} ..."
 
 
 def vector(value: Any, what: str, length: int = 3) -> tuple[Any, ...]:
