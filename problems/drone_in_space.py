@@ -33,5 +33,9 @@ def problem() -> Control:
         waypoints=[[Eq(here, there) for here, there in zip(x, gate, strict=True)] for gate in gates],
         guess=dict.fromkeys(rotors, m * g / 4),
         steps=120,
-        drawing=[Trail(seen), Rod((ends[0][0], ends[0][2]), (ends[1][0], ends[1][2])), *(Mark((a, c)) for a, _, c in gates)],
+        drawing=[
+            Trail(seen),
+            Rod((ends[0][0], ends[0][2]), (ends[1][0], ends[1][2])),
+            *(Mark((a, c)) for a, _, c in gates),
+        ],
     )

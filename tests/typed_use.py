@@ -78,6 +78,19 @@ def two_bodies() -> Control:
     return codegen.together(one, other, path=[x <= y + 5])
 
 
+def satellite() -> Control:
+    """A rigid body that turns, beside a unit vector and an attitude of first-order dynamics."""
+    (x, R), (v, omega) = codegen.pose("B")
+    S, spin = codegen.rotation("S")
+    n, dn = codegen.direction("n")
+    assert codegen.attitude("A").shape == R.shape == S.shape and dn.shape == spin.shape == n.shape
+    u = codegen.controls("a b c")
+    return Control(
+        lagrangian=v.dot(v) / 2 + omega.dot(omega) / 2, force={R: u}, cost=u[0] ** 2 + u[1] ** 2 + u[2] ** 2, duration=1,
+        start={x: (0, 0, 0), v: (0, 0, 0), R: ([0, 0, 1], 0), omega: (0, 0, 0)}, end={R: ([0, 0, 1], 1)},
+    )  # fmt: skip
+
+
 def many_bodies() -> Control:
     """Three carts alike, which start at places of their own."""
     (qs, ps) = codegen.canonical_pairs("q", "p")

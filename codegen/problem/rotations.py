@@ -32,8 +32,8 @@ from typing import Any
 
 import numpy as np
 import sympy
-from sympy import Expr, ImmutableMatrix, Matrix
 from numpy.typing import NDArray
+from sympy import Expr, ImmutableMatrix, Matrix
 from sympy.matrices.matrixbase import MatrixBase
 
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
@@ -214,7 +214,7 @@ def spheres_in(*expressions: Any) -> list[Sphere]:
     """Return the rotations and unit vectors whose coordinates or velocities occur in expressions, in order."""
     found: dict[Sphere, None] = {}
     for expression in expressions:
-        symbols = getattr(expression, "free_symbols", set())
+        symbols: set[Any] = getattr(expression, "free_symbols", set())
         for q in sorted((s.partner if isinstance(s, Velocity) else s for s in symbols), key=str):
             if isinstance(q, (_CoordinateOnSphere, _StateOnSphere)):
                 found.setdefault(q.sphere)
@@ -249,8 +249,8 @@ def in_coordinates(problem: Any) -> dict[str, Any]:
         changed["end_conditions"] = [
             *(written.items() if isinstance(written, Mapping) else written), *reading.conditions
         ]  # fmt: skip
-    constraints = list(problem.constraint) if isinstance(getattr(problem, "constraint", None), (list, tuple)) else None
-    spheres = [] if constraints is None else spheres_in(problem.lagrangian)
+    constraints = getattr(problem, "constraint", ())
+    spheres = spheres_in(problem.lagrangian) if isinstance(constraints, (list, tuple)) else []
     missing = [sphere for sphere in spheres if sphere.constraint not in constraints]
     if missing:
         changed["constraint"] = [*constraints, *(sphere.constraint for sphere in missing)]
@@ -384,7 +384,9 @@ class _Reading:
 
 def _time_in(problem: Any) -> Time:
     """Return the time symbol of a problem, or a new one."""
-    written = [getattr(problem, name, 0) for name in ("lagrangian", "cost", "terminal_cost", "force", "dynamics", "guess")]
+    written = [
+        getattr(problem, name, 0) for name in ("lagrangian", "cost", "terminal_cost", "force", "dynamics", "guess")
+    ]
     values = [value for each in written for value in (each.values() if isinstance(each, Mapping) else [each])]
     symbols = (s for value in values for s in getattr(value, "free_symbols", ()))
     return next((s for s in symbols if isinstance(s, Time)), None) or time()
@@ -438,7 +440,9 @@ def _about(axis: Sequence[Any], angle: Any, what: str) -> tuple[Any, ...]:
     length = sympy.sqrt(sympy.Add(*(sympy.sympify(part) ** 2 for part in axis)))
     if length == 0:
         raise BoundaryError(f"the axis in {what} has length zero", "give the direction of the axis")
-    half = sympy.nsimplify(angle, rational=True) / 2 if isinstance(angle, (float, np.number)) else sympy.sympify(angle) / 2
+    half = (
+        sympy.nsimplify(angle, rational=True) / 2 if isinstance(angle, (float, np.number)) else sympy.sympify(angle) / 2
+    )
     return (sympy.cos(half), *(sympy.sin(half) * sympy.sympify(part) / length for part in axis))
 
 
@@ -459,7 +463,9 @@ def _of_matrix(rows: Sequence[Any], what: str) -> tuple[Any, ...]:
         raise BoundaryError(f"the matrix in {what} depends on parameters", "give an axis and an angle") from None
     error = float(np.abs(numbers.T @ numbers - np.eye(3)).max())
     if not error <= _NEARLY:
-        raise BoundaryError(f"{what} is no rotation: R.T @ R differs from the identity by {error:.3g}", f"give {_ATTITUDE}")
+        raise BoundaryError(
+            f"{what} is no rotation: R.T @ R differs from the identity by {error:.3g}", f"give {_ATTITUDE}"
+        )
     if np.linalg.det(numbers) < 0.0:
         raise BoundaryError(f"{what} is a reflection, whose determinant is -1", f"give {_ATTITUDE}")
     x, y, z, w = (float(part) for part in Attitude.from_matrix(numbers).as_quat(canonical=True))
@@ -471,12 +477,12 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:60]} ..."
 
 
-def _product(left: Sequence[Any], right: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
+def _product(left: Any, right: Any) -> tuple[Any, Any, Any, Any]:
     """Return the product of two quaternions (w, x, y, z)."""
     a, b = (Matrix([0, 0, 0]) + Matrix(each[1:]) for each in (left, right))
     imaginary = left[0] * b + right[0] * a + a.cross(b)
     return (left[0] * right[0] - a.dot(b), *imaginary)
 
 
-def _conjugate(quaternion: Sequence[Any]) -> tuple[Any, ...]:
+def _conjugate(quaternion: Any) -> tuple[Any, ...]:
     return (quaternion[0], *(-part for part in quaternion[1:]))

@@ -1,0 +1,457 @@
+"""Rotations, poses and unit vectors against elliptic functions, Euler's equations by DOP853, and Lie groups."""
+
+import pickle
+
+import numpy as np
+import pytest
+from conftest import PROBLEMS
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_bvp, solve_ivp
+from scipy.spatial.transform import Rotation
+from scipy.special import ellipj, ellipk
+from sympy import Matrix, diag, eye, pi, sin
+
+import codegen
+from codegen import (
+    Control,
+    Simulate,
+    attitude,
+    controls,
+    direction,
+    parameters,
+    pose,
+    rotation,
+    states,
+    time,
+)
+from codegen.errors import BoundaryError, CodegenError, DegenerateError, ExpressionError, SymbolError
+from codegen.evidence import checks
+from codegen.problem.rotations import quaternion_of
+
+INERTIA = np.array([1.0, 2.0, 3.0])
+J = diag(1, 2, 3)
+SPIN = np.array([0.3, 1.5, 0.2])
+TILT = ([1, 2, -1], 0.7)
+
+
+def free_body(duration=2.0, spin=SPIN) -> Simulate:
+    R, omega = rotation("R")
+    return Simulate(
+        lagrangian=omega.dot(J * omega) / 2, duration=duration, start={R: TILT, omega: tuple(spin)}, steps=100
+    )
+
+
+def heavy_top(duration=2.0) -> Simulate:
+    """A top whose centre is one length above its tip."""
+    R, omega = rotation("R")
+    return Simulate(
+        lagrangian=omega.dot(diag(0.6, 0.7, 0.3) * omega) / 2 - 9.81 * R[2, 2],
+        duration=duration,
+        start={R: ([1, 0, 0], 0.5), omega: (0.1, 0.2, 10)},
+        steps=100,
+    )
+
+
+def turned(result) -> Rotation:
+    """Return the attitudes of a result."""
+    return Rotation.from_quat(result.q[:, :4], scalar_first=True)
+
+
+def momenta_in_space(result):
+    """Return the angular momentum Im(p q*)/2 in space at every node."""
+    (w, x, y, z), (a, b, c, d) = result.q.T, result.p.T
+    return np.array([b * w - a * x - c * z + d * y, c * w - a * y + b * z - d * x, d * w - a * z - b * y + c * x]).T / 2
+
+
+def attitude_error(result, exact: Rotation) -> float:
+    return float((turned(result)[-1].inv() * exact).magnitude())
+
+
+def reference(inertia, start, spin, duration, torque=lambda R: np.zeros(3)) -> Rotation:
+    """Return the attitude at the end, by DOP853 for Euler's equations and R' = R hat(omega)."""
+
+    def field(_, state):
+        R, omega = state[:9].reshape(3, 3), state[9:]
+        hat = np.cross(np.eye(3), omega)
+        return np.concatenate([(R @ hat).ravel(), (torque(R) - np.cross(omega, inertia * omega)) / inertia])
+
+    state = np.concatenate([start.as_matrix().ravel(), spin])
+    end = solve_ivp(field, (0, duration), state, "DOP853", rtol=1e-12, atol=1e-13).y[:9, -1]
+    return Rotation.from_matrix(end.reshape(3, 3))
+
+
+def about(axis, angle) -> Rotation:
+    return Rotation.from_rotvec(angle * np.array(axis, dtype=float) / np.linalg.norm(axis))
+
+
+def slopes(errors, steps):
+    return np.diff(np.log(errors)) / -np.diff(np.log(steps))
+
+
+@pytest.mark.parametrize(("scheme", "order"), [("midpoint", 2), ("trapezoidal", 2), ("suzuki-4-of-midpoint", 4)])
+def test_free_body_has_the_order_of_its_scheme(scheme, order):
+    exact = reference(INERTIA, about(*TILT), SPIN, 2.0)
+    solver, steps = codegen.compile(free_body(), scheme=scheme), [50, 100, 200]
+    errors = [attitude_error(solver.solve(steps=n), exact) for n in steps]
+    assert slopes(errors, steps) == pytest.approx(order, abs=0.15)
+    assert errors[-1] < {2: 1e-3, 4: 1e-6}[order]
+
+
+def test_angular_velocity_of_a_free_body_is_an_elliptic_function():
+    """Landau and Lifshitz (1976), Mechanics, section 37: omega_2 is a multiple of sn for a start at omega_2 = 0."""
+    a, b, c = INERTIA
+    spin = np.array([1.0, 0.0, 0.8])
+    energy, square = INERTIA @ spin**2, (INERTIA * spin) @ (INERTIA * spin)
+    assert square > energy * b
+    rate = np.sqrt((c - b) * (square - energy * a) / (a * b * c))
+    m = (b - a) * (energy * c - square) / ((c - b) * (square - energy * a))
+    largest = np.sqrt((energy * c - square) / (b * (c - b)))
+    duration = 4 * ellipk(m) / rate  # one period
+    result = codegen.solve(free_body(duration, spin=spin), scheme="suzuki-4-of-midpoint", steps=400)
+    momenta = turned(result).inv().apply(momenta_in_space(result))
+    exact = largest * ellipj(rate * result.t, m)[0]
+    # The sign of sn follows from Euler's equation of omega_2 at the start.
+    sign = np.sign((c - a) / b * spin[0] * spin[2])
+    assert momenta[:, 1] / b == pytest.approx(sign * exact, abs=2e-6)
+
+
+def test_angular_momentum_is_conserved_to_rounding_and_the_energy_has_no_drift():
+    result = codegen.solve(free_body(2000.0), steps=100_000)
+    momenta = momenta_in_space(result)
+    assert np.abs(momenta - momenta[0]).max() < 1e-11 * np.linalg.norm(momenta[0])
+    assert np.abs(np.linalg.norm(result.q, axis=1) - 1).max() < 1e-15 * 4
+    error = np.abs(result.energy / result.energy[0] - 1).reshape(-1)[1:].reshape(10, -1).max(axis=1)
+    assert error.max() < 1e-4
+    assert error[-1] < 1.1 * error[0]
+
+
+@pytest.mark.parametrize("make", [free_body, heavy_top])
+def test_midpoint_is_the_lie_group_variational_integrator_of_a_squared_cayley_map(make):
+    """Three attitudes make the discrete action stationary, in rotation vectors and without quaternions."""
+    result, h = codegen.solve(make(1.0), steps=20), 1.0 / 20
+    inertia, weight = (INERTIA, 0.0) if make is free_body else (np.array([0.6, 0.7, 0.3]), 9.81)
+
+    def share(left: Rotation, right: Rotation) -> float:
+        turn = (left.inv() * right).as_rotvec()
+        angle = np.linalg.norm(turn)
+        omega = 4 * np.tan(angle / 4) * turn / angle / h
+        middle = left * Rotation.from_rotvec(turn / 2)
+        return h * (inertia @ omega**2 / 2 - weight * middle.as_matrix()[2, 2])
+
+    R, eps = turned(result), 1e-5
+    for k in range(1, 20):
+        for axis in np.eye(3):
+            moved = [R[k] * Rotation.from_rotvec(sign * eps * axis) for sign in (1, -1)]
+            slope = [share(R[k - 1], each) + share(each, R[k + 1]) for each in moved]
+            assert (slope[0] - slope[1]) / (2 * eps) == pytest.approx(0, abs=2e-9)
+
+
+def test_heavy_top_agrees_with_eulers_equations():
+    def torque(R):
+        return np.cross([0, 0, 1], R.T @ [0, 0, -9.81])
+
+    exact = reference(np.array([0.6, 0.7, 0.3]), about([1, 0, 0], 0.5), np.array([0.1, 0.2, 10]), 2.0, torque)
+    solver, steps = codegen.compile(heavy_top()), [200, 400, 800]
+    results = [solver.solve(steps=n) for n in steps]
+    errors = [attitude_error(result, exact) for result in results]
+    assert slopes(errors, steps) == pytest.approx(2, abs=0.1)
+    vertical = momenta_in_space(results[-1])[:, 2]
+    assert vertical == pytest.approx(vertical[0], abs=1e-12)
+
+
+@pytest.mark.parametrize("frame", ["body", "space"])
+def test_torques_in_both_frames(frame):
+    R, omega = rotation("R")
+    torque = np.array([0.2, -0.4, 0.1])
+    problem = Simulate(
+        lagrangian=omega.dot(J * omega) / 2,
+        force={R: torque if frame == "body" else R.T @ Matrix(torque)},
+        duration=2,
+        start={R: TILT, omega: tuple(SPIN)},
+    )
+    exact = reference(INERTIA, about(*TILT), SPIN, 2.0, lambda R: torque if frame == "body" else R.T @ torque)
+    solver, steps = codegen.compile(problem), [100, 200, 400]
+    assert slopes([attitude_error(solver.solve(steps=n), exact) for n in steps], steps) == pytest.approx(2, abs=0.1)
+
+
+def test_pose_of_a_thrown_body_follows_a_parabola():
+    (x, R), (v, omega) = pose("B")
+    problem = Simulate(
+        lagrangian=v.dot(v) + omega.dot(J * omega) / 2 - 2 * 9.81 * x[2],
+        duration=2,
+        start={x: (1, 2, 3), v: (0.5, -1, 4), R: TILT, omega: tuple(SPIN)},
+        steps=400,
+    )
+    result = codegen.solve(problem)
+    t = result.t
+    exact = np.column_stack([1 + 0.5 * t, 2 - t, 3 + 4 * t - 9.81 * t**2 / 2])
+    assert result.q[:, :3] == pytest.approx(exact, abs=1e-11)
+    assert np.abs(np.linalg.norm(result.q[:, 3:], axis=1) - 1).max() < 1e-14
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "trapezoidal"])
+def test_direction_is_a_spherical_pendulum(scheme):
+    n, dn = direction("n")
+    problem = Simulate(lagrangian=dn.dot(dn) / 2 - 9.81 * n[2], duration=2, start={n: (0.6, 0, -0.8), dn: (0, 1, 0)})
+
+    def field(_, state):
+        place, speed = state[:3], state[3:]
+        force = np.array([0, 0, -9.81])
+        return np.concatenate([speed, force - (force @ place + speed @ speed) * place])
+
+    exact = solve_ivp(field, (0, 2), [0.6, 0, -0.8, 0, 1, 0], "DOP853", rtol=1e-12, atol=1e-13).y[:3, -1]
+    solver, steps = codegen.compile(problem, scheme=scheme), [100, 200, 400]
+    errors = [np.abs(solver.solve(steps=n).q[-1] - exact).max() for n in steps]
+    assert slopes(errors, steps) == pytest.approx(2, abs=0.1)
+
+
+def slew(end, **others) -> Control:
+    """Turn a symmetric body from rest to rest with the least torque."""
+    R, omega = rotation("R")
+    u = Matrix(controls("u1 u2 u3"))
+    return Control(
+        lagrangian=omega.dot(omega),
+        force={R: u},
+        cost=u.dot(u) / 2,
+        duration=2,
+        start={R: eye(3), omega: (0, 0, 0)},
+        end={R: end, omega: (0, 0, 0)},
+        steps=40,
+        **others,
+    )
+
+
+@pytest.mark.parametrize("angle", [1.0, 3.0, 3 * np.pi / 2, 2 * np.pi])
+def test_slew_of_a_sphere_turns_about_one_axis_with_the_cost_of_a_double_integrator(angle):
+    """The optimum is a cubic angle: cost = 6 J^2 angle^2/T^3, here J = 2 and T = 2; also for turns beyond pi."""
+    result = codegen.solve(slew(([1, -2, 2], angle)), steps=200)
+    assert result.status == "solved"
+    assert result.cost == pytest.approx(3 * angle**2, rel=2e-3)
+    turns = (turned(result)[:-1].inv() * turned(result)[1:]).as_rotvec()
+    assert turns.sum(axis=0) == pytest.approx(angle * np.array([1, -2, 2]) / 3, abs=1e-6)
+
+
+def test_slew_of_a_sphere_converges_with_order_two():
+    solver, steps = codegen.compile(slew(([1, -2, 2], 2.0))), [20, 40, 80]
+    errors = [abs(solver.solve(steps=n).cost - 12) for n in steps]
+    assert slopes(errors, steps) == pytest.approx(2, abs=0.1)
+
+
+def test_opposite_directions_are_joined():
+    """A point on a sphere moves to the opposite point: half a great circle, cost 6 pi^2/T^3."""
+    n, dn = direction("n")
+    u = Matrix(controls("u1 u2 u3"))
+    problem = Control(
+        lagrangian=dn.dot(dn) / 2,
+        force={n: u},
+        cost=u.dot(u) / 2,
+        duration=2,
+        start={n: (0, 0, 1), dn: (0, 0, 0)},
+        end={n: (0, 0, -1), dn: (0, 0, 0)},
+        steps=100,
+    )
+    result = codegen.solve(problem)
+    assert result.status == "solved"
+    assert result.cost == pytest.approx(6 * np.pi**2 / 8, rel=2e-3)
+
+
+def test_reorientation_of_an_attitude_and_of_a_rotation_take_the_published_time():
+    """Published: 28.6304 (Bilimoria and Wie 1993; Fleming, Sekhavat and Ross 2010)."""
+    result = codegen.solve(PROBLEMS / "satellite_slew.py", steps=400)
+    assert result.status == "solved"
+    assert result.t[-1] == pytest.approx(28.6304, abs=5e-4)
+
+
+def test_spin_at_the_end_without_an_attitude_is_a_condition():
+    R, omega = rotation("R")
+    u = Matrix(controls("u1 u2 u3"))
+    problem = Control(
+        lagrangian=omega.dot(J * omega) / 2,
+        force={R: u},
+        cost=u.dot(u) / 2,
+        duration=2,
+        start={R: TILT, omega: (0.2, 0.1, 0.3)},
+        end={omega: (1, 0, 0)},
+        steps=100,
+    )
+    result = codegen.solve(problem)
+    assert result.status == "solved"
+    momenta = turned(result).inv().apply(momenta_in_space(result))
+    assert momenta[-1] == pytest.approx([1, 0, 0], abs=1e-9)
+
+
+def test_attitude_of_first_order_dynamics_turns_with_its_angular_velocity():
+    """A constant angular velocity: the exponential of the rotation vector."""
+    R = attitude("R")
+    rates = parameters(a=0.3, b=-0.2, c=0.7)
+    (x,) = states("x")
+    problem = Simulate(dynamics={R: rates, x: R[0, 0]}, duration=2, start={R: TILT, x: 0}, steps=100)
+    result = codegen.solve(problem, scheme="gauss-6")
+    exact = about(*TILT) * Rotation.from_rotvec(2 * np.array([0.3, -0.2, 0.7]))
+    quaternions = np.column_stack([result[f"R_{part}"] for part in "wxyz"])
+    assert np.abs(np.linalg.norm(quaternions, axis=1) - 1).max() < 1e-13
+    last = Rotation.from_quat(quaternions[-1], scalar_first=True)
+    assert (last.inv() * exact).magnitude() < 1e-11
+
+
+def test_kinematic_attitude_takes_the_geodesic():
+    """Least u^2 from one attitude to another in time T: the geodesic, cost angle^2/(2 T)."""
+    R, u = attitude("R"), Matrix(controls("u1 u2 u3"))
+    problem = Control(
+        dynamics={R: u}, cost=u.dot(u) / 2, duration=2, start={R: TILT}, end={R: ([1, 2, -1], 2.7)}, steps=40
+    )
+    result = codegen.solve(problem, scheme="gauss-4")
+    assert result.status == "solved"
+    assert result.cost == pytest.approx(1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("make", [free_body, lambda: slew(([0, 0, 1], 1.0))])
+def test_checks_pass(make):
+    findings = list(checks.run(make(), steps=20))
+    assert [finding for finding in findings if not finding.passed] == []
+    found = {(finding.check, finding.subject) for finding in findings if finding.applies}
+    assert ("problem as written", "equations of motion") in found
+
+
+@pytest.mark.fast
+@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1))
+def test_quaternion_of_a_matrix(quaternion):
+    exact = Rotation.from_quat(quaternion)
+    ours = np.array(quaternion_of(exact.as_matrix(), "start of R"), dtype=float)
+    assert (Rotation.from_quat(ours, scalar_first=True).inv() * exact).magnitude() < 1e-7
+    assert np.linalg.norm(ours) == pytest.approx(1, abs=1e-15)
+
+
+@pytest.mark.fast
+def test_symbols_of_matrices():
+    R, omega = rotation("R")
+    vector = Matrix([0, 0, 1])
+    names = {"R_w": 0.5, "R_x": 0.5, "R_y": -0.5, "R_z": 0.5}
+    values = {s: names[s.name] for s in R.free_symbols}
+    exact = Rotation.from_quat([0.5, 0.5, -0.5, 0.5], scalar_first=True).as_matrix()
+    assert np.array((R @ vector).subs(values), dtype=float).ravel() == pytest.approx(exact[:, 2])
+    scaled = {s: 3 * value for s, value in values.items()}
+    assert np.array(R.subs(scaled), dtype=float) == pytest.approx(exact)
+    assert pickle.loads(pickle.dumps(R)) == R
+    assert pickle.loads(pickle.dumps(omega)) == omega
+
+
+def _simulate(start, lagrangian=None, **others):
+    R, omega = rotation("R")
+    written = omega.dot(omega) / 2 if lagrangian is None else lagrangian(R, omega)
+    return Simulate(lagrangian=written, duration=1, start=start(R, omega), **others)
+
+
+REFUSED = {
+    "a matrix that is no rotation": (
+        lambda R, w: {R: diag(1, 1, 2), w: (0, 0, 0)}, BoundaryError, "start of R is no rotation: R.T @ R differs"),
+    "a reflection": (lambda R, w: {R: diag(1, 1, -1), w: (0, 0, 0)}, BoundaryError, "start of R is a reflection"),
+    "a long quaternion": (lambda R, w: {R: (1, 1, 0, 0), w: (0, 0, 0)}, BoundaryError, "has the length 1.41421"),
+    "an axis of length zero": (lambda R, w: {R: ([0, 0, 0], 1), w: (0, 0, 0)}, BoundaryError, "axis in start of R has"),
+    "an axis in the plane": (lambda R, w: {R: ([0, 1], 1), w: (0, 0, 0)}, BoundaryError, "a vector of 3 numbers"),
+    "an angle that is a vector": (lambda R, w: {R: ([0, 0, 1], [1]), w: (0, 0, 0)}, BoundaryError, "the angle in"),
+    "three Euler angles": (lambda R, w: {R: (0.1, 0.2, 0.3), w: (0, 0, 0)}, BoundaryError, "an axis and an angle"),
+    "one number": (lambda R, w: {R: 1, w: (0, 0, 0)}, BoundaryError, "start of R is 1; give a rotation matrix"),
+    "text": (lambda R, w: {R: "identity", w: (0, 0, 0)}, BoundaryError, "start of R is identity"),
+    "a matrix of parameters": (
+        lambda R, w: {R: Matrix([[parameters(a=1.0)[0], 0, 0], [0, 1, 0], [0, 0, 1]]), w: (0, 0, 0)},
+        BoundaryError, "depends on parameters; give an axis and an angle"),
+    "a spin in the plane": (lambda R, w: {R: eye(3), w: (0, 1)}, BoundaryError, "the angular velocity of R is (0, 1)"),
+    "a spin without an attitude": (lambda R, w: {w: (0, 0, 1)}, BoundaryError, "without the attitude; add R: ..."),
+    "no spin": (lambda R, w: {R: eye(3)}, BoundaryError, "start lacks dR_w"),
+    "another matrix": (lambda R, w: {R: eye(3), w: (0, 0, 0), R.T: eye(3)}, SymbolError, "was never declared"),
+    "the double of the spin": (lambda R, w: {R: eye(3), 2 * w: (0, 0, 0)}, SymbolError, "was never declared"),
+}  # fmt: skip
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("what", REFUSED)
+def test_values_that_are_no_attitudes_are_refused(what):
+    start, error, text = REFUSED[what]
+    with pytest.raises(error) as caught:
+        codegen.solve(_simulate(start))
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("make", "error", "text"),
+    [
+        (
+            lambda: _simulate(lambda R, w: {R: eye(3), w: (0, 0, 0)}, lambda R, w: w[2] ** 2),
+            DegenerateError,
+            "degenerate",
+        ),
+        (lambda: slew(eye(3), bounds={rotation("R")[0]: (0, 1)}), ExpressionError, "bounds has the key R"),
+        (lambda: slew(diag(2, 1, 1)), BoundaryError, "end of R is no rotation"),
+        (lambda: slew(([0, 0, 1], 1), scale={rotation("R")[1]: 2}), ExpressionError, "scale has the key"),
+        (lambda: rotation("2R"), SymbolError, "not an identifier"),
+        (lambda: direction(3), CodegenError, "not an identifier"),
+    ],
+    ids=["degenerate", "bounds", "end", "scale", "name", "number"],
+)
+def test_other_mistakes_are_refused(make, error, text):
+    with pytest.raises(error) as caught:
+        codegen.solve(make())
+    assert text in str(caught.value)
+
+
+@pytest.mark.fast
+def test_unit_vector_of_another_length_is_refused():
+    n, dn = direction("n")
+    with pytest.raises(BoundaryError, match="n_x"):
+        codegen.solve(Simulate(lagrangian=dn.dot(dn), duration=1, start={n: (1, 1, 0), dn: (0, 0, 1)}))
+
+
+def test_symbolic_attitudes_are_parameters_of_the_module():
+    R, omega = rotation("R")
+    (angle,) = parameters(angle=0.4)
+    problem = Simulate(
+        lagrangian=omega.dot(omega) / 2, duration=1, start={R: ([0, 0, 2], angle), omega: (0, 0, 0.5)}, steps=200
+    )
+    solver = codegen.compile(problem)
+    for number in (0.4, 1.1):
+        last = turned(solver.solve(parameters={"angle": number}))[-1]
+        assert last.as_rotvec() == pytest.approx([0, 0, number + 0.5], abs=1e-6)
+
+
+def test_steady_turn_is_found_from_its_guess():
+    """A body that turns steadily by one turn needs no torque; its guess turns with it."""
+    R, omega = rotation("R")
+    t, u = time(), Matrix(controls("u1 u2 u3"))
+    problem = Control(
+        lagrangian=omega.dot(omega) / 2,
+        force={R: u},
+        cost=u.dot(u),
+        duration=2,
+        start={R: eye(3), omega: (0, 0, pi)},
+        end={R: ([0, 0, 1], 2 * pi)},
+        guess={R: ([0, 0, 1], pi * t)},
+        steps=50,
+    )
+    result = codegen.solve(problem)
+    assert result.status == "solved"
+    assert result.cost < 1e-4
+    assert turned(result).as_rotvec()[25] == pytest.approx([0, 0, np.pi], abs=2e-3)
+
+
+def test_periodic_rotation():
+    """A pendulum as a body with a periodic torque about its first axis, against solve_bvp of scipy for the angle."""
+    R, omega = rotation("R")
+    t = time()
+    problem = Control(
+        lagrangian=omega.dot(omega) / 2 + R.trace(), force={R: (sin(pi * t), 0, 0)}, duration=2, periodic=[R, omega],
+        guess={R: ([1, 0, 0], -sin(pi * t) / 8)}, steps=200,
+    )  # fmt: skip
+    result = codegen.solve(problem)
+    assert result.status == "solved"
+
+    def field(t, state):
+        return np.array([state[1], np.sin(np.pi * t) - 2 * np.sin(state[0])])
+
+    mesh = np.linspace(0, 2, 201)
+    start = np.array([-np.sin(np.pi * mesh) / 8, -np.pi * np.cos(np.pi * mesh) / 8])
+    exact = solve_bvp(field, lambda a, b: a - b, mesh, start, tol=1e-9).sol(result.t)[0]
+    assert turned(result).as_rotvec() == pytest.approx(exact[:, None] * np.array([1, 0, 0]), abs=2e-4)
