@@ -83,10 +83,11 @@ def satellite() -> Control:
     (x, R), (v, omega) = codegen.pose("B")
     S, spin = codegen.rotation("S")
     n, dn = codegen.direction("n")
-    assert codegen.attitude("A").shape == R.shape == S.shape and dn.shape == spin.shape == n.shape
+    assert codegen.attitude("A").shape == R.shape == S.shape
+    assert dn.shape == spin.shape == n.shape
     u = codegen.controls("a b c")
     return Control(
-        lagrangian=v.dot(v) / 2 + omega.dot(omega) / 2, force={R: u}, cost=u[0] ** 2 + u[1] ** 2 + u[2] ** 2, duration=1,
+        lagrangian=v.dot(v) / 2 + omega.dot(omega) / 2, force={R: u}, cost=u[0] ** 2 + u[1] ** 2, duration=1,
         start={x: (0, 0, 0), v: (0, 0, 0), R: ([0, 0, 1], 0), omega: (0, 0, 0)}, end={R: ([0, 0, 1], 1)},
     )  # fmt: skip
 

@@ -2,11 +2,12 @@
 
     python tests/benchmarks/rotations.py [--guesses G] [--steps N ...]
 
-The problem is the least time of a rigid body that turns by 150 degrees (`problems/published/reorientation.py`, 28.6304).
-`rotation` is that problem: four coordinates and a holonomic constraint, by the variational midpoint rule. `attitude` has
-the first-order equations of the quaternion and the angular velocity, by the midpoint rule. A guess is an arc from start
-to end, plus a random quaternion times sin(pi t/T); both forms have the same guesses. `solved` is the share of the
-guesses that end in a solution, `best` the share that ends within 0.2 % of the published time.
+The problem is the least time of a rigid body that turns by 150 degrees, which is published as 28.6304
+(`problems/published/reorientation.py`). `rotation` is that problem: four coordinates and a holonomic constraint, by the
+variational midpoint rule. `attitude` has the first-order equations of the quaternion and the angular velocity, by the
+midpoint rule. A guess is an arc from start to end, plus a random quaternion times sin(pi t/T); both forms have the same
+guesses. `solved` is the share of the guesses that end in a solution, `best` the share that ends within 0.2 % of the
+published time.
 """
 
 from __future__ import annotations
