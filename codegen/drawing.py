@@ -1,9 +1,10 @@
 """Items of the drawing of a system: rods, masses, boxes, arrows, trails, circles, marks and ground.
 
 The `drawing` of a problem is a list of items. Every number of an item may be an expression of coordinates (or states),
-controls, parameters, time and the number of the body. Lengths have the unit of the problem. For a motion in space the
-expressions must project positions onto a plane. The optional `label` names an item in legends. In a Scene the same
-classes have arrays (bodies, times) in place of expressions. This module does not import sympy.
+controls, parameters, time and the number of the body. Lengths have the unit of the problem. A point in space (x, y, z)
+is projected onto a plane: z points upwards, x to the right, and y away from the viewer. The optional `label` names an
+item in legends. In a Scene the same classes have arrays (bodies, times) in place of expressions. This module does not
+import sympy.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
+from math import cos, radians, sin
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -22,7 +24,10 @@ Expression = Any
 """A sympy expression or a number; in a scene an array (bodies, times)."""
 
 Point: TypeAlias = tuple[Expression, Expression]
-"""A position or a vector in the plane."""
+"""A position or a vector in the plane; items also take those in space, three expressions or a matrix (3, 1)."""
+
+AZIMUTH, ELEVATION = radians(-60), radians(20)
+"""The direction from which positions in space are seen."""
 
 _Item = TypeVar("_Item", bound="Item")
 
@@ -39,9 +44,23 @@ class _Kind(type):
             points = [part.name for part in fields(cls) if part.type == "Point"]  # type: ignore[arg-type]
             raise ExpressionError(
                 f"{cls.__name__}(...) in the drawing: {error}",
-                f"write {cls.__name__}{inspect.Signature(own)} with (x, y) as {' and as '.join(points)}",
+                f"write {cls.__name__}{inspect.Signature(own)} with (x, y) or (x, y, z) as {' and as '.join(points)}",
             ) from None
-        return super().__call__(*values, **named)
+        item = super().__call__(*values, **named)
+        for part in fields(item):
+            if part.type == "Point":
+                object.__setattr__(item, part.name, _projected(getattr(item, part.name)))
+        return item
+
+
+def _projected(point: Any) -> Any:
+    """Return a point of three coordinates in the plane of the drawing, and any other value unchanged."""
+    try:
+        x, y, z = point
+    except (TypeError, ValueError):
+        return point
+    right = -sin(AZIMUTH) * x + cos(AZIMUTH) * y
+    return right, cos(ELEVATION) * z - sin(ELEVATION) * (cos(AZIMUTH) * x + sin(AZIMUTH) * y)
 
 
 @dataclass(frozen=True)

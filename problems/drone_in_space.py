@@ -20,8 +20,7 @@ def problem() -> Control:
     thrust = Matrix([0, 0, sum(rotors)])
     torque = Matrix([arm * (f2 - f4), arm * (f3 - f1), drag * (f1 - f2 + f3 - f4)])
     gates = [(2, 1, 1.5), (4, -1, 2), (2, -2, 0.5)]
-    seen = (x[0], x[2])
-    ends = [x + R @ Matrix([sign * arm, 0, 0]) for sign in (-1, 1)]
+    arms = [R @ Matrix(place) for place in ((0.3, 0, 0), (0, 0.3, 0))]
     return Control(
         lagrangian=m * v.dot(v) / 2 + omega.dot(inertia * omega) / 2 - m * g * x[2],
         force={x: R @ thrust, R: torque},
@@ -33,9 +32,5 @@ def problem() -> Control:
         waypoints=[[Eq(here, there) for here, there in zip(x, gate, strict=True)] for gate in gates],
         guess=dict.fromkeys(rotors, m * g / 4),
         steps=120,
-        drawing=[
-            Trail(seen),
-            Rod((ends[0][0], ends[0][2]), (ends[1][0], ends[1][2])),
-            *(Mark((a, c)) for a, _, c in gates),
-        ],
+        drawing=[Trail(x), *(Rod(x - each, x + each) for each in arms), *(Mark(gate) for gate in gates)],
     )

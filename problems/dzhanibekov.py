@@ -5,27 +5,20 @@ momentum in space is conserved to rounding. Source: Landau and Lifshitz (1976), 
 Chicone and Cushman (1991), The twisting tennis racket.
 """
 
-from sympy import Expr, Matrix, diag, eye
+from sympy import Matrix, diag, eye
 
 from codegen import Simulate, rotation
-from codegen.drawing import Item, Mass, Rod
-
-
-def seen(place: Matrix) -> tuple[Expr, Expr]:
-    """Return a place in the plane of the drawing, which is seen along (1, 2, 1)."""
-    x, y, z = place
-    return (2 * x - y) / 5**0.5, (-x - 2 * y + 5 * z) / 30**0.5
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem() -> Simulate:
     R, omega = rotation("R")
     inertia = diag(3, 2, 1)
-    ends = [seen(R @ Matrix(place)) for place in ((-1, 0, 0), (1, 0, 0), (0, 0, 0), (0, 0.7, 0))]
-    drawing: list[Item] = [Rod(ends[0], ends[1]), Rod(ends[2], ends[3]), Mass(ends[3], 0.06)]
+    bar, stem = (R @ Matrix(place) for place in ((1, 0, 0), (0, 0.7, 0)))
     return Simulate(
         lagrangian=omega.dot(inertia * omega) / 2,
         duration=40,
         start={R: eye(3), omega: (1e-3, 2, 0)},
         steps=2000,
-        drawing=drawing,
+        drawing=[Trail(bar), Rod(-bar, bar), Rod((0, 0, 0), stem), Mass(stem, 0.06)],
     )

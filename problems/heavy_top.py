@@ -15,11 +15,10 @@ def problem() -> Simulate:
     m, g, length, spin = parameters(m=1, g=9.81, length=1, spin=30)
     inertia = diag(1.2, 1.2, 0.3)
     top = R @ Matrix([0, 0, length])
-    seen = (top[0], top[2] - top[1] / 3)
     return Simulate(
         lagrangian=omega.dot(inertia * omega) / 2 - m * g * top[2],
         duration=6,
         start={R: ([1, 0, 0], 0.5), omega: (0, 0, spin)},
         steps=2000,
-        drawing=[Trail(seen), Rod((0, 0), seen), Mass(seen, 0.06)],
+        drawing=[Trail(top), Rod((0, 0, 0), top), Mass(top, 0.06)],
     )

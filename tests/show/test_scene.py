@@ -9,6 +9,7 @@ import pytest
 import sympy
 from conftest import PROBLEMS
 from drawn_oscillator import oscillator
+from scipy.spatial.transform import Rotation
 from sympy import cos, pi, sin
 
 from codegen import Control, body_number, control, coordinates, free_parameter, time
@@ -20,9 +21,9 @@ from codegen.show.films import fine_times, scene
 from codegen.solving.results.result import Result
 
 DRAWN = (
-    "acrobot brachistochrone cart_pendulum cart_pole convoy crane double_pendulum_cartesian four_bar hovercraft "
-    "linear_pendulum low_thrust n_link_pendulum orbital_transfer pendulum pendulum_swing_up quadrotor "
-    "spherical_pendulum two_link_arm"
+    "acrobot brachistochrone cart_pendulum cart_pole convoy crane double_pendulum_cartesian drone_in_space dzhanibekov "
+    "four_bar heavy_top hovercraft linear_pendulum low_thrust n_link_pendulum orbital_transfer pendulum "
+    "pendulum_swing_up quadrotor spherical_pendulum two_link_arm"
 ).split()
 
 
@@ -31,6 +32,14 @@ def motion(model: Model, t: Any, q: Any, u: Any, **summary: float) -> Any:
     given = {"t": np.array(t, float), "q": np.array(q, float), "u": np.array(u, float), "summary": summary}
     empty = dict.fromkeys(("problem", "title", "task", "method", "scheme", "driver", "status", "message"), "")
     return Result(**empty, steps=1, residual=0.0, iterations=0, p=given["q"], names={}, **given)
+
+
+def test_points_in_space_are_seen_from_above_the_ground():
+    """An orthographic view from the azimuth -60 and the elevation 20 degrees, as by scipy."""
+    turned = Rotation.from_euler("zx", [-30, -70], degrees=True)
+    for point in np.eye(3):
+        seen = np.array(Trail(tuple(point)).point, dtype=float)
+        np.testing.assert_allclose(seen, turned.apply(point)[:2], atol=1e-12)
 
 
 def test_one_body():
