@@ -56,6 +56,7 @@ from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.relations import text
 from codegen.discretise.model.smoothness import sample_points
 from codegen.discretise.program import ConstraintAtNode, Names, StepProgram, Unknown, symbols
+from codegen.discretise.rotations import step_with_rotations
 from codegen.discretise.schemes.base import Scheme
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic import checks as expressions
@@ -415,7 +416,10 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         velocities = [_at(phase, v, left) for v in stepwise.velocities] if stepwise else _mean_velocities(phase, left)
         at_left = velocities if stepwise else rates_of_change(phase, left)[: len(phase.coordinates)]
         lagrangian = legendre.lagrangian_form(model)
-        step = _variational_step(lagrangian, part, left, right, velocities, at_left)
+        if lagrangian.rotations:
+            step = _rotating_step(lagrangian, part, left, right, at_left)
+        else:
+            step = _variational_step(lagrangian, part, left, right, velocities, at_left)
         constraints = _constraints(lagrangian, left, at_left)
     else:
         step = _one_step(phase, part, left, right, lengths)
@@ -540,6 +544,20 @@ def _variational_step(
         solution=eliminate(equations, unknowns, model.parameters),
         guesses=guesses,
         multipliers=normal.constraints.kappa,
+    )
+
+
+def _rotating_step(
+    model: Model, scheme: Scheme, left: Sequence[Symbol], right: Sequence[Symbol], left_velocities: Sequence[Expr]
+) -> _Step:
+    step = step_with_rotations(model, scheme, left, right, left_velocities)
+    return _Step(
+        equations=step.written,
+        summary=tuple((f"0 = {name}", value) for name, value in step.written),
+        velocities=(),
+        stages=step.stages,
+        solution=eliminate(step.equations, step.unknowns, model.parameters),
+        guesses=step.guesses,
     )
 
 

@@ -60,7 +60,7 @@ class Sphere:
     @property
     def constraint(self) -> Expr:
         """The expression |q|^2 - 1."""
-        return sympy.Add(*(q**2 for q in self.coordinates)) - 1
+        return squared_length(self.coordinates) - 1
 
     @property
     def radial_velocity(self) -> Expr:
@@ -76,7 +76,7 @@ class Sphere:
     def matrix(self) -> ImmutableMatrix:
         """The attitude as a matrix (3, 3), from the frame of the body to the frame of space."""
         w, x, y, z = self.coordinates
-        squares = self.constraint + 1
+        squares = squared_length(self.coordinates)
         rows = [
             [w**2 + x**2 - y**2 - z**2, 2 * (x * y - w * z), 2 * (x * z + w * y)],
             [2 * (x * y + w * z), w**2 - x**2 + y**2 - z**2, 2 * (y * z - w * x)],
@@ -87,8 +87,7 @@ class Sphere:
     @property
     def angular_velocity(self) -> ImmutableMatrix:
         """The angular velocity (3,) in the frame of the body."""
-        _, *imaginary = _product(_conjugate(self.coordinates), self.velocities)
-        return ImmutableMatrix([2 * part / (self.constraint + 1) for part in imaginary])
+        return ImmutableMatrix(angular_velocity(self.coordinates, self.velocities))
 
 
 class _CoordinateOnSphere(Coordinate):
@@ -313,7 +312,7 @@ class _Reading:
             elif spinning is not None and what in self.ends:
                 rates = vector(value, f"{what} of {name}")
                 if spinning in attitudes:
-                    half = _product(attitudes[spinning], (sympy.S.Zero, *rates))
+                    half = product(attitudes[spinning], (sympy.S.Zero, *rates))
                     yield from zip(spinning.velocities, (part / 2 for part in half), strict=True)
                 elif what == "start":
                     raise BoundaryError(f"start has {name} without the attitude", f"add {spinning.name}: ... to start")
@@ -335,16 +334,16 @@ class _Reading:
     def _of_attitude(self, what: str, sphere: Sphere, value: Any) -> tuple[Any, ...]:
         """Return the components of a quaternion, its force or its derivative; none if conditions are added."""
         if what == "force":
-            torque, squares = vector(value, f"the torque on {sphere.name}"), sphere.constraint + 1
-            return tuple(2 * part / squares for part in _product(sphere.coordinates, (sympy.S.Zero, *torque)))
+            torque, squares = vector(value, f"the torque on {sphere.name}"), squared_length(sphere.coordinates)
+            return tuple(2 * part / squares for part in product(sphere.coordinates, (sympy.S.Zero, *torque)))
         if what == "dynamics":
             rates = vector(value, f"the angular velocity of {sphere.name}")
-            return tuple(part / 2 for part in _product(sphere.coordinates, (sympy.S.Zero, *rates)))
+            return tuple(part / 2 for part in product(sphere.coordinates, (sympy.S.Zero, *rates)))
         if what == "guess":
             self.guessed.add(sphere)
             return quaternion_of(value, f"guess of {sphere.name}")
         if what == "end" and not sphere.velocities:  # the length of a quaternion of states follows from its dynamics
-            self.conditions += _product(_conjugate(self.ends["end"][sphere]), sphere.coordinates)[1:]
+            self.conditions += product(conjugate(self.ends["end"][sphere]), sphere.coordinates)[1:]
             return ()
         return self.ends[what][sphere]
 
@@ -376,7 +375,7 @@ class _Reading:
         """Return a unit vector that is perpendicular to a point of a sphere."""
         if sphere.is_attitude:
             axis = np.array(self.axes.get(sphere, (1, 0, 0)), dtype=float)
-            return tuple(float(part) for part in _product((0.0, *axis / np.linalg.norm(axis)), point))
+            return tuple(float(part) for part in product((0.0, *axis / np.linalg.norm(axis)), point))
         along = np.eye(3)[np.abs(point).argmin()]
         across = along - (along @ point) * point
         return tuple(across / np.linalg.norm(across))
@@ -477,12 +476,23 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:60]} ..."
 
 
-def _product(left: Any, right: Any) -> tuple[Any, Any, Any, Any]:
+def squared_length(vector: Sequence[Expr]) -> Expr:
+    """Return |q|^2."""
+    return sympy.Add(*(part**2 for part in vector))
+
+
+def angular_velocity(quaternion: Sequence[Expr], velocities: Sequence[Expr]) -> list[Expr]:
+    """Return the angular velocity 2 Im(q* dq) / |q|^2 (3,) in the frame of the body."""
+    _, *imaginary = product(conjugate(quaternion), velocities)
+    return [2 * part / squared_length(quaternion) for part in imaginary]
+
+
+def product(left: Any, right: Any) -> tuple[Any, Any, Any, Any]:
     """Return the product of two quaternions (w, x, y, z)."""
     a, b = (Matrix([0, 0, 0]) + Matrix(each[1:]) for each in (left, right))
     imaginary = left[0] * b + right[0] * a + a.cross(b)
     return (left[0] * right[0] - a.dot(b), *imaginary)
 
 
-def _conjugate(quaternion: Any) -> tuple[Any, ...]:
+def conjugate(quaternion: Any) -> tuple[Any, ...]:
     return (quaternion[0], *(-part for part in quaternion[1:]))

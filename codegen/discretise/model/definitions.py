@@ -149,6 +149,7 @@ class Model:
     parameters. Both are negated where the author asked for a maximum (`maximised`). `holonomic` constraints c(q) = 0
     hold at every time. The `loss` of the differences between `observed` expressions and `measurements` is added to the
     cost. The measurements are files with the same layout, one file for each body.
+    `rotations` are quadruples of coordinates, the unit quaternions of attitudes, whose lengths are among the constraints.
     `periodic` gives pairs (coordinate or rate, shift): the value at the end is the value at the start plus the shift.
     `joined` gives pairs of coordinates: the first one at the end equals the second one at the start, and so do their
     rates. Models with `delays` have symbols for delayed values. After the division into segments only the problem
@@ -195,6 +196,7 @@ class Model:
     terminal_cost: sympy.Expr = sympy.S.Zero
     maximised: bool = False
     holonomic: tuple[sympy.Expr, ...] = ()
+    rotations: tuple[tuple[sympy.Symbol, ...], ...] = ()
     periodic: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
     joined: tuple[tuple[sympy.Symbol, sympy.Symbol], ...] = ()
     delays: tuple[Delay, ...] = ()

@@ -24,6 +24,7 @@ from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, Sym
 from codegen.problem import symbols
 from codegen.problem.bodies import require_body
 from codegen.problem.problem import FORMS, Control, Problem, Simulate, form_of
+from codegen.problem.rotations import spheres_in
 from codegen.problem.symbols import Quantity
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.terms import value_counts
@@ -253,6 +254,11 @@ def _built(
             EndValue(plain[value], kinds.coordinates.index(value.partner), value.body) for value in kinds.end_values
         ),
         scales=scales,
+        rotations=tuple(
+            tuple(plain[q] for q in sphere.coordinates)
+            for sphere in spheres_in(*kinds.coordinates)
+            if form == "lagrangian" and sphere.is_attitude
+        ),
     )
     for kind in CONDITIONS:
         model = kind.added(model, entries)

@@ -1,0 +1,327 @@
+"""One step of a simulation with rotations: a Lie group variational integrator with three unknowns for each attitude.
+
+The attitude of a body is a unit quaternion q, and w is its angular velocity in the frame of the body during the step:
+
+    q_k1 = q_k c,    c = (1 - |b|^2, 2 b) / (1 + |b|^2),    b = h w/4.
+
+The retraction is the square of Cayley's map, |h w| = 4 tan(angle/4). The discrete Lagrangian is the quadrature of
+L(x, v, q, w) at the points of the scheme, where x moves along a straight line with the velocity v, and the attitude is
+q_k at the left node, q_k (1, b) in the middle, and q_k1 at the right node. Its forced discrete Euler-Lagrange equations
+in the frame of the body, with mu = dL/dw and with the torque M of forces and of the potential, are
+
+    pi_k  = (1 - |b|^2) mu + 2 b x mu + 2 b (b . mu) - h/2 (M + b x M),
+    pi_k1 = (1 - |b|^2) mu - 2 b x mu + 2 b (b . mu) + h/2 (M - b x M)
+
+for the midpoint rule. The state has the momentum p = 2 q pi of the quaternion, which is perpendicular to q. Further
+holonomic constraints have impulses at both nodes, as in `simulation`. The equations have neither a singular attitude
+nor a multiplier for the length of q.
+
+Sources: Lee, Leok and McClamroch (2007), Lie group variational integrators for the full body problem in orbital
+mechanics; Bou-Rabee and Marsden (2009), Hamilton-Pontryagin integrators on Lie groups; Schaub and Junkins (1996),
+Stereographic orientation parameters for attitude dynamics, for the derivative of b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sympy
+from sympy import Add, Expr, Matrix, S, Symbol
+
+from codegen.discretise.conditions import holonomic
+from codegen.discretise.interval import STEP, at_nodes
+from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.relations import text
+from codegen.discretise.program import Names, symbols
+from codegen.discretise.schemes.base import Scheme
+from codegen.problem.rotations import angular_velocity, conjugate, product, squared_length
+from codegen.symbolic.derivatives import gradient
+
+Equation = tuple[str, Expr]
+
+
+@dataclass(frozen=True)
+class StepEquations:
+    """The equations of a step for the `unknowns`, in the same order, and their initial guesses.
+
+    `written` are the equations in textbook form, with their names: as many as `stages` and quantities of the right node.
+    """
+
+    equations: tuple[Expr, ...]
+    unknowns: tuple[Symbol, ...]
+    guesses: dict[Symbol, Expr]
+    written: tuple[Equation, ...]
+    stages: tuple[Symbol, ...]
+
+
+class _Attitude:
+    """The attitude of one body in a step: quaternions at both nodes, w, b and c."""
+
+    def __init__(self, coordinates: Sequence[Symbol], names: Names) -> None:
+        self.coordinates = coordinates
+        self.left, self.right = at_nodes(coordinates, "_k"), at_nodes(coordinates, "_k1")
+        stems = [names.named("omega", q) for q in coordinates[1:]]
+        self.rates = symbols(stems, "_k")
+        self.rates_right = symbols(stems, "_k1")
+        self.b = Matrix([STEP * w / 4 for w in self.rates])
+        self.square = Add(*(STEP**2 * w**2 / 16 for w in self.rates))
+        self.turn = [part / (1 + self.square) for part in (1 - self.square, *(2 * self.b))]
+
+    def at(self, c: Expr) -> dict[Any, Expr]:
+        """Return the substitution for the quaternion, and for its squared length, at the fraction c of the step."""
+        factors = {S.Zero: (S.One, *(S.Zero,) * 3), S.Half: (S.One, *self.b), S.One: self.turn}
+        quaternion = product(self.left, factors[c])
+        length = 1 + self.square if c == S.Half else S.One
+        return {squared_length(self.coordinates): length, **dict(zip(self.coordinates, quaternion, strict=True))}
+
+    def momenta(self, mu: Matrix, sign: int) -> Matrix:
+        """Return the part of pi_k (sign 1) or pi_k1 (sign -1) that belongs to mu = dL/dw."""
+        return (1 - self.square) * mu + 2 * sign * self.b.cross(mu) + 2 * self.b.dot(mu) * self.b
+
+    def torque(self, moment: Matrix, c: Expr, sign: int) -> Matrix:
+        """Return the moment at the fraction c in the frame of the body at the left node (sign 1) or the right (-1)."""
+        return (moment + sign * self.b.cross(moment)) / 2 if c == S.Half else moment * (c if sign < 0 else 1 - c)
+
+    def body_momentum(self, momenta: Sequence[Expr]) -> Matrix:
+        """Return pi_k of the momenta p_k of the quaternion."""
+        return Matrix(product(conjugate(self.left), momenta)[1:]) / 2
+
+
+def _imaginary(left: Sequence[Expr], right: Sequence[Expr]) -> Matrix:
+    """Return half the imaginary part of the product q* f: the moment of a force f on a quaternion."""
+    return Matrix(product(conjugate(left), right)[1:]) / 2
+
+
+def in_body_rates(model: Model, rates: Mapping[tuple[Symbol, ...], Sequence[Symbol]]) -> Expr:
+    """Return L in x, v, q and the angular velocities `rates` of all attitudes, in place of the velocities of q."""
+    velocity, function = dict(zip(model.coordinates, model.rates, strict=True)), model.function
+    for quaternion, omega in rates.items():
+        moving = [velocity[q] for q in quaternion]
+        length = squared_length(quaternion)
+        # An author writes L in omega = numerator/|q|^2, and the numerator is a sum that sympy leaves as it is.
+        numerators = [(part * length) for part in angular_velocity(quaternion, moving)]
+        function = function.xreplace({n: w * length for n, w in zip(numerators, omega, strict=True)})
+        function = function.xreplace({Add(*(q * v for q, v in zip(quaternion, moving, strict=True))): S.Zero})
+        turning = product(quaternion, (S.Zero, *omega))
+        function = function.xreplace({v: part / 2 for v, part in zip(moving, turning, strict=True)})
+    return function
+
+
+def step_with_rotations(
+    model: Model, scheme: Scheme, left: Sequence[Symbol], right: Sequence[Symbol], left_velocities: Sequence[Expr]
+) -> StepEquations:
+    """Return the equations of one step of a model with `rotations`, in position-momentum form.
+
+    `left` and `right` are the symbols (q, p) of both nodes, and `left_velocities` those of the coordinates at the left
+    node. Raises SchemeError for a scheme with inner points.
+    """
+    rule = scheme.discrete_lagrangian()
+    holonomic.require_no_inner_points(model, rule.nodes[1:-1], scheme.name)
+    names, count = Names(model), len(model.coordinates)
+    at_left, at_right = (dict(zip(model.coordinates, side, strict=False)) for side in (left, right))
+    momenta = (dict(zip(model.coordinates, side[count:], strict=True)) for side in (left, right))
+    p_left, p_right = momenta
+    bodies = [_Attitude(quaternion, names) for quaternion in model.rotations]
+    turning = {q for body in bodies for q in body.coordinates}
+    straight = [i for i, q in enumerate(model.coordinates) if q not in turning]
+    places, speeds = [model.coordinates[i] for i in straight], [model.rates[i] for i in straight]
+    v = at_nodes(speeds, "_k")
+    function = in_body_rates(model, {body.coordinates: body.rates for body in bodies})
+    force = dict(zip(model.coordinates, model.force, strict=True))
+    joints = _Joints(model, bodies, places, speeds, function, names, at_right, p_right)
+    mu = [Matrix([0, 0, 0]) for _ in bodies]
+    push = [S.Zero for _ in places]
+    moments = {sign: [Matrix([0, 0, 0]) for _ in bodies] for sign in (1, -1)}
+    kicks = {sign: [S.Zero for _ in places] for sign in (1, -1)}
+    for point in rule.points:
+        c, weight = sympy.nsimplify(point.abscissa), point.weight
+        here: dict[Any, Expr] = {x: at_left[x] + c * STEP * y for x, y in zip(places, v, strict=True)}
+        here |= dict(zip(speeds, v, strict=True)) | {model.time: model.time + c * STEP}
+        lengths = dict[Any, Expr]()
+        for body in bodies:
+            turned = body.at(c)
+            length = squared_length(body.coordinates)
+            lengths[length] = turned.pop(length)
+            here |= turned
+
+        def value(expression: Expr, here: dict[Any, Expr] = here, lengths: dict[Any, Expr] = lengths) -> Expr:
+            return expression.xreplace(lengths).xreplace(here)
+
+        for i, body in enumerate(bodies):
+            mu[i] += weight * Matrix([value(slope) for slope in gradient(function, body.rates)])
+            # The length of q counts as constant, because a change of it does no work.
+            dummy = Symbol("length")
+            slopes = gradient(function.xreplace({squared_length(body.coordinates): dummy}), body.coordinates)
+            slopes = [s.xreplace({dummy: squared_length(body.coordinates)}) for s in slopes]
+            pulls = [s + force[q] for s, q in zip(slopes, body.coordinates, strict=True)]
+            moment = weight * STEP * Matrix([value(part) for part in _imaginary(body.coordinates, pulls)])
+            for sign, total in moments.items():
+                total[i] += body.torque(moment, c, sign)
+        for j, (x, speed) in enumerate(zip(places, speeds, strict=True)):
+            push[j] += weight * value(sympy.diff(function, speed))
+            pull = weight * STEP * value(sympy.diff(function, x) + force[x])
+            kicks[1][j] += (1 - c) * pull
+            kicks[-1][j] += c * pull
+    equations, written = list[Expr](), list[Equation]()
+    unknowns = [*v, *(w for body in bodies for w in body.rates)]
+    for j, x in enumerate(places):
+        equation = p_left[x] + joints.left_impulse(x) - push[j] + kicks[1][j]
+        equations.append(equation)
+        written.append((f"left momentum of {x}", joints.in_forces(equation)))
+    for i, body in enumerate(bodies):
+        own = body.body_momentum([p_left[q] for q in body.coordinates])
+        rows = own + joints.left_moment(body) - body.momenta(mu[i], 1) + moments[1][i]
+        equations += list(rows)
+        written += [(f"left momentum of {w}", joints.in_forces(e)) for w, e in zip(body.rates, rows, strict=True)]
+    arrivals = list[tuple[Symbol, Expr]]()
+    for x, y in zip(places, v, strict=True):
+        arrivals.append((at_right[x], at_left[x] + STEP * y))
+    exact = [*arrivals]
+    for body in bodies:
+        turned = product(body.left, body.turn)
+        exact += zip(body.right, turned, strict=True)
+        # One step of Newton's method for the length one, so that rounding errors do not add up.
+        length = (3 - Add(*(part**2 for part in turned))) / 2
+        arrivals += [(q, length * part) for q, part in zip(body.right, turned, strict=True)]
+    equations += [q - value for q, value in arrivals]
+    written += [(f"step of {q}", q - value) for q, value in exact]
+    unknowns += [q for q, _ in arrivals]
+    for j, x in enumerate(places):
+        equation = p_right[x] - joints.right_impulse(x) - push[j] - kicks[-1][j]
+        equations.append(equation)
+        written.append((f"right momentum of {x}", joints.in_forces(equation)))
+        unknowns.append(p_right[x])
+    for i, body in enumerate(bodies):
+        own = body.momenta(mu[i], -1) + moments[-1][i] + joints.right_moment(body)
+        momentum = product(body.right, (S.Zero, *own))
+        for q, part in zip(body.coordinates, momentum, strict=True):
+            equations.append(p_right[q] - 2 * part)
+            written.append((f"right momentum of {q}", joints.in_forces(equations[-1])))
+            unknowns.append(p_right[q])
+    at_start = dict(zip(model.coordinates, left_velocities, strict=True))
+    guesses: dict[Symbol, Expr] = {y: at_start[x] for x, y in zip(places, v, strict=True)}
+    rates_left = dict[Symbol, Expr]()
+    for body in bodies:
+        spin = 2 * Matrix(product(conjugate(body.left), [at_start[q] for q in body.coordinates])[1:])
+        guesses |= dict(zip(body.rates, spin, strict=True))
+        rates_left |= dict(zip(body.rates_right, spin, strict=True))
+    guesses |= {q1: at_left[q] for q, q1 in at_right.items()} | {p_right[q]: p_left[q] for q in model.coordinates}
+    guesses |= joints.guesses({x: at_start[x] for x in places}, rates_left)
+    return StepEquations(
+        equations=(*equations, *joints.solved),
+        unknowns=(*unknowns, *joints.unknowns),
+        guesses=guesses,
+        written=(*written, *joints.written),
+        stages=(*v, *(w for body in bodies for w in body.rates), *joints.stages),
+    )
+
+
+class _Joints:
+    """The holonomic constraints besides the lengths of quaternions, with impulses h/2 kappa at both nodes.
+
+    `solved` are equations for the `unknowns`, in the same order: impulses at the left node, velocities and angular
+    velocities at the right node, impulses there, and the forces kappa. `written` are those for the `stages`.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        bodies: Sequence[_Attitude],
+        places: Sequence[Symbol],
+        speeds: Sequence[Symbol],
+        function: Expr,
+        names: Names,
+        at_right: Mapping[Symbol, Symbol],
+        p_right: Mapping[Symbol, Symbol],
+    ) -> None:
+        lengths = [squared_length(body.coordinates) - 1 for body in bodies]
+        self.constraints = [c for c in model.holonomic if c not in lengths]
+        self.model, self.bodies, self.places = model, bodies, places
+        kappa = [names.numbered("kappa") for _ in self.constraints]
+        numbered = [names.numbered("impulse") for _ in self.constraints]
+        self._kappa = {mark: symbols(kappa, mark) for mark in ("_k", "_k1")}
+        self._impulse = {mark: symbols(numbered, mark) for mark in ("_k", "_k1")}
+        self.force_of = {
+            k: 2 * i / STEP
+            for mark in ("_k", "_k1")
+            for k, i in zip(self._kappa[mark], self._impulse[mark], strict=True)
+        }
+        self._speeds = at_nodes(speeds, "_k1") if self.constraints else ()
+        self._spins = tuple(w for body in bodies for w in body.rates_right) if self.constraints else ()
+        self.unknowns, self.stages = tuple[Symbol, ...](), tuple[Symbol, ...]()
+        self.solved, self.written = list[Expr](), list[Equation]()
+        if not self.constraints:
+            return
+        here: dict[Any, Expr] = {**at_right, **dict(zip(speeds, self._speeds, strict=True))}
+        here[model.time] = model.time + STEP
+        for body in bodies:
+            here |= dict(zip(body.rates, body.rates_right, strict=True))
+        positions = [c.xreplace(here) for c in self.constraints]
+        rates = []
+        for c in self.constraints:
+            moving = [sympy.diff(c, x) * speed for x, speed in zip(places, speeds, strict=True)]
+            moving += [self._slope(c, body).dot(Matrix(body.rates)) for body in bodies]
+            rates.append(Add(sympy.diff(c, model.time), *moving).xreplace(here))
+        transforms = [
+            (y, p_right[x] - sympy.diff(function, speed).xreplace(here))
+            for x, speed, y in zip(places, speeds, self._speeds, strict=True)
+        ]
+        for body in bodies:
+            own = _imaginary(body.right, [p_right[q] for q in body.coordinates])
+            slopes = [sympy.diff(function, w).xreplace(here) for w in body.rates]
+            transforms += zip(body.rates_right, [p - s for p, s in zip(own, slopes, strict=True)], strict=True)
+        self.stages = (*self._kappa["_k"], *self._speeds, *self._spins, *self._kappa["_k1"])
+        self.unknowns = (*self._impulse["_k"], *self._speeds, *self._spins, *self._impulse["_k1"], *self.force_of)
+        self.written = [
+            *((f"constraint {text(c)}", value) for c, value in zip(self.constraints, positions, strict=True)),
+            *((f"{y} of momenta", value) for y, value in transforms),
+            *((f"rate of constraint {text(c)}", rate) for c, rate in zip(self.constraints, rates, strict=True)),
+        ]
+        self.solved = [
+            *(value / STEP for value in positions),
+            *(value for _, value in transforms),
+            *rates,
+            *(k - value for k, value in self.force_of.items()),
+        ]
+
+    def _slope(self, constraint: Expr, body: _Attitude) -> Matrix:
+        """Return the derivative of a constraint along rotations of a body in its frame."""
+        return _imaginary(body.coordinates, gradient(constraint, body.coordinates))
+
+    def in_forces(self, expression: Expr) -> Expr:
+        """Return an expression of impulses in terms of the forces kappa."""
+        pairs = ((self._impulse[mark], self._kappa[mark]) for mark in ("_k", "_k1"))
+        return expression.xreplace({i: STEP * k / 2 for left, right in pairs for i, k in zip(left, right, strict=True)})
+
+    def _at(self, mark: str) -> dict[Any, Expr]:
+        node = at_nodes(self.model.coordinates, mark)
+        time = self.model.time + (STEP if mark == "_k1" else S.Zero)
+        return {**dict(zip(self.model.coordinates, node, strict=True)), self.model.time: time}
+
+    def _force(self, slope: Any, mark: str) -> Any:
+        pairs = zip(self._impulse[mark], self.constraints, strict=True)
+        return [impulse * slope(c) for impulse, c in pairs]
+
+    def left_impulse(self, x: Symbol) -> Expr:
+        """Return the impulse on a coordinate x at the left node."""
+        return Add(*self._force(lambda c: sympy.diff(c, x), "_k")).xreplace(self._at("_k"))
+
+    def right_impulse(self, x: Symbol) -> Expr:
+        """Return the impulse on a coordinate x at the right node."""
+        return Add(*self._force(lambda c: sympy.diff(c, x), "_k1")).xreplace(self._at("_k1"))
+
+    def left_moment(self, body: _Attitude) -> Matrix:
+        """Return the angular impulse on a body at the left node, in its frame."""
+        return sum(self._force(lambda c: self._slope(c, body), "_k"), Matrix([0, 0, 0])).xreplace(self._at("_k"))
+
+    def right_moment(self, body: _Attitude) -> Matrix:
+        """Return the angular impulse on a body at the right node, in its frame."""
+        return sum(self._force(lambda c: self._slope(c, body), "_k1"), Matrix([0, 0, 0])).xreplace(self._at("_k1"))
+
+    def guesses(self, speeds: Mapping[Symbol, Expr], spins: Mapping[Symbol, Expr]) -> dict[Symbol, Expr]:
+        """Return the guesses of the unknowns: no impulses, and the velocities of the left node."""
+        values: dict[Symbol, Expr] = dict.fromkeys((*self.unknowns,), S.Zero)
+        values |= {y: speeds[x] for y, x in zip(self._speeds, self.places, strict=False)}
+        return values | {w: spins[w] for w in self._spins}
