@@ -24,7 +24,7 @@ Stereographic orientation parameters for attitude dynamics, for the derivative o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import sympy
@@ -32,7 +32,7 @@ from sympy import Add, Expr, Matrix, S, Symbol
 
 from codegen.discretise.conditions import holonomic
 from codegen.discretise.interval import STEP, at_nodes
-from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.definitions import Boundary, Model
 from codegen.discretise.model.relations import text
 from codegen.discretise.program import Names, symbols
 from codegen.discretise.schemes.base import Scheme
@@ -46,7 +46,7 @@ Equation = tuple[str, Expr]
 class StepEquations:
     """The equations of a step for the `unknowns`, in the same order, and their initial guesses.
 
-    `written` are the equations in textbook form, with their names: as many as `stages` and quantities of the right node.
+    `written` are the equations in textbook form, with their names, for the `stages` and the right node.
     """
 
     equations: tuple[Expr, ...]
@@ -59,7 +59,7 @@ class StepEquations:
 class _Attitude:
     """The attitude of one body in a step: quaternions at both nodes, w, b and c."""
 
-    def __init__(self, coordinates: Sequence[Symbol], names: Names) -> None:
+    def __init__(self, coordinates: tuple[Symbol, ...], names: Names) -> None:
         self.coordinates = coordinates
         self.left, self.right = at_nodes(coordinates, "_k"), at_nodes(coordinates, "_k1")
         stems = [names.named("omega", q) for q in coordinates[1:]]
@@ -67,11 +67,15 @@ class _Attitude:
         self.rates_right = symbols(stems, "_k1")
         self.b = Matrix([STEP * w / 4 for w in self.rates])
         self.square = Add(*(STEP**2 * w**2 / 16 for w in self.rates))
-        self.turn = [part / (1 + self.square) for part in (1 - self.square, *(2 * self.b))]
+        self.turn: list[Expr] = [part / (1 + self.square) for part in (1 - self.square, *(2 * self.b))]
 
     def at(self, c: Expr) -> dict[Any, Expr]:
         """Return the substitution for the quaternion, and for its squared length, at the fraction c of the step."""
-        factors = {S.Zero: (S.One, *(S.Zero,) * 3), S.Half: (S.One, *self.b), S.One: self.turn}
+        factors: dict[Expr, Sequence[Expr]] = {
+            S.Zero: (S.One, *(S.Zero,) * 3),
+            S.Half: (S.One, *self.b),
+            S.One: self.turn,
+        }
         quaternion = product(self.left, factors[c])
         length = 1 + self.square if c == S.Half else S.One
         return {squared_length(self.coordinates): length, **dict(zip(self.coordinates, quaternion, strict=True))}
@@ -86,10 +90,10 @@ class _Attitude:
 
     def body_momentum(self, momenta: Sequence[Expr]) -> Matrix:
         """Return pi_k of the momenta p_k of the quaternion."""
-        return Matrix(product(conjugate(self.left), momenta)[1:]) / 2
+        return half_imaginary(self.left, momenta)
 
 
-def _imaginary(left: Sequence[Expr], right: Sequence[Expr]) -> Matrix:
+def half_imaginary(left: Sequence[Expr], right: Sequence[Expr]) -> Matrix:
     """Return half the imaginary part of the product q* f: the moment of a force f on a quaternion."""
     return Matrix(product(conjugate(left), right)[1:]) / 2
 
@@ -109,12 +113,77 @@ def in_body_rates(model: Model, rates: Mapping[tuple[Symbol, ...], Sequence[Symb
     return function
 
 
+def in_body_frames(model: Model) -> Model:
+    """Return a Lagrangian model whose rates are the velocities of positions and the angular velocities of attitudes.
+
+    The imaginary parts of a quaternion are the coordinates in the places of the angular velocity; the real part is a
+    parameter. The rates are no time derivatives of these coordinates, but the Legendre transform is that of a body:
+    momenta are those of positions, and the angular momenta in the frames of the bodies.
+    """
+    turning = {q for quaternion in model.rotations for q in quaternion}
+    pairs = [(x, v) for x, v in zip(model.coordinates, model.rates, strict=True) if x not in turning]
+    names, rates = Names(model), dict[tuple[Symbol, ...], tuple[Symbol, ...]]()
+    for quaternion in model.rotations:
+        rates[quaternion] = tuple(Symbol(names.named("omega", q), real=True) for q in quaternion[1:])
+        pairs += zip(quaternion[1:], rates[quaternion], strict=True)
+    free = (None,) * len(pairs)
+    return replace(
+        model,
+        coordinates=tuple(x for x, _ in pairs),
+        rates=tuple(v for _, v in pairs),
+        parameters=(*model.parameters, *(quaternion[0] for quaternion in model.rotations)),
+        defaults=(*model.defaults, *(1.0 for _ in model.rotations)),
+        function=in_body_rates(model, rates),
+        force=(S.Zero,) * len(pairs),
+        start=Boundary(free, free),
+        end=None,
+        holonomic=(),
+        rotations=(),
+    )
+
+
+def in_quaternions(model: Model, momenta: Sequence[Symbol]) -> dict[Symbol, Expr]:
+    """Return the momenta of `in_body_frames` in terms of the momenta of the model, in the order of its coordinates."""
+    own = dict(zip(model.coordinates, momenta, strict=True))
+    return {
+        own[q]: part
+        for quaternion in model.rotations
+        for q, part in zip(
+            quaternion[1:], half_imaginary(quaternion, [own[q] for q in quaternion]), strict=True
+        )
+    }  # fmt: skip
+
+
+def velocities_of(model: Model, body_rates: Sequence[Expr], momenta: Sequence[Symbol]) -> list[Expr]:
+    """Return the velocities of all coordinates of a model for rates in the order of `in_body_frames`.
+
+    The momentum of a quaternion along itself, which is zero along every motion, belongs to the velocity along itself.
+    """
+    turning = {q for quaternion in model.rotations for q in quaternion}
+    places = [x for x in model.coordinates if x not in turning]
+    velocity: dict[Symbol, Expr] = dict(zip(places, body_rates, strict=False))
+    own = dict(zip(model.coordinates, momenta, strict=True))
+    for i, quaternion in enumerate(model.rotations):
+        omega = body_rates[len(places) + 3 * i : len(places) + 3 * i + 3]
+        along = Add(*(q * own[q] for q in quaternion)) / _radial_inertia(model, quaternion)
+        for q, part in zip(quaternion, product(quaternion, (S.Zero, *omega)), strict=True):
+            velocity[q] = part / 2 + along * q
+    return [velocity[q] for q in model.coordinates]
+
+
+def _radial_inertia(model: Model, quaternion: Sequence[Symbol]) -> Expr:
+    """Return the inertia of a change of the length of a quaternion, at the identity and without other velocities."""
+    real = dict(zip(model.coordinates, model.rates, strict=True))[quaternion[0]]
+    identity: dict[Any, Expr] = dict(zip(quaternion, (S.One, S.Zero, S.Zero, S.Zero), strict=True))
+    return sympy.diff(model.function, real, 2).xreplace(identity)
+
+
 def step_with_rotations(
-    model: Model, scheme: Scheme, left: Sequence[Symbol], right: Sequence[Symbol], left_velocities: Sequence[Expr]
+    model: Model, scheme: Scheme, left: Sequence[Symbol], right: Sequence[Symbol], left_rates: Sequence[Expr]
 ) -> StepEquations:
     """Return the equations of one step of a model with `rotations`, in position-momentum form.
 
-    `left` and `right` are the symbols (q, p) of both nodes, and `left_velocities` those of the coordinates at the left
+    `left` and `right` are the symbols (q, p) of both nodes, and `left_rates` the rates of `in_body_frames` at the left
     node. Raises SchemeError for a scheme with inner points.
     """
     rule = scheme.discrete_lagrangian()
@@ -153,10 +222,10 @@ def step_with_rotations(
             mu[i] += weight * Matrix([value(slope) for slope in gradient(function, body.rates)])
             # The length of q counts as constant, because a change of it does no work.
             dummy = Symbol("length")
-            slopes = gradient(function.xreplace({squared_length(body.coordinates): dummy}), body.coordinates)
-            slopes = [s.xreplace({dummy: squared_length(body.coordinates)}) for s in slopes]
-            pulls = [s + force[q] for s, q in zip(slopes, body.coordinates, strict=True)]
-            moment = weight * STEP * Matrix([value(part) for part in _imaginary(body.coordinates, pulls)])
+            length = squared_length(body.coordinates)
+            slopes = gradient(function.xreplace({length: dummy}), body.coordinates)
+            pulls = [s.xreplace({dummy: length}) + force[q] for s, q in zip(slopes, body.coordinates, strict=True)]
+            moment = weight * STEP * Matrix([value(part) for part in half_imaginary(body.coordinates, pulls)])
             for sign, total in moments.items():
                 total[i] += body.torque(moment, c, sign)
         for j, (x, speed) in enumerate(zip(places, speeds, strict=True)):
@@ -180,11 +249,11 @@ def step_with_rotations(
         arrivals.append((at_right[x], at_left[x] + STEP * y))
     exact = [*arrivals]
     for body in bodies:
-        turned = product(body.left, body.turn)
-        exact += zip(body.right, turned, strict=True)
+        reached = product(body.left, body.turn)
+        exact += zip(body.right, reached, strict=True)
         # One step of Newton's method for the length one, so that rounding errors do not add up.
-        length = (3 - Add(*(part**2 for part in turned))) / 2
-        arrivals += [(q, length * part) for q, part in zip(body.right, turned, strict=True)]
+        length = (3 - squared_length(reached)) / 2
+        arrivals += [(q, length * part) for q, part in zip(body.right, reached, strict=True)]
     equations += [q - value for q, value in arrivals]
     written += [(f"step of {q}", q - value) for q, value in exact]
     unknowns += [q for q, _ in arrivals]
@@ -200,21 +269,16 @@ def step_with_rotations(
             equations.append(p_right[q] - 2 * part)
             written.append((f"right momentum of {q}", joints.in_forces(equations[-1])))
             unknowns.append(p_right[q])
-    at_start = dict(zip(model.coordinates, left_velocities, strict=True))
-    guesses: dict[Symbol, Expr] = {y: at_start[x] for x, y in zip(places, v, strict=True)}
-    rates_left = dict[Symbol, Expr]()
-    for body in bodies:
-        spin = 2 * Matrix(product(conjugate(body.left), [at_start[q] for q in body.coordinates])[1:])
-        guesses |= dict(zip(body.rates, spin, strict=True))
-        rates_left |= dict(zip(body.rates_right, spin, strict=True))
+    spins = [w for body in bodies for w in body.rates]
+    guesses: dict[Symbol, Expr] = dict(zip((*v, *spins), left_rates, strict=True))
     guesses |= {q1: at_left[q] for q, q1 in at_right.items()} | {p_right[q]: p_left[q] for q in model.coordinates}
-    guesses |= joints.guesses({x: at_start[x] for x in places}, rates_left)
+    guesses |= joints.guesses(left_rates)
     return StepEquations(
         equations=(*equations, *joints.solved),
         unknowns=(*unknowns, *joints.unknowns),
         guesses=guesses,
         written=(*written, *joints.written),
-        stages=(*v, *(w for body in bodies for w in body.rates), *joints.stages),
+        stages=(*v, *spins, *joints.stages),
     )
 
 
@@ -269,7 +333,7 @@ class _Joints:
             for x, speed, y in zip(places, speeds, self._speeds, strict=True)
         ]
         for body in bodies:
-            own = _imaginary(body.right, [p_right[q] for q in body.coordinates])
+            own = half_imaginary(body.right, [p_right[q] for q in body.coordinates])
             slopes = [sympy.diff(function, w).xreplace(here) for w in body.rates]
             transforms += zip(body.rates_right, [p - s for p, s in zip(own, slopes, strict=True)], strict=True)
         self.stages = (*self._kappa["_k"], *self._speeds, *self._spins, *self._kappa["_k1"])
@@ -288,7 +352,7 @@ class _Joints:
 
     def _slope(self, constraint: Expr, body: _Attitude) -> Matrix:
         """Return the derivative of a constraint along rotations of a body in its frame."""
-        return _imaginary(body.coordinates, gradient(constraint, body.coordinates))
+        return half_imaginary(body.coordinates, gradient(constraint, body.coordinates))
 
     def in_forces(self, expression: Expr) -> Expr:
         """Return an expression of impulses in terms of the forces kappa."""
@@ -320,8 +384,7 @@ class _Joints:
         """Return the angular impulse on a body at the right node, in its frame."""
         return sum(self._force(lambda c: self._slope(c, body), "_k1"), Matrix([0, 0, 0])).xreplace(self._at("_k1"))
 
-    def guesses(self, speeds: Mapping[Symbol, Expr], spins: Mapping[Symbol, Expr]) -> dict[Symbol, Expr]:
-        """Return the guesses of the unknowns: no impulses, and the velocities of the left node."""
-        values: dict[Symbol, Expr] = dict.fromkeys((*self.unknowns,), S.Zero)
-        values |= {y: speeds[x] for y, x in zip(self._speeds, self.places, strict=False)}
-        return values | {w: spins[w] for w in self._spins}
+    def guesses(self, left_rates: Sequence[Expr]) -> dict[Symbol, Expr]:
+        """Return the guesses of the unknowns: no impulses, and the rates of the left node."""
+        values: dict[Symbol, Expr] = dict.fromkeys(self.unknowns, S.Zero)
+        return values | dict(zip((*self._speeds, *self._spins), left_rates, strict=False))

@@ -56,7 +56,7 @@ from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.relations import text
 from codegen.discretise.model.smoothness import sample_points
 from codegen.discretise.program import ConstraintAtNode, Names, StepProgram, Unknown, symbols
-from codegen.discretise.rotations import step_with_rotations
+from codegen.discretise.rotations import in_body_frames, in_quaternions, step_with_rotations, velocities_of
 from codegen.discretise.schemes.base import Scheme
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic import checks as expressions
@@ -407,23 +407,24 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
     if method != "variational":
         holonomic.refuse(model, method)
     model, start_values = with_symbolic_boundaries(model)
-    stepwise = phase_functions(model) if method == "variational" else None
-    phase = legendre.in_phase_space(model) if stepwise else legendre.hamiltonian_form(model)
+    phase, stepwise = _phase_space(model, method)
     left = (*at_nodes(phase.coordinates, "_k"), *at_nodes(phase.rates, "_k"))
     right = (*at_nodes(phase.coordinates, "_k1"), *at_nodes(phase.rates, "_k1"))
     lengths, part = repeated(scheme)
+    constraints = tuple[ConstraintAtNode, ...]()
     if method == "variational":
-        velocities = [_at(phase, v, left) for v in stepwise.velocities] if stepwise else _mean_velocities(phase, left)
-        at_left = velocities if stepwise else rates_of_change(phase, left)[: len(phase.coordinates)]
         lagrangian = legendre.lagrangian_form(model)
-        if lagrangian.rotations:
-            step = _rotating_step(lagrangian, part, left, right, at_left)
+        velocities = [_at(phase, v, left) for v in stepwise.velocities] if stepwise else _mean_velocities(phase, left)
+        if model.rotations:
+            step = _rotating_step(lagrangian, part, left, right, velocities)
+            assert stepwise, "rotations have phase functions"
+            at_left = [_at(phase, v, left) for v in velocities_of(model, stepwise.velocities, phase.rates)]
         else:
+            at_left = velocities if stepwise else rates_of_change(phase, left)[: len(phase.coordinates)]
             step = _variational_step(lagrangian, part, left, right, velocities, at_left)
         constraints = _constraints(lagrangian, left, at_left)
     else:
         step = _one_step(phase, part, left, right, lengths)
-        constraints = ()
     is_mechanical = phase.form != "first-order"
     kind = Kind.COORDINATE if is_mechanical else Kind.STATE
     kinds = [*((kind, q) for q in phase.coordinates), *((Kind.MOMENTUM, p) for p in phase.rates)]
@@ -455,6 +456,28 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         holonomic_multipliers=step.multipliers,
         constraints=constraints,
     )
+
+
+def _phase_space(model: Model, method: str) -> tuple[Model, PhaseFunctions | None]:
+    """Return the model with momenta, and velocities and energy if they are not those of a Hamiltonian.
+
+    With rotations the velocities are those of positions and the angular velocities of `in_body_frames`.
+    """
+    if method == "variational" and model.rotations:
+        body, phase = in_body_frames(model), legendre.in_phase_space(model)
+        functions = phase_functions(body)
+        if functions is None:
+            energy = legendre.hamiltonian_form(body).function
+            momenta = legendre.conjugate_symbols(body)
+            functions = PhaseFunctions((), tuple(diff(energy, p) for p in momenta), energy)
+        values = in_quaternions(model, phase.rates)
+        return phase, PhaseFunctions(
+            tuple((w, value.xreplace(values)) for w, value in functions.assignments),
+            tuple(v.xreplace(values) for v in functions.velocities),
+            functions.energy.xreplace(values),
+        )
+    stepwise = phase_functions(model) if method == "variational" else None
+    return legendre.in_phase_space(model) if stepwise else legendre.hamiltonian_form(model), stepwise
 
 
 def _constraints(model: Model, left: Sequence[Symbol], velocities: Sequence[Expr]) -> tuple[ConstraintAtNode, ...]:
@@ -548,9 +571,9 @@ def _variational_step(
 
 
 def _rotating_step(
-    model: Model, scheme: Scheme, left: Sequence[Symbol], right: Sequence[Symbol], left_velocities: Sequence[Expr]
+    model: Model, scheme: Scheme, left: Sequence[Symbol], right: Sequence[Symbol], left_rates: Sequence[Expr]
 ) -> _Step:
-    step = step_with_rotations(model, scheme, left, right, left_velocities)
+    step = step_with_rotations(model, scheme, left, right, left_rates)
     return _Step(
         equations=step.written,
         summary=tuple((f"0 = {name}", value) for name, value in step.written),

@@ -495,4 +495,5 @@ def product(left: Any, right: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def conjugate(quaternion: Any) -> tuple[Any, ...]:
+    """Return (w, -x, -y, -z)."""
     return (quaternion[0], *(-part for part in quaternion[1:]))

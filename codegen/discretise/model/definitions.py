@@ -149,7 +149,7 @@ class Model:
     parameters. Both are negated where the author asked for a maximum (`maximised`). `holonomic` constraints c(q) = 0
     hold at every time. The `loss` of the differences between `observed` expressions and `measurements` is added to the
     cost. The measurements are files with the same layout, one file for each body.
-    `rotations` are quadruples of coordinates, the unit quaternions of attitudes, whose lengths are among the constraints.
+    `rotations` are quadruples of coordinates, the unit quaternions of attitudes; their lengths are constraints too.
     `periodic` gives pairs (coordinate or rate, shift): the value at the end is the value at the start plus the shift.
     `joined` gives pairs of coordinates: the first one at the end equals the second one at the start, and so do their
     rates. Models with `delays` have symbols for delayed values. After the division into segments only the problem

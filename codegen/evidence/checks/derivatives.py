@@ -145,7 +145,11 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
         # A long step may have no solution, for example where bodies happen to be close; a short step has one.
         errors = [mpmath.inf] * len(names)
         for shorter in _SHORTER:
-            shortened = {**point, **{h: shorter * point[h] for h in program.lengths}}
+            shortened = {
+                **point,
+                **{h: shorter * point[h] for h in program.lengths},
+                **_unit_quaternions(point, program),
+            }
             arguments = _step_arguments(shortened, program)
             if part_of_step(module.problem.scheme, *arguments, 1e-14, 50, after) < 0:
                 continue
@@ -186,6 +190,16 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
                 entries.compare(names, matrix[i], gradient(function, numbers, range(size)))
     yield residuals.finding("step_residual", "the reduced equations")
     yield entries.finding("step_jacobian", "120-digit differences of the residual")
+
+
+def _unit_quaternions(point: Point, program: StepProgram) -> dict[Symbol, float]:
+    """Return the quaternions of attitudes at the left node of a random point, with length one."""
+    at_left = dict(zip(program.model.coordinates, program.left_symbols, strict=False))
+    values = dict[Symbol, float]()
+    for quaternion in program.model.rotations:
+        numbers = np.array([point[at_left[q]] for q in quaternion])
+        values |= zip([at_left[q] for q in quaternion], map(float, numbers / np.linalg.norm(numbers)), strict=True)
+    return values
 
 
 def _step_arguments(point: Point, program: StepProgram) -> tuple[Vector, float, Vector, Vector]:
