@@ -487,7 +487,7 @@ def angular_velocity(quaternion: Sequence[Expr], velocities: Sequence[Expr]) -> 
     return [2 * part / squared_length(quaternion) for part in imaginary]
 
 
-def product(left: Any, right: Any) -> tuple[Any, Any, Any, Any]:
+def product(left: Any, right: Any) -> Any:
     """Return the product of two quaternions (w, x, y, z)."""
     a, b = (Matrix([0, 0, 0]) + Matrix(each[1:]) for each in (left, right))
     imaginary = left[0] * b + right[0] * a + a.cross(b)

@@ -41,6 +41,7 @@ from codegen.evidence.checks.base import (
     random_points,
 )
 from codegen.evidence.checks.layout import FlatVector, other_symbols
+from codegen.evidence.checks.rotations import check_rotating_momenta
 from codegen.evidence.checks.solution import data_at_solution
 from codegen.runtime.record import Kind
 from codegen.symbolic import checks as expressions
@@ -83,6 +84,10 @@ def _phase_alone(program: ControlProgram, chain: Model, index: int) -> ControlPr
 def check_discrete_equations(context: Context) -> Iterator[Finding]:
     """Check at random states that each discrete equation, divided by h, tends to its continuous equation as h -> 0."""
     model, program = context.model.with_free_ends, context.program
+    if isinstance(program, StepProgram) and model.rotations:
+        reason = "those of rotations are in the frames of the bodies; `momentum matching` compares them"
+        yield does_not_apply("discrete equations", reason)
+        return
     if program.method == "variational":
         model = legendre.lagrangian_form(model)
         names = [f"equation of motion of {q}" for q in model.coordinates]
@@ -281,6 +286,9 @@ def check_momentum_matching(context: Context) -> Iterator[Finding]:
     program = context.program
     if program.method != "variational":
         yield does_not_apply("momentum matching", f"the {program.method} method has no discrete Lagrangian")
+        return
+    if isinstance(program, StepProgram) and context.model.rotations:
+        yield from check_rotating_momenta(context, program)
         return
     for phase, part in phase_contexts(context):
         for finding in _matching(part):
