@@ -1,4 +1,4 @@
-"""Simulations of a heavy top as a rotation against MuJoCo and DOP853 of scipy: error against run time, and long motions.
+"""Simulations of a heavy top as a rotation against MuJoCo and DOP853: error against run time, and long motions.
 
     python tests/benchmarks/rigid_bodies.py [--long SECONDS]
 
@@ -30,10 +30,11 @@ from rich.table import Table
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import codegen
+
+ROOT = Path(__file__).resolve().parents[2]
 
 INERTIA, SPIN, WEIGHT = np.array([1.2, 1.2, 0.3]), np.array([0.0, 0.0, 30.0]), 9.81
 START = Rotation.from_rotvec([0.5, 0.0, 0.0])

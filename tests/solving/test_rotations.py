@@ -160,6 +160,35 @@ def test_heavy_top_agrees_with_eulers_equations():
     assert vertical == pytest.approx(vertical[0], abs=1e-12)
 
 
+def test_top_on_a_joint_agrees_with_eulers_equations():
+    """The position and the attitude of a body with three holonomic constraints, which hold its tip in place."""
+    (x, R), (v, omega) = pose("B")
+    start = Matrix([0, 0, 1])
+    tilted = about([1, 0, 0], 0.5).as_matrix() @ [0, 0, 1]
+    spin = np.array([0.1, 0.2, 10])
+    speed = about([1, 0, 0], 0.5).as_matrix() @ np.cross(spin, [0, 0, 1])
+    problem = Simulate(
+        lagrangian=v.dot(v) / 2 + omega.dot(diag(0.2, 0.3, 0.3) * omega) / 2 - 9.81 * x[2],
+        constraint=list(x - R @ start),
+        duration=2,
+        start={x: tuple(tilted), v: tuple(speed), R: ([1, 0, 0], 0.5), omega: tuple(spin)},
+    )
+
+    def torque(R):
+        return np.cross([0, 0, 1], R.T @ [0, 0, -9.81])
+
+    exact = reference(np.array([1.2, 1.3, 0.3]), about([1, 0, 0], 0.5), spin, 2.0, torque)
+    solver, steps = codegen.compile(problem), [200, 400, 800]
+    errors = []
+    for n in steps:
+        result = solver.solve(steps=n)
+        assert result.status == "solved"
+        last = Rotation.from_quat(result.q[-1, 3:], scalar_first=True)
+        errors.append(float((last.inv() * exact).magnitude()))
+        assert np.abs(result.q[-1, :3] - last.apply([0, 0, 1])).max() < 1e-12
+    assert slopes(errors, steps) == pytest.approx(2, abs=0.15)
+
+
 @pytest.mark.parametrize("frame", ["body", "space"])
 def test_torques_in_both_frames(frame):
     R, omega = rotation("R")
