@@ -13,7 +13,8 @@ q = (q_k + q_k1)/2 and dq = (q_k1 - q_k)/h:
       R_k1 = R_k tau(h omega),    |h omega| = 4 tan(angle/4),
 
   the square of Cayley's map of h omega/2. The variational scheme is the Lie group variational integrator of this
-  retraction, without a singular attitude: increments of less than a whole turn per step are all reached.
+  retraction, without a singular attitude: increments of less than a whole turn per step are all reached. A simulation
+  has omega as its unknowns in place of q and of the multiplier (`discretise.rotations`).
 - A rotation of space is a linear map of quaternions, so that the angular momentum in space is conserved to rounding.
 
 The kinetic energy does not depend on the component of dq along q. The square of (q . dq), which vanishes along every
