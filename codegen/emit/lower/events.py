@@ -1,0 +1,116 @@
+"""Lowering of the events and gaps of a simulation to kernels, and to fields of the StepProblem."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from sympy import Expr, Symbol
+
+from codegen.discretise.program import StepProgram
+from codegen.emit.lower.kernels import KERNEL, Kernel, Output, kernel, needed
+from codegen.emit.lower.printer import readable
+from codegen.runtime.record import EventAction
+
+_SHARED = "state", "t", "parameters"
+
+
+def event_kernels(program: StepProgram, codes: Mapping[Symbol, str]) -> list[Kernel]:
+    """Return the kernels of events and gaps; none without events and gaps."""
+    return [
+        _filling(program, codes, name, summary, array, rows)
+        for name, summary, array, rows in (
+            (
+                "event_values",
+                "Fill `values` (events + gaps, 3): value, rate along the motion, and sum of the moduli of the terms.",
+                "values",
+                event_rows(program),
+            ),
+            (
+                "event_jumps",
+                "Fill `jumps` (changes, STATE): the state after each event that changes the state.",
+                "jumps",
+                jump_rows(program),
+            ),
+            (
+                "gap_normals",
+                "Fill `normals` (gaps, 2 + 2 coordinates): acceleration without contact, restitution, G and M^-1 G^T.",
+                "normals",
+                normal_rows(program),
+            ),
+        )
+        if rows
+    ]
+
+
+def event_rows(program: StepProgram) -> list[tuple[str, Expr]]:
+    """Return the entries of the array `values` with their meanings."""
+    meanings = "value", "rate", "scale"
+    return [
+        (f"{meaning} of {event.name}", value)
+        for event in (*program.events, *program.gaps)
+        for meaning, value in zip(meanings, event.row, strict=True)
+    ]
+
+
+def jump_rows(program: StepProgram) -> list[tuple[str, Expr]]:
+    """Return the entries of the array `jumps` with their meanings."""
+    return [
+        (f"{unknown.name} after {event.name}", value)
+        for event in program.events
+        if event.after
+        for unknown, value in zip(program.state, event.after, strict=True)
+    ]
+
+
+def normal_rows(program: StepProgram) -> list[tuple[str, Expr]]:
+    """Return the entries of the array `normals` with their meanings."""
+    rows = list[tuple[str, Expr]]()
+    for gap in program.gaps:
+        names = [q.name for q in program.model.coordinates]
+        meanings = ["acceleration", "restitution", *(f"slope by {q}" for q in names), *(f"response of {q}" for q in names)]
+        rows += [(f"{meaning}, {gap.name}", value) for meaning, value in zip(meanings, gap.contact, strict=True)]
+    return rows
+
+
+def event_fields(program: StepProgram) -> dict[str, str]:
+    """Return the fields of the StepProblem with their code."""
+    if not (program.events or program.gaps):
+        return {}
+    actions, rules, row = list(EventAction), list[str](), 0
+    for event in (*program.events, *program.gaps):
+        rules.append(f"({actions.index(event.action)}, {event.direction}, {row if event.after else -1})")
+        row += bool(event.after)
+    fields = {"events": "event_values", "rules": f"np.array([{', '.join(rules)}])"}
+    fields |= {"jumps": "event_jumps"} if row else {}
+    return fields | ({"normals": "gap_normals"} if program.gaps else {})
+
+
+def event_lines(program: StepProgram) -> list[str]:
+    """Return the lines about events and gaps in the docstring of a module."""
+    lines = list[str]()
+    if program.events:
+        lines += ["", "Events, at zeros of:", ""]
+        for event in program.model.events:
+            changes = ", ".join(f"{symbol} = {readable(value)}" for symbol, value in event.changes)
+            effect = f"then {changes}" if changes else {"stop": "end of the motion"}.get(event.action, event.action)
+            lines.append(f"    {event.name}: {readable(event.expression)}, {effect}")
+    if program.gaps:
+        lines += ["", "Gaps, which do not become negative, with their coefficients of restitution:", ""]
+        lines += [f"    {readable(gap.expression)}: {readable(gap.restitution)}" for gap in program.model.gaps]
+    return lines
+
+
+def _filling(
+    program: StepProgram,
+    codes: Mapping[Symbol, str],
+    name: str,
+    summary: str,
+    array: str,
+    rows: Sequence[tuple[str, Expr]],
+) -> Kernel:
+    assignments = (*program.state_assignments, *program.event_assignments)
+    return kernel(
+        name, summary, (*_SHARED, array), codes,
+        [Output(f"{array}[{i}]", value, meaning) for i, (meaning, value) in enumerate(rows)],
+        decorators=KERNEL, straight_line=needed(assignments, [value for _, value in rows]),
+    )  # fmt: skip
