@@ -54,18 +54,20 @@ class EventAtNode:
 class GapAtNode(EventAtNode):
     """A gap at the left node; `normal` is G, and `response` is M^-1 G^T, the velocity that an impulse G^T causes.
 
-    `acceleration` is the second time derivative of the gap without contact forces.
+    `acceleration` is the second time derivative of the gap without contact forces. The terms of the rate of the gap have
+    the size `speed`.
     """
 
     acceleration: Expr = S.Zero
     restitution: Expr = S.One
+    speed: Expr = S.Zero
     normal: tuple[Expr, ...] = ()
     response: tuple[Expr, ...] = ()
 
     @property
     def contact(self) -> tuple[Expr, ...]:
-        """Acceleration, restitution, normal and response."""
-        return (self.acceleration, self.restitution, *self.normal, *self.response)
+        """Acceleration, restitution, size of the rate, normal and response."""
+        return (self.acceleration, self.restitution, self.speed, *self.normal, *self.response)
 
 
 @dataclass(frozen=True)
@@ -192,13 +194,14 @@ def at_node(model: Model, rates: Rates) -> Found:
             )
         velocities = model.rates if model.form == "lagrangian" else gradient(model.function, model.rates)
         slopes, value = gradient(gap.expression, model.coordinates), gap.expression
-        speed = value.diff(model.time) + Add(*(s * v for s, v in zip(slopes, velocities, strict=True)))
+        terms = [value.diff(model.time), *(s * v for s, v in zip(slopes, velocities, strict=True))]
+        speed = Add(*terms)
         normal = tuple(map(node, slopes))
         gaps.append(
             GapAtNode(
                 gap.name, EventAction.IMPACT, -1, node(value), node(speed), node(_scale(value)),
                 acceleration=rates.rate(speed), restitution=gap.restitution, normal=normal,
-                response=rates.response(normal),
+                response=rates.response(normal), speed=node(Add(*map(sympy.Abs, terms))),
             )
         )  # fmt: skip
     return Found(tuple(events), tuple(gaps), tuple(rates.assignments))

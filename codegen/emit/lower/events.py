@@ -33,7 +33,7 @@ def event_kernels(program: StepProgram, codes: Mapping[Symbol, str]) -> list[Ker
             ),
             (
                 "gap_normals",
-                "Fill `normals` (gaps, 2 + 2 coordinates): acceleration without contact, restitution, G and M^-1 G^T.",
+                "Fill `normals` (gaps, 3 + 2 coordinates): acceleration, restitution, size of the rate, G, M^-1 G^T.",
                 "normals",
                 normal_rows(program),
             ),
@@ -67,7 +67,7 @@ def normal_rows(program: StepProgram) -> list[tuple[str, Expr]]:
     rows = list[tuple[str, Expr]]()
     for gap in program.gaps:
         names = [q.name for q in program.model.coordinates]
-        meanings = ["acceleration", "restitution", *(f"slope by {q}" for q in names), *(f"response of {q}" for q in names)]
+        meanings = ["acceleration", "restitution", "size of the rate", *(f"slope by {q}" for q in names), *(f"response of {q}" for q in names)]
         rows += [(f"{meaning}, {gap.name}", value) for meaning, value in zip(meanings, gap.contact, strict=True)]
     return rows
 

@@ -28,6 +28,7 @@ from numba import carray, njit
 
 from codegen.runtime.addresses import call, data_of, reals_at
 from codegen.runtime.arithmetic import factor_matrix, solve_factored
+from codegen.runtime.kernels import ONLY_COMPILED
 from codegen.runtime.stepping.steps import advance, checked, set_length, stored, stored_last, work_in
 
 STOPPED, FULL = 1, 2  # outcomes of a motion: a stop event, and a full log, which the caller enlarges
@@ -37,6 +38,7 @@ ZERO = 1e-13  # a value below this fraction of its terms is zero
 SLOW = 1e-12  # a rate of a gap below this fraction of its largest modulus is zero
 WEAK = 1e-10  # an acceleration or a contact force below this fraction of its largest modulus is zero
 SETTLED = 1e-8  # time for all further impacts, relative to the step, below which a body rests
+LOW = 1e-15  # height of the next bounce relative to the terms of a gap, below which a body rests
 ELASTIC = 1e-3  # least value of 1 - c in the estimate of this time
 MOST = 10_000  # largest number of events in a step
 QUICK, MOST_QUICK = 1e-9, 20  # time between two events relative to the step, and number of such events in succession
@@ -68,9 +70,10 @@ class Room(NamedTuple):
 
     `rules` (events + gaps, 3) has the action, direction and row in `jumps` of each event. `now`, `end`, `trial` and
     `pushed` are states. `values_now`, `values_end` and `values_trial` (events + gaps, 3) have value, rate and scale.
-    `sides` has the sign of each event before its next zero, 0 if unknown. `scales`, `speeds` and `accelerations` are
-    the largest moduli so far. `is_closed` marks the gaps that act as constraints. `normals` and `normals_end` (gaps, 2 +
-    2 coordinates) are filled by the kernel `gap_normals`. Other arrays serve linear systems of contact impulses.
+    `sides` has the sign of each event before its next zero, 0 if unknown. `scales` (events + gaps,) and `largest` (2,) are
+    the largest moduli so far of the terms of events, and, of all gaps, of the terms of rates and of accelerations.
+    `is_closed` marks the gaps that act as constraints. `normals` and `normals_end` (gaps, 3 + 2 coordinates) are filled
+    by the kernel `gap_normals`. Other arrays serve linear systems of contact impulses.
     `quick` counts quick events. `rows` (M, 4) has for each event its number, its action, the step, and the closed gaps
     before it. `times` (M, 3) has the time at the start, the length and the time of the event. `states` (M, 3, size) has
     the state at the start, and those before and after the event.
@@ -86,8 +89,7 @@ class Room(NamedTuple):
     values_trial: np.ndarray
     sides: np.ndarray
     scales: np.ndarray
-    speeds: np.ndarray
-    accelerations: np.ndarray
+    largest: np.ndarray
     is_closed: np.ndarray
     normals: np.ndarray
     normals_end: np.ndarray
@@ -112,11 +114,10 @@ def room_for(watched, rules, rows):
     count, gaps, size = watched.events + watched.gaps, watched.gaps, watched.size
     states = [np.zeros(size) for _ in range(4)]
     values = [np.zeros((count, 3)) for _ in range(3)]
-    of_gaps = [np.zeros(gaps) for _ in range(2)]
-    normals = [np.zeros((gaps, 2 + size)) for _ in range(2)]
+    normals = [np.zeros((gaps, 3 + size)) for _ in range(2)]
     impulses = [np.zeros(gaps) for _ in range(5)]
     return Room(
-        np.ascontiguousarray(rules, dtype=np.int64), *states, *values, np.zeros(count), np.zeros(count), *of_gaps,
+        np.ascontiguousarray(rules, dtype=np.int64), *states, *values, np.zeros(count), np.zeros(count), np.zeros(2),
         np.zeros(gaps, np.int64), *normals, np.zeros((watched.changes, size)), np.zeros((gaps, gaps)),
         np.zeros((gaps, gaps)), np.zeros(gaps, np.int64), *impulses, np.zeros(gaps, np.int64),
         np.zeros(count, np.int64), *log_of(rows, size),
@@ -128,7 +129,7 @@ def log_of(rows, size):
     return np.zeros((rows, 4), np.int64), np.zeros((rows, 3)), np.zeros((rows, 3, size))
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def reach(scheme, work, watched, state, t, length, parameters_at, end):
     """Make a step of any length from `state` and fill `end`; return the iterations, or a negative outcome."""
     set_length(scheme, work, length)
@@ -142,7 +143,7 @@ def reach(scheme, work, watched, state, t, length, parameters_at, end):
     return outcome
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def move(scheme, work, watched, room, t, length, parameters_at, end):
     """Make a step of any length from `room.now`, with the impulses of closed gaps; fill `end`.
 
@@ -163,7 +164,7 @@ def move(scheme, work, watched, room, t, length, parameters_at, end):
             pushed[i] = now[i]
         for a in range(count):
             for i in range(half):
-                pushed[half + i] += impulses[a] * room.normals[closed[a], 2 + i]
+                pushed[half + i] += impulses[a] * room.normals[closed[a], 3 + i]
         outcome = reach(scheme, work, watched, pushed, t, length, parameters_at, end)
         if outcome < 0:
             return outcome
@@ -173,7 +174,8 @@ def move(scheme, work, watched, room, t, length, parameters_at, end):
         for a in range(count):
             row = watched.events + closed[a]
             room.excess[a] = room.values_trial[row, 0] / length
-            error = max(error, abs(room.values_trial[row, 0]) / max(room.scales[row], 1e-300))
+            scale = max(room.scales[row], room.values_trial[row, 2], 1e-300)
+            error = max(error, abs(room.values_trial[row, 0]) / scale)
         if error <= 1e-15 or (trial > 2 and error <= ZERO and error >= 0.5 * best):
             break
         best = min(best, error)
@@ -183,7 +185,7 @@ def move(scheme, work, watched, room, t, length, parameters_at, end):
                 for b in range(count):
                     total = 0.0
                     for i in range(half):
-                        total += room.normals_end[closed[a], 2 + i] * room.normals[closed[b], 2 + half + i]
+                        total += room.normals_end[closed[a], 3 + i] * room.normals[closed[b], 3 + half + i]
                     room.matrix[a, b] = total
         else:
             square = 0.0
@@ -213,7 +215,7 @@ def move(scheme, work, watched, room, t, length, parameters_at, end):
     return iterations
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def count_closed(watched, room):
     """List the closed gaps in `room.closed`, and return their number."""
     count = 0
@@ -224,7 +226,7 @@ def count_closed(watched, room):
     return count
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def solve_closed(room, count, right):
     """Solve the system of `room.matrix` for the closed gaps; return False if it is singular."""
     for a in range(count):
@@ -237,7 +239,7 @@ def solve_closed(room, count, right):
     return True
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def fill_closed(watched, room, count):
     """Fill the matrix G M^-1 G^T of the closed gaps from `room.normals`."""
     half = watched.size // 2
@@ -245,22 +247,22 @@ def fill_closed(watched, room, count):
         for b in range(count):
             total = 0.0
             for i in range(half):
-                total += room.normals[room.closed[a], 2 + i] * room.normals[room.closed[b], 2 + half + i]
+                total += room.normals[room.closed[a], 3 + i] * room.normals[room.closed[b], 3 + half + i]
             room.matrix[a, b] = total
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def solve_forces(watched, room, count):
     """Solve for the contact forces of the closed gaps from `room.normals`; return False if they are not determined."""
     fill_closed(watched, room, count)
     for a in range(count):
         acceleration = room.normals[room.closed[a], 0]
-        room.accelerations[room.closed[a]] = max(room.accelerations[room.closed[a]], abs(acceleration))
+        room.largest[1] = max(room.largest[1], abs(acceleration))
         room.forces[a] = -acceleration
     return solve_closed(room, count, room.forces)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def keep_closed(watched, room, state, t, parameters_at):
     """Project the momenta of a state so that the rates of the closed gaps vanish; return False without a solution."""
     count, half = count_closed(watched, room), watched.size // 2
@@ -274,25 +276,26 @@ def keep_closed(watched, room, state, t, parameters_at):
             return False
         for a in range(count):
             for i in range(half):
-                state[half + i] += room.correction[a] * room.normals[room.closed[a], 2 + i]
+                state[half + i] += room.correction[a] * room.normals[room.closed[a], 3 + i]
     return True
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def watch(watched, room, state, t, parameters_at, values):
     """Fill the values of all events and gaps; the value of a closed gap is its contact force."""
     call(watched.values, (data_of(state), t, parameters_at, data_of(values)))
+    if watched.gaps:
+        call(watched.normals, (data_of(state), t, parameters_at, data_of(room.normals)))
     count = count_closed(watched, room)
     if count == 0:
         return
-    call(watched.normals, (data_of(state), t, parameters_at, data_of(room.normals)))
     solve_forces(watched, room, count)
     for a in range(count):
         row = watched.events + room.closed[a]
         values[row, 0], values[row, 1] = room.forces[a], 0.0
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def zero_of(scheme, work, watched, room, t, column, row, a, fa, b, fb, length, parameters_at):
     """Return the length in (a, b) at which an entry of the values vanishes, by Chandrupatla's method, and an outcome.
 
@@ -323,7 +326,7 @@ def zero_of(scheme, work, watched, room, t, column, row, a, fa, b, fb, length, p
     return x, 0
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def first_zero(scheme, work, watched, room, t, length, row, parameters_at):
     """Return the length of the step to the first zero of an event, or -1 without a zero, and an outcome.
 
@@ -363,7 +366,7 @@ def first_zero(scheme, work, watched, room, t, length, row, parameters_at):
     )
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def set_side(watched, room, values, row, length):
     """Set the sign of an event before its next zero: the sign of its value, or of its rate where it vanishes."""
     level = ZERO * room.scales[row]
@@ -374,16 +377,17 @@ def set_side(watched, room, values, row, length):
         room.sides[row] = np.sign(values[row, 1])
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def grow_scales(watched, room, values):
-    """Update the largest moduli of the terms of events, and of the rates of gaps."""
+    """Update the largest moduli of the terms of events, and of rates and accelerations of gaps, from `room.normals`."""
     for i in range(watched.events + watched.gaps):
         room.scales[i] = max(room.scales[i], values[i, 2])
     for j in range(watched.gaps):
-        room.speeds[j] = max(room.speeds[j], abs(values[watched.events + j, 1]))
+        room.largest[0] = max(room.largest[0], room.normals[j, 2])
+        room.largest[1] = max(room.largest[1], abs(room.normals[j, 0]))
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def log(watched, room, progress, row, action, step, span, t, before):
     """Add an event to the log; `span` are the time and state at the start of the part of the step before it."""
     n, size = progress[4], watched.size
@@ -398,13 +402,13 @@ def log(watched, room, progress, row, action, step, span, t, before):
     progress[4] = n + 1
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def settle(watched, room, progress, step, t, length, parameters_at, forced):
     """Resolve impacts and contacts at `room.now`; return 0 or a negative outcome.
 
     `forced` is a gap that has just vanished, or -1. Impacts at one time follow each other in the order of the gaps.
     """
-    now, half, first = room.now, watched.size // 2, watched.events
+    now, half, first, is_hit = room.now, watched.size // 2, watched.events, False
     for _ in range(MOST):
         if progress[4] >= room.rows.shape[0] - 2:
             return ACCUMULATED
@@ -414,19 +418,20 @@ def settle(watched, room, progress, step, t, length, parameters_at, forced):
         values, impact = room.values_trial, -1
         for j in range(watched.gaps):
             touches = room.is_closed[j] or j == forced or values[first + j, 0] <= ZERO * room.scales[first + j]
-            if touches and values[first + j, 1] < -SLOW * room.speeds[j]:
+            if touches and values[first + j, 1] < (-SLOW * room.largest[0] if j != forced else 0.0):
                 impact = j
                 break
         if impact >= 0:
             room.pushed[:] = now
             admittance = 0.0
             for i in range(half):
-                admittance += room.normals[impact, 2 + i] * room.normals[impact, 2 + half + i]
+                admittance += room.normals[impact, 3 + i] * room.normals[impact, 3 + half + i]
             if not admittance > 0.0:
                 return NO_CONTACT
             impulse = -(1.0 + room.normals[impact, 1]) * values[first + impact, 1] / admittance
             for i in range(half):
-                now[half + i] += impulse * room.normals[impact, 2 + i]
+                now[half + i] += impulse * room.normals[impact, 3 + i]
+            is_hit = True
             log(watched, room, progress, first + impact, IMPACT, step, (t, 0.0), t, room.pushed)
             room.is_closed[impact] = 0
             continue
@@ -437,8 +442,8 @@ def settle(watched, room, progress, step, t, length, parameters_at, forced):
         weakest, opening = 0.0, -1
         for a in range(count):
             j = room.closed[a]
-            scale = WEAK * room.accelerations[j] / room.matrix[a, a]
-            if values[first + j, 1] > SLOW * room.speeds[j]:
+            scale = WEAK * room.largest[1] / room.matrix[a, a]
+            if values[first + j, 1] > SLOW * room.largest[0]:
                 opening = j
                 break
             if room.forces[a] < -scale and room.forces[a] < weakest:
@@ -454,16 +459,19 @@ def settle(watched, room, progress, step, t, length, parameters_at, forced):
             if not (j == forced or values[first + j, 0] <= ZERO * room.scales[first + j]):
                 continue
             acceleration = room.normals[j, 0]
-            room.accelerations[j] = max(room.accelerations[j], abs(acceleration))
             for a in range(count):
                 for i in range(half):
                     acceleration += (
-                        room.forces[a] * room.normals[room.closed[a], 2 + i] * room.normals[j, 2 + half + i]
+                        room.forces[a] * room.normals[room.closed[a], 3 + i] * room.normals[j, 3 + half + i]
                     )
-            if not acceleration < -WEAK * room.accelerations[j]:
+            if not acceleration < (-WEAK * room.largest[1] if j != forced else 0.0):
                 continue
-            left = 2.0 * max(values[first + j, 1], 0.0) / -acceleration / max(1.0 - room.normals[j, 1], ELASTIC)
-            if left <= SETTLED * length and acceleration < strongest:
+            rate = max(values[first + j, 1], 0.0)
+            left = 2.0 * rate / -acceleration / max(1.0 - room.normals[j, 1], ELASTIC)
+            is_low = 0.5 * rate * rate / -acceleration <= LOW * room.scales[first + j]
+            # A gap that has vanished although it grows is zero to rounding.
+            is_settled = left <= SETTLED * length or is_low or (j == forced and not is_hit)
+            if is_settled and acceleration < strongest:
                 strongest, closing, wait = acceleration, j, left
         if closing < 0:
             return 0
@@ -476,7 +484,7 @@ def settle(watched, room, progress, step, t, length, parameters_at, forced):
     return ACCUMULATED
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def watched_step(scheme, work, watched, room, progress, step, t, length, parameters_at):
     """Make a step of `room.now` with all events; return the iterations, STOPPED as a negative number, or an outcome.
 
@@ -492,7 +500,7 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
         grow_scales(watched, room, room.values_now)
         for j in range(watched.gaps):
             row = watched.events + j
-            is_closing = room.values_now[row, 1] < -SLOW * room.speeds[j]
+            is_closing = room.values_now[row, 1] < -SLOW * room.largest[0]
             if not room.is_closed[j] and is_closing and room.values_now[row, 0] <= ZERO * room.scales[row]:
                 room.end[:] = room.now
                 outcome = settle(watched, room, progress, step, at, length, parameters_at, j)
@@ -564,7 +572,7 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
             return 0, iterations, length
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", **ONLY_COMPILED)
 def refresh(watched, room, t, length, parameters_at, fired):
     """Set the signs of the event that `fired`, and of events whose values have changed by its effect."""
     call(watched.values, (data_of(room.now), t, parameters_at, data_of(room.values_trial)))
@@ -596,7 +604,7 @@ def follow_watched(
             path[0, i] = room.now[i]
         for j in range(watched.gaps):
             room.sides[watched.events + j] = 1.0
-        call(watched.values, (data_of(room.now), 0.0, parameters_at, data_of(room.values_now)))
+        watch(watched, room, room.now, 0.0, parameters_at, room.values_now)
         grow_scales(watched, room, room.values_now)
         if watched.gaps:
             outcome = settle(watched, room, progress, 0, 0.0, length, parameters_at, -1)

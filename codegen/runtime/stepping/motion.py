@@ -263,7 +263,8 @@ def follow_with_events(grid, every):
     if problem.energy is not None:
         energy = np.empty(rows)
         energies(problem.energy.address, path, t, parameters, energy)
-    residual = residual_with_events(grid, watched, every, path, before, marks[:made], rows, (numbers, times, states))
+    log_of_parts = numbers, times, states
+    residual = residual_with_events(grid, watched, room, every, path, before, marks[:made], rows, log_of_parts)
     failed = times_at(grid, np.minimum([made, made + 1], steps))
     status, message = describe(steps, failed, made, iterations, min(outcome, 0), EVENT_FAILURES)
     names = (*problem.metadata.events, *problem.metadata.gaps)
@@ -300,20 +301,20 @@ def require_gaps(grid, watched):
     grid.problem.events(grid.start, 0.0, grid.parameters, values)
     if not watched.gaps:
         return
-    normals = np.empty((watched.gaps, 2 + grid.start.size))
+    normals = np.empty((watched.gaps, 3 + grid.start.size))
     grid.problem.normals(grid.start, 0.0, grid.parameters, normals)
-    for name, (value, rate, scale), restitution in zip(
-        grid.problem.metadata.gaps, values[watched.events :], normals[:, 1], strict=True
+    for name, (value, rate, scale), (_, restitution, speed) in zip(
+        grid.problem.metadata.gaps, values[watched.events :], normals[:, :3], strict=True
     ):
         if not 0.0 <= restitution <= 1.0:
             raise ValueError(f"the restitution of {name} is {restitution:g}; give a number from 0 to 1")
         if value < -CONSISTENT * max(scale, LEAST_LENGTH):
             raise ValueError(f"start violates {name}: the gap is {value:g}; correct the start, or the parameters")
-        if value <= CONSISTENT * scale and rate < -CONSISTENT * np.abs(grid.start).max():
+        if value <= CONSISTENT * scale and rate < -CONSISTENT * speed:
             raise ValueError(f"start closes {name} with the velocity {rate:g}; start before the impact, or after it")
 
 
-def residual_with_events(grid, watched, every, path, before, marks, rows, log):
+def residual_with_events(grid, watched, room, every, path, before, marks, rows, log):
     """Return the largest residual of a motion with events.
 
     Steps without events are evaluated as in other motions, those to stored states alone. Parts of the other steps are
@@ -343,7 +344,7 @@ def residual_with_events(grid, watched, every, path, before, marks, rows, log):
         largest = max(
             largest,
             largest_defect(
-                scheme, watched, memory, room_for(watched, grid.problem.rules, 1), numbers[lengths, 3],
+                scheme, watched, memory, room, np.ascontiguousarray(numbers[lengths, 3]),
                 np.ascontiguousarray(states[lengths, 0]), np.ascontiguousarray(times[lengths, :2]),
                 np.ascontiguousarray(states[lengths, 1]), grid.h, grid.parameters,
             ),

@@ -54,8 +54,8 @@ class StepProblem:
         constraint at a node. Its arguments are (state, t, parameters).
     events, jumps, normals : Kernel or None
         Fill values, rates and scales (events + gaps, 3) of events and gaps, states (changes, state) after events, and
-        accelerations, restitutions, normals and responses (gaps, 2 + 2 coordinates) of gaps. Their arguments are
-        (state, t, parameters).
+        accelerations, restitutions, sizes of rates, normals and responses (gaps, 3 + 2 coordinates) of gaps. Their
+        arguments are (state, t, parameters).
     rules : array (events + gaps, 3)
         Action, direction, and row in `jumps` or -1, of each event and gap.
     tables : mapping
