@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from sympy import Expr, Symbol
 
@@ -14,32 +14,39 @@ from codegen.runtime.record import EventAction
 _SHARED = "state", "t", "parameters"
 
 
+EVENT_KERNELS = {
+    "event_values": (
+        "values",
+        "Fill `values` (events + gaps, 3): value, rate along the motion, and sum of the moduli of the terms.",
+    ),
+    "event_jumps": ("jumps", "Fill `jumps` (changes, STATE): the state after each event that changes the state."),
+    "gap_normals": (
+        "normals",
+        "Fill `normals` (gaps, 3 + 2 coordinates): acceleration, restitution, size of the rate, G, M^-1 G^T.",
+    ),
+}
+"""The kernels of events and gaps: the array that they fill, and the first line of their docstring."""
+
+
+def rows_of_events(program: StepProgram) -> dict[str, list[tuple[str, Expr]]]:
+    """Return the entries, with their meanings, of the arrays that the kernels of events and gaps fill."""
+    rows = dict(zip(EVENT_KERNELS, (event_rows(program), jump_rows(program), normal_rows(program)), strict=True))
+    return {name: entries for name, entries in rows.items() if entries}
+
+
 def event_kernels(program: StepProgram, codes: Mapping[Symbol, str]) -> list[Kernel]:
     """Return the kernels of events and gaps; none without events and gaps."""
-    return [
-        _filling(program, codes, name, summary, array, rows)
-        for name, summary, array, rows in (
-            (
-                "event_values",
-                "Fill `values` (events + gaps, 3): value, rate along the motion, and sum of the moduli of the terms.",
-                "values",
-                event_rows(program),
-            ),
-            (
-                "event_jumps",
-                "Fill `jumps` (changes, STATE): the state after each event that changes the state.",
-                "jumps",
-                jump_rows(program),
-            ),
-            (
-                "gap_normals",
-                "Fill `normals` (gaps, 3 + 2 coordinates): acceleration, restitution, size of the rate, G, M^-1 G^T.",
-                "normals",
-                normal_rows(program),
-            ),
-        )
-        if rows
-    ]
+    assignments, kernels = (*program.state_assignments, *program.event_assignments), list[Kernel]()
+    for name, entries in rows_of_events(program).items():
+        array, summary = EVENT_KERNELS[name]
+        kernels.append(
+            kernel(
+                name, summary, (*_SHARED, array), codes,
+                [Output(f"{array}[{i}]", value, meaning) for i, (meaning, value) in enumerate(entries)],
+                decorators=KERNEL, straight_line=needed(assignments, [value for _, value in entries]),
+            )
+        )  # fmt: skip
+    return kernels
 
 
 def event_rows(program: StepProgram) -> list[tuple[str, Expr]]:
@@ -99,18 +106,3 @@ def event_lines(program: StepProgram) -> list[str]:
         lines += [f"    {readable(gap.expression)}: {readable(gap.restitution)}" for gap in program.model.gaps]
     return lines
 
-
-def _filling(
-    program: StepProgram,
-    codes: Mapping[Symbol, str],
-    name: str,
-    summary: str,
-    array: str,
-    rows: Sequence[tuple[str, Expr]],
-) -> Kernel:
-    assignments = (*program.state_assignments, *program.event_assignments)
-    return kernel(
-        name, summary, (*_SHARED, array), codes,
-        [Output(f"{array}[{i}]", value, meaning) for i, (meaning, value) in enumerate(rows)],
-        decorators=KERNEL, straight_line=needed(assignments, [value for _, value in rows]),
-    )  # fmt: skip

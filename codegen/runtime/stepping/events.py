@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, njit
 
-from codegen.runtime.addresses import call, data_of, reals_at
+from codegen.runtime.addresses import ahead, call, data_of, integers_at, reals_at
 from codegen.runtime.arithmetic import factor_matrix, solve_factored
 from codegen.runtime.kernels import ONLY_COMPILED
 from codegen.runtime.stepping.steps import advance, checked, set_length, stored, stored_last, work_in
@@ -40,7 +40,7 @@ WEAK = 1e-10  # an acceleration or a contact force below this fraction of its la
 SETTLED = 1e-8  # time for all further impacts, relative to the step, below which a body rests
 LOW = 1e-15  # height of the next bounce relative to the terms of a gap, below which a body rests
 ELASTIC = 1e-3  # least value of 1 - c in the estimate of this time
-MOST = 10_000  # largest number of events in a step
+MOST_EVENTS = 10_000  # largest number of events in a step
 QUICK, MOST_QUICK = 1e-9, 20  # time between two events relative to the step, and number of such events in succession
 CORRECTIONS = 40  # largest number of Broyden steps for contact impulses
 REACHED = 2e-16  # accuracy of the time of an event, relative to the step
@@ -51,7 +51,8 @@ BITS = 62  # largest number of gaps, whose closed ones are the bits of an intege
 class Watched(NamedTuple):
     """The events of a problem for compiled code: addresses of kernels, and numbers of events, gaps and changes.
 
-    `size` is the number of values of a state, and `most` the largest number of iterations of a part of a step.
+    `size` is the number of values of a state, and `width` the number of values of a gap that the kernel `normals`
+    fills. `most` is the largest number of iterations of a part of a step.
     """
 
     values: int
@@ -61,153 +62,192 @@ class Watched(NamedTuple):
     gaps: int
     changes: int
     size: int
+    width: int
     most: int
     tolerance: float
 
 
 class Room(NamedTuple):
-    """Work arrays of a motion with events.
+    """Addresses of the work arrays of a motion with events, and the `capacity` M of the log; the caller keeps them.
 
-    `rules` (events + gaps, 3) has the action, direction and row in `jumps` of each event. `now`, `end`, `trial` and
-    `pushed` are states. `values_now`, `values_end` and `values_trial` (events + gaps, 3) have value, rate and scale.
-    `sides` has the sign of each event before its next zero, 0 if unknown. `scales` (events + gaps,) and `largest` (2,) are
-    the largest moduli so far of the terms of events, and, of all gaps, of the terms of rates and of accelerations.
-    `is_closed` marks the gaps that act as constraints. `normals` and `normals_end` (gaps, 3 + 2 coordinates) are filled
-    by the kernel `gap_normals`. Other arrays serve linear systems of contact impulses.
-    `quick` counts quick events. `rows` (M, 4) has for each event its number, its action, the step, and the closed gaps
-    before it. `times` (M, 3) has the time at the start, the length and the time of the event. `states` (M, 3, size) has
-    the state at the start, and those before and after the event.
+    Attributes
+    ----------
+    rules : int
+        Action, direction and row in `jumps` (events + gaps, 3) of each event.
+    now, end, trial, pushed : int
+        States (size,): at the start and the end of a part of a step, at trial lengths, and with impulses added.
+    values_now, values_end, values_trial : int
+        Value, rate and scale (events + gaps, 3) of each event in these states.
+    sides : int
+        The sign of each event before its next zero, 0 if unknown.
+    scales, largest : int
+        The largest moduli so far of the terms of events (events + gaps,), and, of all gaps, of the terms of rates and
+        of accelerations (2,).
+    normals, normals_end : int
+        Arrays (gaps, width) of the kernel `gap_normals`.
+    jumps : int
+        States (changes, size) after events.
+    matrix, factors, forces, impulses, correction, excess, excess_before : int
+        Linear systems of contact forces and impulses.
+    is_closed, closed, pivots : int
+        Marks (gaps,) of the gaps that act as constraints, their list, and pivots.
+    quick : int
+        Numbers of quick events in succession.
+    rows, times, states : int
+        The log: number, action, step, and closed gaps as bits (M, 4); time at the start of a part, its length and the
+        time of the event (M, 3); the states at the start, before and after the event (M, 3, size).
     """
 
-    rules: np.ndarray
-    now: np.ndarray
-    end: np.ndarray
-    trial: np.ndarray
-    pushed: np.ndarray
-    values_now: np.ndarray
-    values_end: np.ndarray
-    values_trial: np.ndarray
-    sides: np.ndarray
-    scales: np.ndarray
-    largest: np.ndarray
-    is_closed: np.ndarray
-    normals: np.ndarray
-    normals_end: np.ndarray
-    jumps: np.ndarray
-    matrix: np.ndarray
-    factors: np.ndarray
-    pivots: np.ndarray
-    forces: np.ndarray
-    impulses: np.ndarray
-    correction: np.ndarray
-    excess: np.ndarray
-    excess_before: np.ndarray
-    closed: np.ndarray
-    quick: np.ndarray
-    rows: np.ndarray
-    times: np.ndarray
-    states: np.ndarray
+    rules: int
+    now: int
+    end: int
+    trial: int
+    pushed: int
+    values_now: int
+    values_end: int
+    values_trial: int
+    sides: int
+    scales: int
+    largest: int
+    normals: int
+    normals_end: int
+    jumps: int
+    matrix: int
+    factors: int
+    forces: int
+    impulses: int
+    correction: int
+    excess: int
+    excess_before: int
+    is_closed: int
+    closed: int
+    pivots: int
+    quick: int
+    rows: int
+    times: int
+    states: int
+    capacity: int
 
 
 def room_for(watched, rules, rows):
-    """Return work arrays with a log of `rows` events."""
+    """Return work arrays with a log of `rows` events: their addresses, and the arrays by name."""
     count, gaps, size = watched.events + watched.gaps, watched.gaps, watched.size
-    states = [np.zeros(size) for _ in range(4)]
-    values = [np.zeros((count, 3)) for _ in range(3)]
-    normals = [np.zeros((gaps, 3 + size)) for _ in range(2)]
-    impulses = [np.zeros(gaps) for _ in range(5)]
-    return Room(
-        np.ascontiguousarray(rules, dtype=np.int64), *states, *values, np.zeros(count), np.zeros(count), np.zeros(2),
-        np.zeros(gaps, np.int64), *normals, np.zeros((watched.changes, size)), np.zeros((gaps, gaps)),
-        np.zeros((gaps, gaps)), np.zeros(gaps, np.int64), *impulses, np.zeros(gaps, np.int64),
-        np.zeros(count, np.int64), *log_of(rows, size),
-    )  # fmt: skip
+    shapes = dict.fromkeys(("now", "end", "trial", "pushed"), (size,))
+    shapes |= dict.fromkeys(("values_now", "values_end", "values_trial"), (count, 3))
+    shapes |= {"sides": (count,), "scales": (count,), "largest": (2,), "jumps": (watched.changes, size)}
+    shapes |= dict.fromkeys(("normals", "normals_end"), (gaps, watched.width))
+    shapes |= dict.fromkeys(("matrix", "factors"), (gaps, gaps))
+    shapes |= dict.fromkeys(("forces", "impulses", "correction", "excess", "excess_before"), (gaps,))
+    arrays = {name: np.zeros(shape) for name, shape in shapes.items()}
+    arrays |= {name: np.zeros(gaps, np.int64) for name in ("is_closed", "closed", "pivots")}
+    arrays |= {"rules": np.ascontiguousarray(rules, dtype=np.int64), "quick": np.zeros(count, np.int64)}
+    arrays |= log_of(rows, size)
+    return addresses_of(arrays), arrays
 
 
 def log_of(rows, size):
-    """Return the arrays of a log of events."""
-    return np.zeros((rows, 4), np.int64), np.zeros((rows, 3)), np.zeros((rows, 3, size))
+    """Return the arrays of a log of events by name."""
+    return {"rows": np.zeros((rows, 4), np.int64), "times": np.zeros((rows, 3)), "states": np.zeros((rows, 3, size))}
+
+
+def addresses_of(arrays):
+    """Return the addresses of work arrays."""
+    return Room(*(arrays[name].ctypes.data for name in Room._fields[:-1]), len(arrays["rows"]))
+
+
+@njit(error_model="numpy", **ONLY_COMPILED)
+def copy(size, source, target):
+    """Copy a state; both arguments are addresses."""
+    a, b = reals_at(source), reals_at(target)
+    for i in range(size):
+        b[i] = a[i]
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
 def reach(scheme, work, watched, state, t, length, parameters_at, end):
-    """Make a step of any length from `state` and fill `end`; return the iterations, or a negative outcome."""
+    """Make a step of any length from the state at one address to another; return the iterations, or an outcome."""
     set_length(scheme, work, length)
-    begin = carray(reals_at(work.begin), (watched.size,))
-    for i in range(watched.size):
-        begin[i] = state[i]
+    copy(watched.size, state, work.begin)
     outcome = advance(scheme, work, t, watched.tolerance, watched.most, parameters_at)
-    outcome = checked(outcome, watched.size, begin)
-    for i in range(watched.size):
-        end[i] = begin[i]
+    outcome = checked(outcome, watched.size, reals_at(work.begin))
+    copy(watched.size, work.begin, end)
     return outcome
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
 def move(scheme, work, watched, room, t, length, parameters_at, end):
-    """Make a step of any length from `room.now`, with the impulses of closed gaps; fill `end`.
+    """Make a step of any length from `room.now`, with the impulses of closed gaps, to the address `end`.
 
     Return the iterations, or a negative outcome.
     """
-    count, half = count_closed(watched, room), watched.size // 2
-    if count == 0:
-        return reach(scheme, work, watched, room.now, t, length, parameters_at, end)
-    now, pushed, impulses = room.now, room.pushed, room.impulses
-    call(watched.normals, (data_of(now), t, parameters_at, data_of(room.normals)))
+    count = count_closed(watched, room)
+    if count > 0:
+        return move_in_contact(scheme, work, watched, room, t, length, parameters_at, end, count)
+    return reach(scheme, work, watched, room.now, t, length, parameters_at, end)
+
+
+@njit(error_model="numpy", **ONLY_COMPILED)
+def move_in_contact(scheme, work, watched, room, t, length, parameters_at, end, count):
+    """Make a step with `count` closed gaps, whose impulses are found by Broyden's method; see `move`."""
+    half, width = watched.size // 2, watched.width
+    pushed, impulses, closed = reals_at(room.pushed), reals_at(room.impulses), integers_at(room.closed)
+    normals, normals_end = reals_at(room.normals), reals_at(room.normals_end)
+    values, scales, forces = reals_at(room.values_trial), reals_at(room.scales), reals_at(room.forces)
+    excess, before, correction = reals_at(room.excess), reals_at(room.excess_before), reals_at(room.correction)
+    matrix = reals_at(room.matrix)
+    call(watched.normals, (room.now, t, parameters_at, room.normals))
     if not solve_forces(watched, room, count):
         return NO_CONTACT
     for a in range(count):
-        impulses[a] = 0.5 * length * room.forces[a]
-    iterations, best, closed = 0, np.inf, room.closed
+        impulses[a] = 0.5 * length * forces[a]
+    iterations, best = 0, np.inf
     for trial in range(CORRECTIONS):
-        for i in range(watched.size):
-            pushed[i] = now[i]
+        copy(watched.size, room.now, room.pushed)
         for a in range(count):
             for i in range(half):
-                pushed[half + i] += impulses[a] * room.normals[closed[a], 3 + i]
-        outcome = reach(scheme, work, watched, pushed, t, length, parameters_at, end)
+                pushed[half + i] += impulses[a] * normals[width * closed[a] + 3 + i]
+        outcome = reach(scheme, work, watched, room.pushed, t, length, parameters_at, end)
         if outcome < 0:
             return outcome
         iterations += outcome
-        call(watched.values, (data_of(end), t + length, parameters_at, data_of(room.values_trial)))
+        call(watched.values, (end, t + length, parameters_at, room.values_trial))
         error = 0.0
         for a in range(count):
             row = watched.events + closed[a]
-            room.excess[a] = room.values_trial[row, 0] / length
-            scale = max(room.scales[row], room.values_trial[row, 2], 1e-300)
-            error = max(error, abs(room.values_trial[row, 0]) / scale)
+            excess[a] = values[3 * row] / length
+            error = max(error, abs(values[3 * row]) / max(scales[row], values[3 * row + 2], 1e-300))
         if error <= 1e-15 or (trial > 2 and error <= ZERO and error >= 0.5 * best):
             break
         best = min(best, error)
         if trial == 0:
-            call(watched.normals, (data_of(end), t + length, parameters_at, data_of(room.normals_end)))
+            call(watched.normals, (end, t + length, parameters_at, room.normals_end))
             for a in range(count):
                 for b in range(count):
                     total = 0.0
                     for i in range(half):
-                        total += room.normals_end[closed[a], 3 + i] * room.normals[closed[b], 3 + half + i]
-                    room.matrix[a, b] = total
+                        response = normals[width * closed[b] + 3 + half + i]
+                        total += normals_end[width * closed[a] + 3 + i] * response
+                    matrix[count * a + b] = total
         else:
             square = 0.0
             for a in range(count):
-                square += room.correction[a] ** 2
+                square += correction[a] ** 2
             if not square > 0.0:
                 break
             for a in range(count):
-                change = room.excess[a] - room.excess_before[a]
+                change = excess[a] - before[a]
                 for b in range(count):
-                    change -= room.matrix[a, b] * room.correction[b]
-                room.excess_before[a] = change / square
+                    change -= matrix[count * a + b] * correction[b]
+                before[a] = change / square
             for a in range(count):
                 for b in range(count):
-                    room.matrix[a, b] += room.excess_before[a] * room.correction[b]
+                    matrix[count * a + b] += before[a] * correction[b]
         for a in range(count):
-            room.correction[a] = -room.excess[a]
-            room.excess_before[a] = room.excess[a]
+            correction[a], before[a] = -excess[a], excess[a]
         if not solve_closed(room, count, room.correction):
             return NO_CONTACT
         for a in range(count):
-            impulses[a] += room.correction[a]
+            impulses[a] += correction[a]
     else:
         return NO_CONTACT
     if not keep_closed(watched, room, end, t + length, parameters_at):
@@ -218,10 +258,10 @@ def move(scheme, work, watched, room, t, length, parameters_at, end):
 @njit(error_model="numpy", **ONLY_COMPILED)
 def count_closed(watched, room):
     """List the closed gaps in `room.closed`, and return their number."""
-    count = 0
+    count, is_closed, closed = 0, integers_at(room.is_closed), integers_at(room.closed)
     for j in range(watched.gaps):
-        if room.is_closed[j]:
-            room.closed[count] = j
+        if is_closed[j]:
+            closed[count] = j
             count += 1
     return count
 
@@ -229,87 +269,98 @@ def count_closed(watched, room):
 @njit(error_model="numpy", **ONLY_COMPILED)
 def solve_closed(room, count, right):
     """Solve the system of `room.matrix` for the closed gaps; return False if it is singular."""
+    matrix, factors = reals_at(room.matrix), carray(reals_at(room.factors), (count, count))
+    pivots = carray(integers_at(room.pivots), (count,))
     for a in range(count):
         for b in range(count):
-            room.factors[a, b] = room.matrix[a, b]
-    factors = room.factors[:count, :count]
-    if factor_matrix(factors, room.pivots) >= 0:
+            factors[a, b] = matrix[count * a + b]
+    if factor_matrix(factors, pivots) >= 0:
         return False
-    solve_factored(factors, room.pivots, right[:count])
+    solve_factored(factors, pivots, carray(reals_at(right), (count,)))
     return True
+
+
+@njit(error_model="numpy", **ONLY_COMPILED)
+def product(watched, room, i, j):
+    """Return G_i M^-1 G_j^T of two gaps from `room.normals`."""
+    half, width, normals, total = watched.size // 2, watched.width, reals_at(room.normals), 0.0
+    for k in range(half):
+        total += normals[width * i + 3 + k] * normals[width * j + 3 + half + k]
+    return total
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
 def fill_closed(watched, room, count):
     """Fill the matrix G M^-1 G^T of the closed gaps from `room.normals`."""
-    half = watched.size // 2
+    matrix, closed = reals_at(room.matrix), integers_at(room.closed)
     for a in range(count):
         for b in range(count):
-            total = 0.0
-            for i in range(half):
-                total += room.normals[room.closed[a], 3 + i] * room.normals[room.closed[b], 3 + half + i]
-            room.matrix[a, b] = total
+            matrix[count * a + b] = product(watched, room, closed[a], closed[b])
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
 def solve_forces(watched, room, count):
     """Solve for the contact forces of the closed gaps from `room.normals`; return False if they are not determined."""
+    closed, normals, forces = integers_at(room.closed), reals_at(room.normals), reals_at(room.forces)
+    largest = reals_at(room.largest)
     fill_closed(watched, room, count)
     for a in range(count):
-        acceleration = room.normals[room.closed[a], 0]
-        room.largest[1] = max(room.largest[1], abs(acceleration))
-        room.forces[a] = -acceleration
+        forces[a] = -normals[watched.width * closed[a]]
+        largest[1] = max(largest[1], abs(forces[a]))
     return solve_closed(room, count, room.forces)
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
-def keep_closed(watched, room, state, t, parameters_at):
+def keep_closed(watched, room, state_at, t, parameters_at):
     """Project the momenta of a state so that the rates of the closed gaps vanish; return False without a solution."""
-    count, half = count_closed(watched, room), watched.size // 2
-    call(watched.normals, (data_of(state), t, parameters_at, data_of(room.normals)))
+    count, half, width = count_closed(watched, room), watched.size // 2, watched.width
+    state, normals, correction = reals_at(state_at), reals_at(room.normals), reals_at(room.correction)
+    values, closed = reals_at(room.values_trial), integers_at(room.closed)
+    call(watched.normals, (state_at, t, parameters_at, room.normals))
     fill_closed(watched, room, count)
     for _ in range(2):
-        call(watched.values, (data_of(state), t, parameters_at, data_of(room.values_trial)))
+        call(watched.values, (state_at, t, parameters_at, room.values_trial))
         for a in range(count):
-            room.correction[a] = -room.values_trial[watched.events + room.closed[a], 1]
+            correction[a] = -values[3 * (watched.events + closed[a]) + 1]
         if not solve_closed(room, count, room.correction):
             return False
         for a in range(count):
             for i in range(half):
-                state[half + i] += room.correction[a] * room.normals[room.closed[a], 3 + i]
+                state[half + i] += correction[a] * normals[width * closed[a] + 3 + i]
     return True
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
-def watch(watched, room, state, t, parameters_at, values):
-    """Fill the values of all events and gaps; the value of a closed gap is its contact force."""
-    call(watched.values, (data_of(state), t, parameters_at, data_of(values)))
+def watch(watched, room, state, t, parameters_at, values_at):
+    """Fill the values of all events and gaps at a state; the value of a closed gap is its contact force."""
+    call(watched.values, (state, t, parameters_at, values_at))
     if watched.gaps:
-        call(watched.normals, (data_of(state), t, parameters_at, data_of(room.normals)))
+        call(watched.normals, (state, t, parameters_at, room.normals))
     count = count_closed(watched, room)
     if count == 0:
         return
+    values, forces, closed = reals_at(values_at), reals_at(room.forces), integers_at(room.closed)
     solve_forces(watched, room, count)
     for a in range(count):
-        row = watched.events + room.closed[a]
-        values[row, 0], values[row, 1] = room.forces[a], 0.0
+        row = watched.events + closed[a]
+        values[3 * row], values[3 * row + 1] = forces[a], 0.0
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
-def zero_of(scheme, work, watched, room, t, column, row, a, fa, b, fb, length, parameters_at):
-    """Return the length in (a, b) at which an entry of the values vanishes, by Chandrupatla's method, and an outcome.
+def zero_of(scheme, work, watched, room, t, column, row, fa, b, fb, length, parameters_at):
+    """Return the length in (0, b) at which an entry of the values vanishes, by Chandrupatla's method, and an outcome.
 
-    `fa` and `fb` have opposite signs. `room.trial` takes the state there.
+    `fa` and `fb`, the values at both ends, have opposite signs.
     """
-    accuracy = REACHED * length
-    c, fc, share = a, fa, 0.5
+    accuracy, values = REACHED * length, reals_at(room.values_trial)
+    a, c, fc, share, x = 0.0, 0.0, fa, 0.5, 0.5 * b
     for _ in range(MOST_TRIALS):
         x = a + share * (b - a)
         outcome = move(scheme, work, watched, room, t, x, parameters_at, room.trial)
         if outcome < 0:
             return x, outcome
         watch(watched, room, room.trial, t + x, parameters_at, room.values_trial)
-        fx = room.values_trial[row, column]
+        fx = values[3 * row + column]
         if (fx > 0.0) == (fa > 0.0):
             c, fc = a, fa
         else:
@@ -332,73 +383,76 @@ def first_zero(scheme, work, watched, room, t, length, row, parameters_at):
 
     `room.now` and `room.end` are the states at both ends of the step, `values_now` and `values_end` their values.
     """
-    side, is_gap = room.sides[row], row >= watched.events
+    now, end = ahead(reals_at(room.values_now), 3 * row), ahead(reals_at(room.values_end), 3 * row)
+    side, is_gap = reals_at(room.sides)[row], row >= watched.events
     if side == 0.0:
         return -1.0, 0
-    wanted, level = room.rules[row, 1], ZERO * room.scales[row]
-    if is_gap and room.is_closed[row - watched.events]:
-        level = WEAK * abs(room.values_now[row, 0])
-    start, end = side * room.values_now[row, 0], side * room.values_end[row, 0]
-    is_right = wanted == 0 or wanted == -int(side)
-    b, fb = length, end
-    if end > 0.0 or (is_gap and end > -level):
-        if not (side * room.values_now[row, 1] < 0.0 and side * room.values_end[row, 1] > 0.0):
+    wanted, level = integers_at(room.rules)[3 * row + 1], ZERO * reals_at(room.scales)[row]
+    if is_gap and integers_at(room.is_closed)[row - watched.events]:
+        level = WEAK * abs(now[0])
+    is_right, b, fb, column, fa = wanted == 0 or wanted == -int(side), length, end[0], 0, now[0]
+    is_double = side * end[0] > (-level if is_gap else 0.0)
+    if is_double:
+        if not (side * now[1] < 0.0 and side * end[1] > 0.0 and is_right):
             return -1.0, 0
-        slopes = room.values_now[row, 1], room.values_end[row, 1]
-        b, outcome = zero_of(
-            scheme, work, watched, room, t, 1, row, 0.0, slopes[0], length, slopes[1], length, parameters_at
-        )
-        if outcome < 0:
-            return -1.0, outcome
-        fb = side * room.values_trial[row, 0]
-        if is_gap and fb > -level:
-            return -1.0, 0
-        if fb > level or not is_right:
-            return -1.0, 0
-        if fb >= -level:
-            return b, 0
+        column, fa, fb = 1, now[1], end[1]
     elif not is_right:
         return -1.0, 0
-    elif end == 0.0:
+    elif end[0] == 0.0:
         return length, 0
-    return zero_of(
-        scheme, work, watched, room, t, 0, row, 0.0, side * max(start, 1e-300), b, side * fb, length, parameters_at
-    )
+    for _ in range(2):
+        if column == 0:
+            fa = side * max(side * fa, 1e-300)
+        reached, outcome = zero_of(scheme, work, watched, room, t, column, row, fa, b, fb, length, parameters_at)
+        if outcome < 0 or column == 0:
+            return reached, outcome
+        extremum = side * reals_at(room.values_trial)[3 * row]
+        if extremum > (-level if is_gap else level):
+            return -1.0, 0
+        if extremum >= -level:
+            return reached, 0
+        b, fb, column, fa = reached, side * extremum, 0, now[0]
+    return -1.0, 0
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
-def set_side(watched, room, values, row, length):
+def set_side(room, values_at, row, length):
     """Set the sign of an event before its next zero: the sign of its value, or of its rate where it vanishes."""
-    level = ZERO * room.scales[row]
-    room.sides[row] = 0.0
-    if abs(values[row, 0]) > level:
-        room.sides[row] = np.sign(values[row, 0])
-    elif abs(values[row, 1]) * length > level:
-        room.sides[row] = np.sign(values[row, 1])
+    level, values, sides = ZERO * reals_at(room.scales)[row], reals_at(values_at), reals_at(room.sides)
+    sides[row] = 0.0
+    if abs(values[3 * row]) > level:
+        sides[row] = np.sign(values[3 * row])
+    elif abs(values[3 * row + 1]) * length > level:
+        sides[row] = np.sign(values[3 * row + 1])
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
-def grow_scales(watched, room, values):
+def grow_scales(watched, room, values_at):
     """Update the largest moduli of the terms of events, and of rates and accelerations of gaps, from `room.normals`."""
+    values, scales, largest = reals_at(values_at), reals_at(room.scales), reals_at(room.largest)
+    normals = reals_at(room.normals)
     for i in range(watched.events + watched.gaps):
-        room.scales[i] = max(room.scales[i], values[i, 2])
+        scales[i] = max(scales[i], values[3 * i + 2])
     for j in range(watched.gaps):
-        room.largest[0] = max(room.largest[0], room.normals[j, 2])
-        room.largest[1] = max(room.largest[1], abs(room.normals[j, 0]))
+        largest[0] = max(largest[0], normals[watched.width * j + 2])
+        largest[1] = max(largest[1], abs(normals[watched.width * j]))
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
-def log(watched, room, progress, row, action, step, span, t, before):
-    """Add an event to the log; `span` are the time and state at the start of the part of the step before it."""
-    n, size = progress[4], watched.size
-    mask = 0
+def log(watched, room, progress, row, action, step, start, length, t, before):
+    """Add an event to the log; `start` and `length` are those of the part of the step that leads to the event.
+
+    `before` is the address of the state before the event; the state after the event is `room.now`.
+    """
+    n, size, mask, is_closed = progress[4], watched.size, 0, integers_at(room.is_closed)
     for j in range(watched.gaps):
-        mask |= room.is_closed[j] << j
-    room.rows[n, 0], room.rows[n, 1], room.rows[n, 2], room.rows[n, 3] = row, action, step, mask
-    room.times[n, 0], room.times[n, 1], room.times[n, 2] = span[0], span[1], t
-    for i in range(size):
-        room.states[n, 0, i] = room.states[n, 1, i] = before[i]
-        room.states[n, 2, i] = room.now[i]
+        mask |= is_closed[j] << j
+    rows, times = ahead(integers_at(room.rows), 4 * n), ahead(reals_at(room.times), 3 * n)
+    rows[0], rows[1], rows[2], rows[3] = row, action, step, mask
+    times[0], times[1], times[2] = start, length, t
+    for part in range(2):
+        copy(size, before, room.states + 8 * size * (3 * n + part))
+    copy(size, room.now, room.states + 8 * size * (3 * n + 2))
     progress[4] = n + 1
 
 
@@ -408,101 +462,97 @@ def settle(watched, room, progress, step, t, length, parameters_at, forced):
 
     `forced` is a gap that has just vanished, or -1. Impacts at one time follow each other in the order of the gaps.
     """
-    now, half, first, is_hit = room.now, watched.size // 2, watched.events, False
-    for _ in range(MOST):
-        if progress[4] >= room.rows.shape[0] - 2:
+    half, width, first, is_hit = watched.size // 2, watched.width, watched.events, False
+    now, normals, values = reals_at(room.now), reals_at(room.normals), ahead(reals_at(room.values_trial), 3 * first)
+    scales, largest = ahead(reals_at(room.scales), first), reals_at(room.largest)
+    is_closed, closed, forces = integers_at(room.is_closed), integers_at(room.closed), reals_at(room.forces)
+    for _ in range(MOST_EVENTS):
+        if progress[4] >= room.capacity - 2:
             return ACCUMULATED
-        call(watched.values, (data_of(now), t, parameters_at, data_of(room.values_trial)))
-        call(watched.normals, (data_of(now), t, parameters_at, data_of(room.normals)))
+        call(watched.values, (room.now, t, parameters_at, room.values_trial))
+        call(watched.normals, (room.now, t, parameters_at, room.normals))
         grow_scales(watched, room, room.values_trial)
-        values, impact = room.values_trial, -1
+        impact = -1
         for j in range(watched.gaps):
-            touches = room.is_closed[j] or j == forced or values[first + j, 0] <= ZERO * room.scales[first + j]
-            if touches and values[first + j, 1] < (-SLOW * room.largest[0] if j != forced else 0.0):
+            touches = is_closed[j] or j == forced or values[3 * j] <= ZERO * scales[j]
+            # A gap that has just vanished has an impact at any negative rate, the first time.
+            if touches and values[3 * j + 1] < (0.0 if j == forced and not is_hit else -SLOW * largest[0]):
                 impact = j
                 break
         if impact >= 0:
-            room.pushed[:] = now
-            admittance = 0.0
-            for i in range(half):
-                admittance += room.normals[impact, 3 + i] * room.normals[impact, 3 + half + i]
+            admittance, rate = product(watched, room, impact, impact), values[3 * impact + 1]
             if not admittance > 0.0:
                 return NO_CONTACT
-            impulse = -(1.0 + room.normals[impact, 1]) * values[first + impact, 1] / admittance
+            copy(watched.size, room.now, room.pushed)
+            impulse = -(1.0 + normals[width * impact + 1]) * rate / admittance
             for i in range(half):
-                now[half + i] += impulse * room.normals[impact, 3 + i]
-            is_hit = True
-            log(watched, room, progress, first + impact, IMPACT, step, (t, 0.0), t, room.pushed)
-            room.is_closed[impact] = 0
+                now[half + i] += impulse * normals[width * impact + 3 + i]
+            log(watched, room, progress, first + impact, IMPACT, step, t, 0.0, t, room.pushed)
+            is_closed[impact], is_hit = 0, True
             continue
-        # Accelerations of all gaps under the forces of the closed ones.
         count = count_closed(watched, room)
         if count > 0 and not solve_forces(watched, room, count):
             return NO_CONTACT
         weakest, opening = 0.0, -1
         for a in range(count):
-            j = room.closed[a]
-            scale = WEAK * room.largest[1] / room.matrix[a, a]
-            if values[first + j, 1] > SLOW * room.largest[0]:
+            j = closed[a]
+            if values[3 * j + 1] > SLOW * largest[0]:
                 opening = j
                 break
-            if room.forces[a] < -scale and room.forces[a] < weakest:
-                weakest, opening = room.forces[a], j
+            if forces[a] < -WEAK * largest[1] / product(watched, room, j, j) and forces[a] < weakest:
+                weakest, opening = forces[a], j
         if opening >= 0:
-            log(watched, room, progress, first + opening, OPENING, step, (t, 0.0), t, now)
-            room.is_closed[opening] = 0
+            log(watched, room, progress, first + opening, OPENING, step, t, 0.0, t, room.now)
+            is_closed[opening] = 0
             continue
         strongest, closing, wait = 0.0, -1, 0.0
         for j in range(watched.gaps):
-            if room.is_closed[j]:
+            if is_closed[j] or not (j == forced or values[3 * j] <= ZERO * scales[j]):
                 continue
-            if not (j == forced or values[first + j, 0] <= ZERO * room.scales[first + j]):
-                continue
-            acceleration = room.normals[j, 0]
+            acceleration = normals[width * j]  # under the forces of the closed gaps
             for a in range(count):
-                for i in range(half):
-                    acceleration += (
-                        room.forces[a] * room.normals[room.closed[a], 3 + i] * room.normals[j, 3 + half + i]
-                    )
-            if not acceleration < (-WEAK * room.largest[1] if j != forced else 0.0):
+                acceleration += forces[a] * product(watched, room, j, closed[a])
+            if not acceleration < (-WEAK * largest[1] if j != forced else 0.0):
                 continue
-            rate = max(values[first + j, 1], 0.0)
-            left = 2.0 * rate / -acceleration / max(1.0 - room.normals[j, 1], ELASTIC)
-            is_low = 0.5 * rate * rate / -acceleration <= LOW * room.scales[first + j]
+            rate = max(values[3 * j + 1], 0.0)
+            left = 2.0 * rate / -acceleration / max(1.0 - normals[width * j + 1], ELASTIC)
+            is_low = 0.5 * rate * rate / -acceleration <= LOW * scales[j]
             # A gap that has vanished although it grows is zero to rounding.
             is_settled = left <= SETTLED * length or is_low or (j == forced and not is_hit)
             if is_settled and acceleration < strongest:
-                strongest, closing, wait = acceleration, j, left
+                strongest, closing, wait, is_hit = acceleration, j, left, True
         if closing < 0:
             return 0
-        room.pushed[:] = now
-        log(watched, room, progress, first + closing, REST, step, (t, 0.0), t + wait, room.pushed)
-        room.is_closed[closing] = 1
-        if not keep_closed(watched, room, now, t, parameters_at):
+        copy(watched.size, room.now, room.pushed)
+        log(watched, room, progress, first + closing, REST, step, t, 0.0, t + wait, room.pushed)
+        is_closed[closing] = 1
+        if not keep_closed(watched, room, room.now, t, parameters_at):
             return NO_CONTACT
-        room.states[progress[4] - 1, 2, :] = now
+        copy(watched.size, room.now, room.states + 8 * watched.size * (3 * progress[4] - 1))
     return ACCUMULATED
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
 def watched_step(scheme, work, watched, room, progress, step, t, length, parameters_at):
-    """Make a step of `room.now` with all events; return the iterations, STOPPED as a negative number, or an outcome.
+    """Make a step of `room.now` with all events.
 
-    The first number returned is 0, STOPPED, or a negative outcome; the second one counts iterations, and the third one
-    is the time that has passed.
+    Return an outcome, which is 0, STOPPED or negative, the number of iterations, and the time that has passed.
     """
     done, iterations, fired, count = 0.0, 0, 0, watched.events + watched.gaps
+    values_now, values_end = reals_at(room.values_now), reals_at(room.values_end)
+    quick, rules, is_closed = integers_at(room.quick), integers_at(room.rules), integers_at(room.is_closed)
+    scales, largest, sides = reals_at(room.scales), reals_at(room.largest), reals_at(room.sides)
     for i in range(watched.events):
-        room.quick[i] = 0
+        quick[i] = 0
     while True:
         at, left = t + done, length - done
         watch(watched, room, room.now, at, parameters_at, room.values_now)
         grow_scales(watched, room, room.values_now)
         for j in range(watched.gaps):
             row = watched.events + j
-            is_closing = room.values_now[row, 1] < -SLOW * room.largest[0]
-            if not room.is_closed[j] and is_closing and room.values_now[row, 0] <= ZERO * room.scales[row]:
-                room.end[:] = room.now
+            is_closing = values_now[3 * row + 1] < -SLOW * largest[0] and values_now[3 * row] <= ZERO * scales[row]
+            if is_closing and not is_closed[j]:
+                copy(watched.size, room.now, room.end)
                 outcome = settle(watched, room, progress, step, at, length, parameters_at, j)
                 if outcome < 0:
                     return outcome, iterations, done
@@ -522,51 +572,46 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
             if reached >= 0.0 and reached < nearest:
                 nearest, which = reached, row
         if which < 0:
-            for i in range(watched.size):
-                room.now[i] = room.end[i]
+            copy(watched.size, room.end, room.now)
             for row in range(watched.events):
-                if abs(room.values_end[row, 0]) > ZERO * room.scales[row]:
-                    room.sides[row] = np.sign(room.values_end[row, 0])
+                if abs(values_end[3 * row]) > ZERO * scales[row]:
+                    sides[row] = np.sign(values_end[3 * row])
             return 0, iterations, length
         fired += 1
-        if fired > MOST or progress[4] >= room.rows.shape[0] - 2:
+        if fired > MOST_EVENTS or progress[4] >= room.capacity - 2:
             return ACCUMULATED, iterations, done
         outcome = move(scheme, work, watched, room, at, nearest, parameters_at, room.end)
         if outcome < 0:
             return outcome, iterations, done
-        first = progress[4]
-        for i in range(watched.size):
-            room.trial[i], room.now[i] = room.now[i], room.end[i]
+        first, outcome = progress[4], 0
+        copy(watched.size, room.now, room.trial)
+        copy(watched.size, room.end, room.now)
         done, instant = done + nearest, at + nearest
-        left, action = length - done, room.rules[which, 0]
-        if which >= watched.events:
-            gap = which - watched.events
-            if room.is_closed[gap]:
-                log(watched, room, progress, which, OPENING, step, (at, nearest), instant, room.end)
-                room.is_closed[gap] = 0
-                outcome = settle(watched, room, progress, step, instant, length, parameters_at, -1)
-            else:
-                outcome = settle(watched, room, progress, step, instant, length, parameters_at, gap)
+        left, action, gap, closing = length - done, rules[3 * which], which - watched.events, -1
+        if gap >= 0 and is_closed[gap]:
+            log(watched, room, progress, which, OPENING, step, at, nearest, instant, room.end)
+            is_closed[gap] = 0
+        elif gap >= 0:
+            closing = gap
         else:
-            log(watched, room, progress, which, action, step, (at, nearest), instant, room.end)
             if action == CHANGE:
-                call(watched.jumps, (data_of(room.end), instant, parameters_at, data_of(room.jumps)))
-                for i in range(watched.size):
-                    room.now[i] = room.jumps[room.rules[which, 2], i]
-                    room.states[first, 2, i] = room.now[i]
-                if watched.gaps:
-                    outcome = settle(watched, room, progress, step, instant, length, parameters_at, -1)
-                room.quick[which] = room.quick[which] + 1 if nearest < QUICK * length else 0
-                if room.quick[which] > MOST_QUICK:
-                    return ACCUMULATED, iterations, done
-        if progress[4] > first:  # the log of the first event at this time has the start of its part of the step
-            room.times[first, 0], room.times[first, 1] = at, nearest
-            for i in range(watched.size):
-                room.states[first, 0, i] = room.trial[i]
+                call(watched.jumps, (room.end, instant, parameters_at, room.jumps))
+                copy(watched.size, room.jumps + 8 * watched.size * rules[3 * which + 2], room.now)
+                quick[which] = quick[which] + 1 if nearest < QUICK * length else 0
+                if quick[which] > MOST_QUICK:
+                    outcome = ACCUMULATED
+            log(watched, room, progress, which, action, step, at, nearest, instant, room.end)
+            if action == STOP:
+                copy(watched.size, room.trial, room.states + 8 * watched.size * 3 * first)
+                return STOPPED, iterations, done
+        if outcome == 0 and watched.gaps and (gap >= 0 or action == CHANGE):
+            outcome = settle(watched, room, progress, step, instant, length, parameters_at, closing)
+        if progress[4] > first:  # the first event at this time follows from a part of the step
+            times = ahead(reals_at(room.times), 3 * first)
+            times[0], times[1] = at, nearest
+            copy(watched.size, room.trial, room.states + 8 * watched.size * 3 * first)
         if outcome < 0:
             return outcome, iterations, done
-        if which < watched.events and action == STOP:
-            return STOPPED, iterations, done
         refresh(watched, room, instant, length, parameters_at, which)
         if left <= 2.0 * REACHED * max(length, abs(t)):
             return 0, iterations, length
@@ -575,12 +620,12 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
 @njit(error_model="numpy", **ONLY_COMPILED)
 def refresh(watched, room, t, length, parameters_at, fired):
     """Set the signs of the event that `fired`, and of events whose values have changed by its effect."""
-    call(watched.values, (data_of(room.now), t, parameters_at, data_of(room.values_trial)))
-    call(watched.values, (data_of(room.end), t, parameters_at, data_of(room.values_end)))
+    after, before, scales = reals_at(room.values_trial), reals_at(room.values_end), reals_at(room.scales)
+    call(watched.values, (room.now, t, parameters_at, room.values_trial))
+    call(watched.values, (room.end, t, parameters_at, room.values_end))
     for row in range(watched.events):
-        change = abs(room.values_trial[row, 0] - room.values_end[row, 0])
-        if row == fired or change > ZERO * room.scales[row]:
-            set_side(watched, room, room.values_trial, row, length)
+        if row == fired or abs(after[3 * row] - before[3 * row]) > ZERO * scales[row]:
+            set_side(room, room.values_trial, row, length)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -596,31 +641,30 @@ def follow_watched(
     parameters_at, size = parameters.ctypes.data, watched.size
     work = work_in(scheme, memory, h, parameters_at)
     states, states_before = reals_at(data_of(path)), reals_at(data_of(before))
-    saved = reals_at(work.now)
+    saved, now = reals_at(work.now), reals_at(room.now)
     if progress[5] == 1:
         progress[5] = 0
         length = spans[0, 1] if spans.shape[0] > 0 else h
         for i in range(size):
-            path[0, i] = room.now[i]
+            path[0, i] = now[i]
         for j in range(watched.gaps):
-            room.sides[watched.events + j] = 1.0
+            reals_at(room.sides)[watched.events + j] = 1.0
         watch(watched, room, room.now, 0.0, parameters_at, room.values_now)
         grow_scales(watched, room, room.values_now)
         if watched.gaps:
             outcome = settle(watched, room, progress, 0, 0.0, length, parameters_at, -1)
             if outcome < 0:
                 return outcome, 0.0
-        call(watched.values, (data_of(room.now), 0.0, parameters_at, data_of(room.values_now)))
+        call(watched.values, (room.now, 0.0, parameters_at, room.values_now))
         for row in range(watched.events):
-            set_side(watched, room, room.values_now, row, length)
+            set_side(room, room.values_now, row, length)
     for k in range(progress[0], steps):
-        if room.rows.shape[0] - progress[4] < MOST:
+        if room.capacity - progress[4] < MOST_EVENTS:
             return FULL, 0.0
         t, length = k * h, h
         if spans.shape[0] > 0:
             t, length = spans[k, 0], spans[k, 1]
-        for i in range(size):
-            saved[i] = room.now[i]
+        copy(size, room.now, work.now)
         logged = progress[4]
         marks[k] = count_closed(watched, room) > 0
         outcome, iterations, done = watched_step(
@@ -634,7 +678,7 @@ def follow_watched(
         last = k + 1 if outcome == STOPPED else steps
         progress[0] = k + 1
         progress[2], progress[1] = stored(
-            k + 1, last, every, progress[2], progress[1], size, saved, reals_at(data_of(room.now)), states, states_before
+            k + 1, last, every, progress[2], progress[1], size, saved, now, states, states_before
         )
         if outcome == STOPPED:
             return STOPPED, done
@@ -648,16 +692,16 @@ def largest_defect(scheme, watched, memory, room, numbers, starts, spans, ends, 
     Part i leads from `starts` to `ends` (M, size), begins at the time `spans` (M, 2) and has the length there. The bits
     of `numbers` (M,) are the closed gaps. Each part is made again.
     """
-    parameters_at, largest = parameters.ctypes.data, 0.0
-    work = work_in(scheme, memory, h, parameters_at)
+    parameters_at, largest, is_closed = parameters.ctypes.data, 0.0, integers_at(room.is_closed)
+    work, end = work_in(scheme, memory, h, parameters_at), reals_at(room.end)
     for i in range(numbers.size):
         for j in range(watched.gaps):
-            room.is_closed[j] = (numbers[i] >> j) & 1
-        room.now[:] = starts[i]
+            is_closed[j] = (numbers[i] >> j) & 1
+        copy(watched.size, data_of(starts) + 8 * watched.size * i, room.now)
         if move(scheme, work, watched, room, spans[i, 0], spans[i, 1], parameters_at, room.end) < 0:
             return np.inf
         for k in range(watched.size):
-            largest = max(largest, abs(room.end[k] - ends[i, k]) / h)
+            largest = max(largest, abs(end[k] - ends[i, k]) / h)
     return largest
 
 

@@ -11,10 +11,11 @@ from codegen.runtime.search.grid import checked_count, checked_times, checked_to
 from codegen.runtime.stepping.events import (
     ACCUMULATED,
     FULL,
-    MOST,
+    MOST_EVENTS,
     NO_CONTACT,
     STOPPED,
     Watched,
+    addresses_of,
     follow_watched,
     largest_defect,
     least_gaps,
@@ -56,7 +57,7 @@ EVENT_FAILURES = FAILURES | {
         "the contact forces are not determined, last of {!r} at t = {:.12g}; use more steps, or fewer gaps",
     ),
 }
-FIRST_ROWS = 2 * MOST  # of the log of events
+FIRST_ROWS = 2 * MOST_EVENTS  # of the log of events
 
 
 class Grid(NamedTuple):
@@ -237,24 +238,26 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
 def follow_with_events(grid, every):
     """Make all steps with events, and return a Solution; arguments are those of `follow_motion`, checked."""
     problem, (steps, h, parameters, start) = grid.problem, grid[:4]
-    watched, size, scheme = watched_of(grid), start.size, problem.scheme._replace(is_constant=0)
+    watched = watched_of(problem, grid.tolerance, grid.max_iterations)
+    size, scheme = start.size, problem.scheme._replace(is_constant=0)
     require_gaps(grid, watched)
     path = np.empty((1 - (-steps // every), size))
     before = path if every == 1 else np.empty((path.shape[0] - 1, size))
-    room, memory = room_for(watched, problem.rules, FIRST_ROWS), memory_for(scheme)
-    room.now[:] = start
+    (room, arrays), memory = room_for(watched, problem.rules, FIRST_ROWS), memory_for(scheme)
+    arrays["now"][:] = start
     progress, marks, outcome = np.array([0, 1, every, 0, 0, 1]), np.zeros(steps, np.int64), FULL
     while outcome == FULL:
         outcome, done = follow_watched(
             scheme, watched, memory, room, progress, steps, h, parameters, every, path, before, grid.spans, marks
         )
         if outcome == FULL:
-            larger = log_of(2 * len(room.rows), size)
-            for new, old in zip(larger, room[-3:], strict=True):
-                new[: len(old)] = old
-            room = room._replace(rows=larger[0], times=larger[1], states=larger[2])
+            larger = log_of(2 * room.capacity, size)
+            for name, array in larger.items():
+                array[: room.capacity] = arrays[name]
+            arrays |= larger
+            room = addresses_of(arrays)
     made, rows, _, iterations, logged, _ = map(int, progress)
-    numbers, times, states = room.rows[:logged], room.times[:logged], room.states[:logged]
+    numbers, times, states = (arrays[name][:logged].copy() for name in ("rows", "times", "states"))
     t = times_at(grid, np.minimum(every * np.arange(rows), made))
     if outcome == STOPPED:
         t[-1] = times[-1, 2]
@@ -281,18 +284,18 @@ def follow_with_events(grid, every):
 
 def gap_values(grid, path, times):
     """Return the least value of all gaps along a `path` (M, size) at `times` (M,)."""
-    watched = watched_of(grid)
+    watched = watched_of(grid.problem)
     least = np.empty(watched.gaps)
     least_gaps(watched, np.ascontiguousarray(path, dtype=float), np.array(times, dtype=float), grid.parameters, least)
     return float(least.min())
 
 
-def watched_of(grid):
-    """Return the events of the problem for compiled code."""
-    problem, count = grid.problem, len(grid.problem.metadata.events)
+def watched_of(problem, tolerance=TOLERANCE, most=MOST):
+    """Return the events of a problem for compiled code."""
+    count = len(problem.metadata.events)
     kernels = (0 if kernel is None else kernel.address for kernel in (problem.events, problem.jumps, problem.normals))
     gaps, changes = len(problem.rules) - count, int((problem.rules[:, 2] >= 0).sum())
-    return Watched(*kernels, count, gaps, changes, grid.start.size, grid.max_iterations, grid.tolerance)
+    return Watched(*kernels, count, gaps, changes, problem.state, 3 + problem.state, most, tolerance)
 
 
 def require_gaps(grid, watched):
