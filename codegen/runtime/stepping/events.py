@@ -41,7 +41,7 @@ SETTLED = 1e-8  # time for all further impacts, relative to the step, below whic
 LOW = 1e-15  # height of the next bounce relative to the terms of a gap, below which a body rests
 ELASTIC = 1e-3  # least value of 1 - c in the estimate of this time
 MOST_EVENTS = 10_000  # largest number of events in a step
-QUICK, MOST_QUICK = 1e-9, 20  # time between two events relative to the step, and number of such events in succession
+QUICK, MOST_QUICK = 1e-8, 20  # time between two events relative to the step, and number of such events in succession
 CORRECTIONS = 40  # largest number of Broyden steps for contact impulses
 REACHED = 2e-16  # accuracy of the time of an event, relative to the step
 MOST_TRIALS = 200  # of a search for a zero
@@ -613,6 +613,9 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
         if outcome < 0:
             return outcome, iterations, done
         refresh(watched, room, instant, length, parameters_at, which)
+        # The changes of a bouncing body become smaller than rounding errors; then the next side is unknown.
+        if gap < 0 and action == CHANGE and sides[which] == 0.0 and quick[which] > 0:
+            return ACCUMULATED, iterations, done
         if left <= 2.0 * REACHED * max(length, abs(t)):
             return 0, iterations, length
 

@@ -50,7 +50,7 @@ FAILURES = {
 EVENT_FAILURES = FAILURES | {
     ACCUMULATED: (
         "events accumulate",
-        "event {!r} returns without end near t = {:.12g}; end the motion there, or write an impact as unilateral",
+        "event {!r} returns without end near t = {:.10g}; end the motion there, or write an impact as unilateral",
     ),
     NO_CONTACT: (
         "contact failed",
