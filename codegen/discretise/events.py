@@ -54,8 +54,8 @@ class EventAtNode:
 class GapAtNode(EventAtNode):
     """A gap at the left node; `normal` is G, and `response` is M^-1 G^T, the velocity that an impulse G^T causes.
 
-    `acceleration` is the second time derivative of the gap without contact forces. The terms of the rate of the gap have
-    the size `speed`.
+    `acceleration` is the second time derivative of the gap without contact forces. The terms of the rate of the gap
+    have the size `speed`.
     """
 
     acceleration: Expr = S.Zero
@@ -188,8 +188,9 @@ def at_node(model: Model, rates: Rates) -> Found:
     for gap in model.gaps:
         hessian = rates.mass if model.form == "lagrangian" else sympy.hessian(model.function, model.rates)
         if sympy.expand(hessian).has(*model.rates):
+            listed = ", ".join(map(str, model.rates))
             raise ExpressionError(
-                f"unilateral {gap.name} beside a {model.form} that is not quadratic in {', '.join(map(str, model.rates))}",
+                f"unilateral {gap.name} beside a {model.form} that is not quadratic in {listed}",
                 "leave the gap out, or write the impact as an event with its change",
             )
         velocities = model.rates if model.form == "lagrangian" else gradient(model.function, model.rates)

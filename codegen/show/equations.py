@@ -273,13 +273,13 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
         yield Block(heading, tuple((_named(name), value) for name, value in shown))
     for event in authored.events:
         effects = {EventAction.STOP: "The event ends the motion.", EventAction.RECORD: "The event is only recorded."}
-        changes = tuple((_named(f"{symbol} after"), value) for symbol, value in event.changes)
+        changes = tuple((_named(f"{symbol}_after"), value) for symbol, value in event.changes)
         remark = effects.get(event.action)
-        rows = ((_named("0"), event.expression), *changes)
-        yield Block(f"Event {event.name}", rows, ((remark, remark),) if remark else ())
+        shown = ((_named("0"), event.expression), *changes)
+        yield Block(f"Event {event.name}", shown, ((remark, remark),) if remark else ())
     if authored.gaps:
-        gaps = [(_named(f"gap {i}"), gap.expression) for i, gap in enumerate(authored.gaps, 1)]
-        factors = [(_named(f"restitution {i}"), gap.restitution) for i, gap in enumerate(authored.gaps, 1)]
+        gaps = [(_named(f"gap_{i}"), gap.expression) for i, gap in enumerate(authored.gaps, 1)]
+        factors = [(_named(f"restitution_{i}"), gap.restitution) for i, gap in enumerate(authored.gaps, 1)]
         yield Block("Gaps, which do not become negative", (*gaps, *factors))
 
 

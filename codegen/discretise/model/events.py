@@ -28,6 +28,8 @@ SCOPE: dict[str, tuple[type[Quantity], ...]] = {
     "restitution": (Parameter,),
 }
 """The kinds of symbols that may occur in an expression, by its role."""
+MOST_GAPS = 62
+"""Largest number of gaps: the closed gaps at an event are the bits of an integer."""
 _WORDS = {"stop": EventAction.STOP, "record": EventAction.RECORD}
 
 
@@ -64,7 +66,9 @@ def _changes(name: str, what: str, then: object) -> Iterator[Entry]:
     """Yield the values after an event as entries."""
     if isinstance(then, str):
         if then not in _WORDS:
-            raise ExpressionError(f"{what} has then={then!r}", perhaps(then, _WORDS) or 'give "stop", "record" or a dict')
+            raise ExpressionError(
+                f"{what} has then={then!r}", perhaps(then, _WORDS) or 'give "stop", "record" or a dict'
+            )
         return
     mapping = checked_mapping(f"then of {what}", then, "velocity: value after the event")
     if not mapping:
@@ -78,6 +82,8 @@ def _changes(name: str, what: str, then: object) -> Iterator[Entry]:
 
 def require_fitting(problem: Simulate, form: str, entries: Sequence[Entry]) -> None:
     """Raise an error for events and gaps that contradict the form of the problem or its other arguments."""
+    if sum(entry.role == "unilateral" for entry in entries) > MOST_GAPS:
+        raise ExpressionError(f"unilateral has more than {MOST_GAPS} gaps", "leave out gaps that stay open")
     for entry in entries:
         if entry.role == "event change" and problem.constraint:
             raise ExpressionError(

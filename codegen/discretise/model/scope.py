@@ -67,7 +67,17 @@ _WORDS: tuple[tuple[tuple[type[Quantity], ...], str], ...] = (
 )
 
 
-_CONSTANT = ("duration", "start", "end", "lower bound", "upper bound", "first guess", "scale", "periodic", "restitution")
+_CONSTANT = (
+    "duration",
+    "start",
+    "end",
+    "lower bound",
+    "upper bound",
+    "first guess",
+    "scale",
+    "periodic",
+    "restitution",
+)
 """Roles whose values are computed before tables are available, so that tables must not occur."""
 
 

@@ -74,7 +74,13 @@ def normal_rows(program: StepProgram) -> list[tuple[str, Expr]]:
     rows = list[tuple[str, Expr]]()
     for gap in program.gaps:
         names = [q.name for q in program.model.coordinates]
-        meanings = ["acceleration", "restitution", "size of the rate", *(f"slope by {q}" for q in names), *(f"response of {q}" for q in names)]
+        meanings = [
+            "acceleration",
+            "restitution",
+            "size of the rate",
+            *(f"slope by {q}" for q in names),
+            *(f"response of {q}" for q in names),
+        ]
         rows += [(f"{meaning}, {gap.name}", value) for meaning, value in zip(meanings, gap.contact, strict=True)]
     return rows
 
@@ -105,4 +111,3 @@ def event_lines(program: StepProgram) -> list[str]:
         lines += ["", "Gaps, which do not become negative, with their coefficients of restitution:", ""]
         lines += [f"    {readable(gap.expression)}: {readable(gap.restitution)}" for gap in program.model.gaps]
     return lines
-

@@ -130,10 +130,11 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     held, constraints = np.empty(len(rows)), function_of(base, rows, program.state_assignments)
     residuals, heights, closed, constrained = Agreement(), Agreement(), Agreement(), Agreement()
     events = dict[str, tuple[list[str], Callable[..., Any], Agreement]]()
-    for kernel, entries in rows_of_events(program).items():
+    for kernel, values in rows_of_events(program).items():
         assigned = (*program.state_assignments, *program.event_assignments)
-        exact = function_of(base, [value for _, value in entries], assigned)
-        events[kernel] = [label for label, _ in entries], exact, Agreement()
+        events[kernel] = (
+            [label for label, _ in values], function_of(base, [value for _, value in values], assigned), Agreement()
+        )  # fmt: skip
     names = [name for name, _ in program.equations]
     module, emitted, after = context.module, np.empty(len(interval)), np.empty(len(program.equations))
     for point in random_points([v for _, v in program.equations], [*base, *interval], program.model):
@@ -148,10 +149,10 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
             if rows:
                 module.node_constraints(arguments[0], arguments[1], arguments[3], held)
                 constrained.compare([f"value {i}" for i in range(len(rows))], held, constraints(*numbers))
-            for kernel, (labels, exact, agreement) in events.items():
+            for kernel, (labels, reference, agreement) in events.items():
                 filled = np.empty(len(labels))
                 getattr(module, kernel)(arguments[0], arguments[1], arguments[3], filled)
-                agreement.compare(labels, filled, exact(*numbers))
+                agreement.compare(labels, filled, reference(*numbers))
 
         # A long step may have no solution, for example where bodies happen to be close; a short step has one.
         errors = [mpmath.inf] * len(names)

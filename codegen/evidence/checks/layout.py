@@ -471,7 +471,7 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
         shape = (sum(len(c.row) for c in program.constraints),)
         yield from _run(module, "node_constraints", (base[0], base[1], base[3]), values=shape)
     for name, entries in rows_of_events(program).items():
-        yield from _run(module, name, (base[0], base[1], base[3]), **{EVENT_KERNELS[name][0]: (len(entries),)})
+        yield from _run(module, name, (base[0], base[1], base[3]), False, **{EVENT_KERNELS[name][0]: (len(entries),)})
     if not size:
         yield from _run(module, "explicit_step", base, interval=(whole,))
         return

@@ -45,7 +45,6 @@ QUICK, MOST_QUICK = 1e-8, 20  # time between two events relative to the step, an
 CORRECTIONS = 40  # largest number of Broyden steps for contact impulses
 REACHED = 2e-16  # accuracy of the time of an event, relative to the step
 MOST_TRIALS = 200  # of a search for a zero
-BITS = 62  # largest number of gaps, whose closed ones are the bits of an integer
 
 
 class Watched(NamedTuple):
@@ -534,10 +533,7 @@ def settle(watched, room, progress, step, t, length, parameters_at, forced):
 
 @njit(error_model="numpy", **ONLY_COMPILED)
 def watched_step(scheme, work, watched, room, progress, step, t, length, parameters_at):
-    """Make a step of `room.now` with all events.
-
-    Return an outcome, which is 0, STOPPED or negative, the number of iterations, and the time that has passed.
-    """
+    """Make a step of `room.now` with all events; return 0, STOPPED or a negative outcome, and the iterations."""
     done, iterations, fired, count = 0.0, 0, 0, watched.events + watched.gaps
     values_now, values_end = reals_at(room.values_now), reals_at(room.values_end)
     quick, rules, is_closed = integers_at(room.quick), integers_at(room.rules), integers_at(room.is_closed)
@@ -555,12 +551,12 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
                 copy(watched.size, room.now, room.end)
                 outcome = settle(watched, room, progress, step, at, length, parameters_at, j)
                 if outcome < 0:
-                    return outcome, iterations, done
+                    return outcome, iterations
                 refresh(watched, room, at, length, parameters_at, -1)
                 watch(watched, room, room.now, at, parameters_at, room.values_now)
         outcome = move(scheme, work, watched, room, at, left, parameters_at, room.end)
         if outcome < 0:
-            return outcome, iterations, done
+            return outcome, iterations
         iterations += outcome
         watch(watched, room, room.end, at + left, parameters_at, room.values_end)
         grow_scales(watched, room, room.values_end)
@@ -568,7 +564,7 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
         for row in range(count):
             reached, outcome = first_zero(scheme, work, watched, room, at, left, row, parameters_at)
             if outcome < 0:
-                return outcome, iterations, done
+                return outcome, iterations
             if reached >= 0.0 and reached < nearest:
                 nearest, which = reached, row
         if which < 0:
@@ -576,13 +572,13 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
             for row in range(watched.events):
                 if abs(values_end[3 * row]) > ZERO * scales[row]:
                     sides[row] = np.sign(values_end[3 * row])
-            return 0, iterations, length
+            return 0, iterations
         fired += 1
         if fired > MOST_EVENTS or progress[4] >= room.capacity - 2:
-            return ACCUMULATED, iterations, done
+            return ACCUMULATED, iterations
         outcome = move(scheme, work, watched, room, at, nearest, parameters_at, room.end)
         if outcome < 0:
-            return outcome, iterations, done
+            return outcome, iterations
         first, outcome = progress[4], 0
         copy(watched.size, room.now, room.trial)
         copy(watched.size, room.end, room.now)
@@ -603,7 +599,7 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
             log(watched, room, progress, which, action, step, at, nearest, instant, room.end)
             if action == STOP:
                 copy(watched.size, room.trial, room.states + 8 * watched.size * 3 * first)
-                return STOPPED, iterations, done
+                return STOPPED, iterations
         if outcome == 0 and watched.gaps and (gap >= 0 or action == CHANGE):
             outcome = settle(watched, room, progress, step, instant, length, parameters_at, closing)
         if progress[4] > first:  # the first event at this time follows from a part of the step
@@ -611,13 +607,13 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
             times[0], times[1] = at, nearest
             copy(watched.size, room.trial, room.states + 8 * watched.size * 3 * first)
         if outcome < 0:
-            return outcome, iterations, done
+            return outcome, iterations
         refresh(watched, room, instant, length, parameters_at, which)
         # The changes of a bouncing body become smaller than rounding errors; then the next side is unknown.
         if gap < 0 and action == CHANGE and sides[which] == 0.0 and quick[which] > 0:
-            return ACCUMULATED, iterations, done
+            return ACCUMULATED, iterations
         if left <= 2.0 * REACHED * max(length, abs(t)):
-            return 0, iterations, length
+            return 0, iterations
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
@@ -635,11 +631,11 @@ def refresh(watched, room, t, length, parameters_at, fired):
 def follow_watched(
     scheme, watched, memory, room, progress, steps, h, parameters, every, path, before, spans, marks
 ):  # fmt: skip
-    """Make steps with events until the last step, a stop, a failure, or a full log; return the outcome and a time.
+    """Make steps with events until the last step, a stop, a failure, or a full log; return the outcome.
 
     `progress` (6,) has the number of steps made, the rows of `path` in use, the steps until the next storage,
     iterations, logged events, and 1 before the first call. `marks` (steps,) are set for steps with events or closed
-    gaps. The time is the part of the last step that was made. Other arguments are as in `steps.follow`.
+    gaps. Other arguments are as in `steps.follow`.
     """
     parameters_at, size = parameters.ctypes.data, watched.size
     work = work_in(scheme, memory, h, parameters_at)
@@ -657,35 +653,33 @@ def follow_watched(
         if watched.gaps:
             outcome = settle(watched, room, progress, 0, 0.0, length, parameters_at, -1)
             if outcome < 0:
-                return outcome, 0.0
+                return outcome
         call(watched.values, (room.now, 0.0, parameters_at, room.values_now))
         for row in range(watched.events):
             set_side(room, room.values_now, row, length)
     for k in range(progress[0], steps):
         if room.capacity - progress[4] < MOST_EVENTS:
-            return FULL, 0.0
+            return FULL
         t, length = k * h, h
         if spans.shape[0] > 0:
             t, length = spans[k, 0], spans[k, 1]
         copy(size, room.now, work.now)
         logged = progress[4]
         marks[k] = count_closed(watched, room) > 0
-        outcome, iterations, done = watched_step(
-            scheme, work, watched, room, progress, k, t, length, parameters_at
-        )
+        outcome, iterations = watched_step(scheme, work, watched, room, progress, k, t, length, parameters_at)
         marks[k] |= progress[4] > logged or count_closed(watched, room) > 0
         progress[3] += iterations
         if outcome < 0:
             progress[1] = stored_last(progress[2], every, progress[1], size, saved, states)
-            return outcome, done
+            return outcome
         last = k + 1 if outcome == STOPPED else steps
         progress[0] = k + 1
         progress[2], progress[1] = stored(
             k + 1, last, every, progress[2], progress[1], size, saved, now, states, states_before
         )
         if outcome == STOPPED:
-            return STOPPED, done
-    return 0, 0.0
+            return STOPPED
+    return 0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -247,7 +247,7 @@ def follow_with_events(grid, every):
     arrays["now"][:] = start
     progress, marks, outcome = np.array([0, 1, every, 0, 0, 1]), np.zeros(steps, np.int64), FULL
     while outcome == FULL:
-        outcome, done = follow_watched(
+        outcome = follow_watched(
             scheme, watched, memory, room, progress, steps, h, parameters, every, path, before, grid.spans, marks
         )
         if outcome == FULL:
@@ -273,8 +273,8 @@ def follow_with_events(grid, every):
     names = (*problem.metadata.events, *problem.metadata.gaps)
     if outcome == STOPPED:
         message = f"event {names[log.number[-1]]!r} ended the motion at t = {t[-1]:.12g}, in step {made} of {steps}"
-    elif outcome < 0 and logged:
-        message = message.format(names[log.number[-1]], log.t[-1])
+    elif outcome in (ACCUMULATED, NO_CONTACT):
+        message = message.format(*((names[log.number[-1]], log.t[-1]) if logged else (names[-1], 0.0)))
     if outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], times_at(grid, made)))
     positions = size if energy is None else size // 2
