@@ -2,7 +2,9 @@
 
 A function e of the state has the rate de/dt along the motion. For a Lagrangian, with M = d2L/dv2,
 
-    de/dt = e_q v + e_t + (M^-1 e_v) . (L_q + f - L_vq v - L_vt).
+    de/dt = e_q v + e_t + (M^-1 e_v) . (L_q + f - L_vq v - L_vt + C^T kappa),
+
+where kappa are the forces of holonomic constraints, whose second time derivatives vanish, and C are their gradients.
 
 An impact at g(q, t) = 0, with the normal G = dg/dq, the restitution c and the rate dg/dt = G v + g_t, is the event with
 the derived change
@@ -87,7 +89,7 @@ class Rates:
     """The rates of functions along the motion of a model, whose rates have the values `velocities` at the left node.
 
     `velocities` and `left` are the rates in terms of the state at the left node, and the symbols of this state.
-    `linear` has assignments and velocities of a large mass matrix that is not inverted, as functions of the left node.
+    `constraint_rates` are the time derivatives of the holonomic constraints. `linear` has assignments and velocities of a large mass matrix that is not inverted, as functions of the left node.
     """
 
     def __init__(
@@ -95,9 +97,10 @@ class Rates:
         model: Model,
         left: Sequence[Symbol],
         velocities: Sequence[Expr],
+        constraint_rates: Sequence[Expr],
         linear: tuple[Sequence[Assignment], Sequence[Expr]] | None = None,
     ) -> None:
-        self.model, self.left, self.linear = model, tuple(left), linear
+        self.model, self.left, self.linear, self.constraint_rates = model, tuple(left), linear, constraint_rates
         self.at_left: dict[Symbol, Expr] = dict(zip(model.coordinates, left, strict=False))
         self.at_left |= dict(zip(model.rates, velocities, strict=True))
         self.assignments: list[Assignment] = []
@@ -110,6 +113,8 @@ class Rates:
                 model.function.diff(q) + f - Add(*(p.diff(r) * v for r, v in moving)) - p.diff(model.time)
                 for p, q, f in forces
             ]
+            self.normal_forces: list[Expr] = [S.Zero] * len(model.coordinates)
+            self.normal_forces = self._normal_forces()
 
     def node(self, expression: Expr) -> Expr:
         """Return an expression of the model in the symbols of the left node."""
@@ -131,8 +136,20 @@ class Rates:
         total = self.node(total + Add(*(s * v for s, v in zip(by_position, model.rates, strict=True))))
         if any(by_rate):
             response = self.response([self.node(s) for s in by_rate])
-            total += Add(*(y * self.node(load) for y, load in zip(response, self.load, strict=True)))
+            loads = zip(response, self.load, self.normal_forces, strict=True)
+            total += Add(*(y * (self.node(load) + force) for y, load, force in loads))
         return total
+
+    def _normal_forces(self) -> list[Expr]:
+        """Return the forces C^T kappa of the holonomic constraints, at the left node."""
+        model = self.model
+        if not model.holonomic:
+            return self.normal_forces
+        slopes = [[self.node(slope) for slope in gradient(c, model.coordinates)] for c in model.holonomic]
+        responses = [self.response(row) for row in slopes]
+        matrix = sympy.Matrix([[Add(*map(sympy.Mul, a, b)) for b in responses] for a in slopes])
+        kappa = solve_blocks(matrix, [-self.rate(rate) for rate in self.constraint_rates])
+        return [Add(*(k * row[i] for k, row in zip(kappa, slopes, strict=True))) for i in range(len(model.coordinates))]
 
     def response(self, impulse: Sequence[Expr]) -> tuple[Expr, ...]:
         """Return M^-1 times an impulse, an expression at the left node."""

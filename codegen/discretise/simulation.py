@@ -427,7 +427,8 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         moving: Sequence[Expr] = left[len(model.coordinates) :]
         if model.form == "lagrangian":
             moving = velocities if stepwise else rates_of_change(phase, left)[: len(moving)]
-        found = events.at_node(model, events.Rates(model, left, moving, (assigned, moving) if stepwise else None))
+        linear = (assigned, moving) if stepwise else None
+        found = events.at_node(model, events.Rates(model, left, moving, holonomic.rates(model), linear))
     kind = Kind.COORDINATE if is_mechanical else Kind.STATE
     kinds = [*((kind, q) for q in phase.coordinates), *((Kind.MOMENTUM, p) for p in phase.rates)]
     solution = step.solution

@@ -321,6 +321,23 @@ def test_events_of_first_order_dynamics_change_the_state():
     assert result.events.after == pytest.approx(np.ones((7, 1)), abs=1e-14)
 
 
+def test_a_pendulum_in_cartesian_coordinates_stops_where_it_turns():
+    """The rate of the velocity contains the force of the rod; the reference is as in `pendulum`."""
+    (x, y), (dx, dy) = coordinates("x y")
+    problem = Simulate(
+        lagrangian=(dx**2 + dy**2) / 2 - y, constraint=[x**2 + y**2 - 1], duration=10,
+        start={x: sin(1.2), y: -cos(1.2), dx: 0, dy: 0},
+        events={"turn": dx * y - dy * x, "lowest": Event(x, then="record")},
+    )  # fmt: skip
+    solver, errors, steps = codegen.compile(problem, scheme="trapezoidal"), [], [100, 200, 400]
+    for n in steps:
+        result = solver.solve(steps=n)
+        assert [event.name for event in result.events] == ["lowest", "turn"]
+        errors.append(np.abs(result.events.t - ellipk(np.sin(0.6) ** 2) * np.array([1, 2])).max())
+        assert result.events.before[1, :2] == pytest.approx([-np.sin(1.2), -np.cos(1.2)], abs=100 / n**2)
+    assert slopes(errors, steps) == pytest.approx(2, abs=0.1)
+
+
 def test_an_event_of_time():
     t = time()
     (x,) = states("x")
