@@ -187,6 +187,37 @@ def test_two_balls_come_to_rest_on_each_other():
     assert {event.name for event in result.events if event.action == "rest"} == {"floor", "between"}
 
 
+def test_a_body_comes_to_rest_in_a_corner():
+    """The force (-3, -9.81) pushes into the corner of two gaps, which both close; their forces are 3 and 9.81."""
+    (x, y), (dx, dy) = coordinates("x y")
+    problem = Simulate(
+        lagrangian=(dx**2 + dy**2) / 2 - GRAVITY * y - 3 * x,
+        unilateral={"floor": y >= 0, "wall": x >= 0, "lid": y <= 1},
+        restitution=0.7, duration=10, start={x: 0.5, y: 0.5, dx: 2, dy: 3},
+    )  # fmt: skip
+    result = codegen.solve(problem, steps=500)
+    assert result.solved
+    assert np.abs(np.hstack([result.q, result.p])[-50:]).max() < 1e-14
+    # Along x the ball is at rest at (v + sqrt(v^2 + 2 a d) (1 + e)/(1 - e))/a, with v = 2, a = 3 and d = 1/2.
+    rest = result.events.times("wall", "rest")
+    assert rest == pytest.approx([(2 + np.sqrt(4 + 3) * 1.7 / 0.3) / 3], abs=1e-12)
+
+
+def test_many_masses_between_walls_keep_the_energy():
+    q, v = coordinates("a0 a1 a2 a3 a4 a5")
+    problem = Simulate(
+        lagrangian=sum((i + 1) * rate**2 / 2 for i, rate in enumerate(v)),
+        unilateral={"left": q[0] >= 0, "right": q[5] <= 10, **{f"gap {i}": q[i] >= q[i - 1] for i in range(1, 6)}},
+        duration=2000, steps=10_000,
+        start={**{a: i + 1 for i, a in enumerate(q)}, **{b: (-1) ** i * (1 + i / 10) for i, b in enumerate(v)}},
+    )  # fmt: skip
+    result = codegen.solve(problem)
+    assert result.solved
+    assert len(result.events) > 5000
+    assert result.summary["energy_drift"] < 1e-11 * result.energy[0]
+    assert result.summary["least_gap"] > -1e-12
+
+
 def test_the_impulse_is_along_the_normal_in_the_metric_of_the_mass_matrix():
     """A rod falls on its end: the textbook's impulse (1 + e) v/(1/m + (l cos(a))^2/J) at the end of the rod."""
     (y, a), (dy, da) = coordinates("y a")
