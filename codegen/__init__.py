@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 __version__ = "0.2.0.dev0"
 
 _MODULES = {
-    **dict.fromkeys(["Control", "Phases", "Simulate", "Waypoint"], "codegen.problem.problem"),
+    **dict.fromkeys(["Control", "Event", "Phases", "Simulate", "Waypoint"], "codegen.problem.problem"),
     **dict.fromkeys(
         "body_number canonical_pair canonical_pairs control controls coordinate coordinates each_body free_parameter "
         "parameter parameters state states time".split(),
@@ -35,6 +35,7 @@ __all__ = [
     "Connect",
     "Control",
     "Controller",
+    "Event",
     "Measurements",
     "Pairwise",
     "Phases",
@@ -84,7 +85,7 @@ if TYPE_CHECKING:
     from codegen.problem.bodies import together
     from codegen.problem.particles import Connect, Pairwise, particle, particles
     from codegen.problem.points import Points
-    from codegen.problem.problem import Control, Phases, Simulate, Waypoint
+    from codegen.problem.problem import Control, Event, Phases, Simulate, Waypoint
     from codegen.problem.rotations import attitude, direction, pose, rotation
     from codegen.problem.symbols import (
         body_number,

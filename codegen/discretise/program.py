@@ -12,6 +12,7 @@ from typing import ClassVar
 
 from sympy import Expr, S, Symbol
 
+from codegen.discretise.events import EventAtNode, GapAtNode
 from codegen.discretise.interval import STEP, at_nodes
 from codegen.discretise.model.definitions import Integral, Model
 from codegen.runtime.record import Kind, Meaning, Role
@@ -395,6 +396,7 @@ class StepProgram:
 
     With holonomic constraints, the forces along their normals at both nodes are values inside the step, and
     `holonomic_multipliers` are their names without the suffix of a node. `constraints` are read from the left node.
+    So are `events` and `gaps`, which may also contain symbols of `event_assignments`.
 
     For a composition this is one step of its base scheme with the `lengths` as symbols. `fractions` has a row for each
     step of the base: its lengths as fractions of the whole step. Otherwise the only length is h, without fractions.
@@ -425,6 +427,9 @@ class StepProgram:
     state_assignments: tuple[tuple[Symbol, Expr], ...] = ()
     holonomic_multipliers: tuple[Unknown, ...] = ()
     constraints: tuple[ConstraintAtNode, ...] = ()
+    events: tuple[EventAtNode, ...] = ()
+    gaps: tuple[GapAtNode, ...] = ()
+    event_assignments: tuple[tuple[Symbol, Expr], ...] = ()
 
     controlled: ClassVar[str] = "interval"
     """An attribute of control programs, which is constant in simulations."""

@@ -42,6 +42,7 @@ import numpy as np
 import sympy
 from sympy import Add, Expr, S, Symbol, diff, expand, expand_mul
 
+from codegen.discretise import events
 from codegen.discretise.conditions import holonomic
 from codegen.discretise.forms import with_symbolic_boundaries
 from codegen.discretise.interval import (
@@ -424,8 +425,16 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
             step = _variational_step(lagrangian, part, left, right, velocities, at_left)
         constraints = _constraints(lagrangian, left, at_left)
     else:
-        step = _one_step(phase, part, left, right, lengths)
+        step, at_left = _one_step(phase, part, left, right, lengths), []
     is_mechanical = phase.form != "first-order"
+    assigned = [(w, _at(phase, value, left)) for w, value in stepwise.assignments] if stepwise else []
+    found = events.NONE
+    if model.events or model.gaps:
+        moving: Sequence[Expr] = left[len(model.coordinates) :]
+        if model.form == "lagrangian":
+            moving = at_left or rates_of_change(phase, left)[: len(moving)]
+        linear = (assigned, moving) if stepwise else None
+        found = events.at_node(model, events.Rates(model, left, moving, holonomic.rates(model), linear))
     kind = Kind.COORDINATE if is_mechanical else Kind.STATE
     kinds = [*((kind, q) for q in phase.coordinates), *((Kind.MOMENTUM, p) for p in phase.rates)]
     solution = step.solution
@@ -448,13 +457,16 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         equations=step.equations,
         summary=step.summary,
         energy=_at(phase, stepwise.energy if stepwise else phase.function, left) if is_mechanical else None,
-        state_assignments=tuple((w, _at(phase, value, left)) for w, value in stepwise.assignments) if stepwise else (),
+        state_assignments=tuple(assigned),
         start_values=start_values,
         start=tuple(value for value in (*phase.start.positions, *phase.start.rates) if value is not None),
         lengths=lengths,
         fractions=scheme.parts,
         holonomic_multipliers=step.multipliers,
         constraints=constraints,
+        events=found.events,
+        gaps=found.gaps,
+        event_assignments=found.assignments,
     )
 
 

@@ -69,6 +69,27 @@ def refusing(kind: Author) -> Author:
 
 
 @dataclass(frozen=True)
+class Event:
+    """A zero of an expression along the motion of a simulation, with its effect.
+
+    Parameters
+    ----------
+    expression : expression
+        Expression of coordinates and velocities (or momenta, or states), time and parameters, whose zeros count.
+    then : "stop", "record" or dict
+        A stop ends the motion, and a record lets it continue. A dict has the values after the event, as expressions of
+        the values before, as in `{v: -0.8 * v}`. All other values are continuous, for a Lagrangian the velocities.
+    direction : int
+        1 for zeros at which the expression increases, -1 for zeros at which it decreases, 0 for all zeros.
+    """
+
+    expression: Expression
+    _: KW_ONLY
+    then: str | Values = "stop"
+    direction: int = 0
+
+
+@dataclass(frozen=True)
 class Waypoint:
     """Relations that hold at a time which the solver determines.
 
@@ -146,6 +167,14 @@ class Simulate(Problem):
         Holonomic constraints c(q) = 0 of a Lagrangian system, which the values at the start must satisfy, and their
         time derivatives too. Every stored state satisfies both to rounding. The scheme is midpoint, trapezoidal
         (RATTLE for a constant mass matrix) or rectangle, or a composition of midpoint or trapezoidal.
+    events : dict
+        Events by name: expressions whose first zero ends the motion, or an Event with another effect. A value of zero
+        at the start is no event. The time of an event is found to rounding.
+    unilateral : relations
+        Gaps that never become negative, as in `{"floor": y >= 0}`, in coordinates and time. An impact reverses the rate
+        of the gap by an impulse along its gradient. Simultaneous impacts follow each other in the order of the gaps.
+    restitution : expression, or list with one for each gap
+        Coefficient of restitution, a number or parameter from 0 (inelastic) to 1 (elastic, the default).
     steps : int
         Default number N of time steps.
     drawing : sequence of Item
@@ -156,6 +185,9 @@ class Simulate(Problem):
 
     _: KW_ONLY
     constraint: Sequence[Expression] = ()
+    events: Mapping[str, Expression | Event] = field(default_factory=dict)
+    unilateral: Relations = ()
+    restitution: Expression | Sequence[Expression] = 1
 
 
 @refusing

@@ -65,6 +65,21 @@ class StepSolver(StrEnum):
     NEWTON = "newton"
 
 
+class EventAction(StrEnum):
+    """The effect of an event of a simulation.
+
+    An event stops the motion, changes the state or is only recorded. A gap has an impact, comes to rest at zero, or
+    opens again.
+    """
+
+    STOP = "stop"
+    CHANGE = "change"
+    RECORD = "record"
+    IMPACT = "impact"
+    REST = "rest"
+    OPENING = "opening"
+
+
 class Role(StrEnum):
     """The role of an unknown in the optimisation: a value of the motion, a multiplier of an equation, or a slack."""
 
@@ -482,6 +497,8 @@ class SimulationRecord(Record):
         Names of momenta, of the state at a node, of values inside a step, and of the unknowns of a step.
     constraints : tuple of str
         The holonomic constraints, as expressions that vanish.
+    events, gaps : tuple of str
+        Names of the events, and of the gaps that do not become negative.
     """
 
     parts: int = 0
@@ -491,6 +508,8 @@ class SimulationRecord(Record):
     stages: tuple[str, ...] = ()
     unknowns: tuple[str, ...] = ()
     constraints: tuple[str, ...] = ()
+    events: tuple[str, ...] = ()
+    gaps: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,6 +23,7 @@ from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.discretise.particles import pairwise
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.problem.sources import Source, settings_of, source_of
+from codegen.runtime.record import EventAction
 from codegen.show.notation import WIDTH, Block, Notation, written
 from codegen.symbolic.functions import tables_of
 from codegen.symbolic.tables import OUTSIDE
@@ -270,6 +271,16 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
         yield Block("Rate of the cost, and duration", pair, remarks)
     for heading, shown in (block for kind in CONDITIONS for block in kind.shown(model)):
         yield Block(heading, tuple((_named(name), value) for name, value in shown))
+    for event in authored.events:
+        effects = {EventAction.STOP: "The event ends the motion.", EventAction.RECORD: "The event is only recorded."}
+        changes = tuple((_named(f"{symbol}_after"), value) for symbol, value in event.changes)
+        remark = effects.get(event.action)
+        shown = ((_named("0"), event.expression), *changes)
+        yield Block(f"Event {event.name}", shown, ((remark, remark),) if remark else ())
+    if authored.gaps:
+        gaps = [(_named(f"gap_{i}"), gap.expression) for i, gap in enumerate(authored.gaps, 1)]
+        factors = [(_named(f"restitution_{i}"), gap.restitution) for i, gap in enumerate(authored.gaps, 1)]
+        yield Block("Gaps, which do not become negative", (*gaps, *factors))
 
 
 def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:

@@ -18,12 +18,13 @@ from sympy.logic.boolalg import Boolean
 from sympy.printing.latex import LatexPrinter
 
 from codegen.discretise.conditions import CONDITIONS, HOLONOMIC
+from codegen.discretise.conditions.base import listed
 from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import ArgumentError, CodegenError
 from codegen.identifiers import in_latex, written_unit
 from codegen.problem.description import quantities_in
 from codegen.problem.particles import Connect, Pairwise
-from codegen.problem.problem import Control, Phases, Problem, Simulate
+from codegen.problem.problem import Control, Event, Phases, Problem, Simulate
 from codegen.problem.sources import ProblemObject
 from codegen.problem.symbols import Coordinate, Delayed, FreeParameter, Moving, Parameter, Quantity, Velocity
 from codegen.solving import loading
@@ -180,6 +181,9 @@ def _rows(
         yield from (f"{print_.at(key, time)} &= {print_(value)}" for key, value in _items(mapping))
     if isinstance(problem, Simulate):
         yield from HOLONOMIC.displayed(problem, print_)
+        yield from (rf"&{print_.relation(gap)}\quad\text{{(gap)}}" for gap in listed(problem.unilateral))
+        for _, event in _items(problem.events):
+            yield rf"0 &= {print_(event.expression if isinstance(event, Event) else event)}\quad\text{{(event)}}"
     if isinstance(problem, Control):
         for symbol, value in _items(problem.history):
             yield rf"{print_.at(symbol, 't')} &= {print_(value)}\quad\text{{for }} t \le 0"

@@ -142,6 +142,16 @@ class StepGrid(Protocol):
     start: Vector
 
 
+class EventArrays(Protocol):
+    """The events of a motion: number and action of each event, times, and states before and after."""
+
+    number: Vector
+    action: Vector
+    t: Vector
+    before: Matrix
+    after: Matrix
+
+
 class SimulateSolution(Protocol):
     """The return value of `solve` of a simulation module; arrays have an entry for each stored step."""
 

@@ -332,8 +332,8 @@ def test_messages_name_step_and_time() -> None:
     status, message = motion.follow_motion(grid, max_iterations=1)[:2]
     assert status == "newton failed"
     assert message.startswith("newton failed in step 1 of 10, from t = 0 to 0.3: ")
-    status, message, made, t, q, p, energies, residual, iterations = motion.follow_motion(grid, 4)
-    assert (status, made) == ("solved", 10)
+    status, message, made, t, q, p, energies, residual, iterations, events = motion.follow_motion(grid, 4)
+    assert (status, made, events) == ("solved", 10, None)
     assert message.startswith("all 10 steps were made with ")
     np.testing.assert_allclose(t, [0.0, 1.2, 2.4, 3.0])
     assert q.shape == p.shape == (4, 1)

@@ -9,6 +9,7 @@ import sympy
 
 from codegen.discretise.model.relations import short, text
 from codegen.drawing import Item
+from codegen.runtime.record import EventAction
 from codegen.symbolic.tables import MeasurementData
 
 
@@ -120,6 +121,30 @@ class Delay:
 
 
 @dataclass(frozen=True)
+class MotionEvent:
+    """An event of a simulation: an expression in coordinates, rates and time whose zeros have the effect `action`.
+
+    `direction` is 1 or -1 if the expression must increase or decrease, and else 0. `changes` are pairs (coordinate or
+    rate, value after the event as an expression in the values before).
+    """
+
+    name: str
+    expression: sympy.Expr
+    action: EventAction
+    direction: int
+    changes: tuple[tuple[sympy.Symbol, sympy.Expr], ...]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """An expression in coordinates and time that does not become negative, with its coefficient of restitution."""
+
+    name: str
+    expression: sympy.Expr
+    restitution: sympy.Expr
+
+
+@dataclass(frozen=True)
 class Segments:
     """The division of a motion with delays into `number` segments of equal length, integrated simultaneously.
 
@@ -147,9 +172,10 @@ class Model:
     `end_conditions` are conditions on coordinates and rates of one end, in addition to the values of `start` and `end`.
     `terminal_cost` is added to the integral of `cost` and depends on coordinates and rates at the end and on
     parameters. Both are negated where the author asked for a maximum (`maximised`). `holonomic` constraints c(q) = 0
-    hold at every time. The `loss` of the differences between `observed` expressions and `measurements` is added to the
-    cost. The measurements are files with the same layout, one file for each body.
-    `rotations` are quadruples of coordinates, the unit quaternions of attitudes; their lengths are constraints too.
+    hold at every time. `rotations` are quadruples of coordinates, the unit quaternions of attitudes; their lengths are
+    constraints too. A simulation may have `events` and `gaps`. The `loss` of the differences between `observed`
+    expressions and `measurements` is added to the cost. The measurements are files with the same layout, one file for
+    each body.
     `periodic` gives pairs (coordinate or rate, shift): the value at the end is the value at the start plus the shift.
     `joined` gives pairs of coordinates: the first one at the end equals the second one at the start, and so do their
     rates. Models with `delays` have symbols for delayed values. After the division into segments only the problem
@@ -197,6 +223,8 @@ class Model:
     maximised: bool = False
     holonomic: tuple[sympy.Expr, ...] = ()
     rotations: tuple[tuple[sympy.Symbol, ...], ...] = ()
+    events: tuple[MotionEvent, ...] = ()
+    gaps: tuple[Gap, ...] = ()
     periodic: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
     joined: tuple[tuple[sympy.Symbol, sympy.Symbol], ...] = ()
     delays: tuple[Delay, ...] = ()

@@ -12,7 +12,7 @@ import sympy
 from codegen import identifiers
 from codegen.discretise.conditions import CONDITIONS, HOLONOMIC
 from codegen.discretise.conditions.measurements import measurements_of
-from codegen.discretise.model import delays, scope, smoothness, values
+from codegen.discretise.model import delays, events, scope, smoothness, values
 from codegen.discretise.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Model
 from codegen.discretise.model.delays import in_segments
 from codegen.discretise.model.relations import Entry, text
@@ -54,6 +54,7 @@ def normalise(problem: Problem, declared: Sequence[Quantity] = (), name: str = "
     plain = plain_symbols(used, problem.task)
     model = checked_model(problem, entries, kinds, plain, name, title)
     values.require_agreement(model)
+    events.require_agreement(model)
     model = with_positive_durations(replace(model, unused=unused, units=units_of(used, entries, plain)))
     return in_segments(with_regular_guesses(scope.with_drawing(model, drawing, plain)))
 
@@ -98,6 +99,7 @@ def checked_model(
     values.require_regular_lagrangian(model, points)
     for kind in CONDITIONS:
         kind.require_regular(model, points)
+    events.require_regular(model, points)
     return model
 
 
@@ -156,6 +158,7 @@ def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kind
             raise BoundaryError(f"start lacks {', '.join(missing)}", "a simulation needs the complete initial state")
         for entry in (entry for entry in entries if entry.role == HOLONOMIC.argument):
             HOLONOMIC.require_fitting(entry, problem, form)
+        events.require_fitting(problem, form, entries)
     if form == "dynamics":
         missing = [str(x) for x in kinds.coordinates if x not in (problem.dynamics or {})]
         if missing:
@@ -262,6 +265,7 @@ def _built(
     )
     for kind in CONDITIONS:
         model = kind.added(model, entries)
+    model = events.added(model, problem, entries) if isinstance(problem, Simulate) else model
     measured = measurements_of(problem) if isinstance(problem, Control) else ()
     return replace(model, measurements=tuple(m.data for m in measured), loss=measured[0].loss) if measured else model
 

@@ -104,6 +104,10 @@ def normalise_pairwise(problem: Problem, declared: Sequence[Quantity], name: str
         raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
     if isinstance(problem, Simulate) and problem.constraint:
         raise ExpressionError("constraint beside particles", "leave it out, or write the Lagrangian of each particle")
+    for argument in ("events", "unilateral"):
+        if getattr(problem, argument, None):
+            remedy = "leave it out, or write the Lagrangian of each particle"
+            raise ExpressionError(f"{argument} beside particles", remedy)
     terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
     if system.self_term is not None:
         terms["self_term"] = expressions.checked(system.self_term, "self_term")

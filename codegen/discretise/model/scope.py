@@ -13,6 +13,7 @@ from typing import Any
 import sympy
 
 from codegen.discretise.conditions import CONDITIONS
+from codegen.discretise.model import events
 from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.relations import MOVING, STATIC, Entry
 from codegen.drawing import Item
@@ -52,6 +53,7 @@ _ALLOWED: dict[str, tuple[type[Quantity], ...]] = {
     "first guess": (Parameter,),
     "scale": (),
     "jump": (*MOVING, *STATIC),
+    **events.SCOPE,
     **{role: kinds for kind in CONDITIONS for role, kinds in kind.scope.items()},
 }
 
@@ -65,7 +67,17 @@ _WORDS: tuple[tuple[tuple[type[Quantity], ...], str], ...] = (
 )
 
 
-_CONSTANT = ("duration", "start", "end", "lower bound", "upper bound", "first guess", "scale", "periodic")
+_CONSTANT = (
+    "duration",
+    "start",
+    "end",
+    "lower bound",
+    "upper bound",
+    "first guess",
+    "scale",
+    "periodic",
+    "restitution",
+)
 """Roles whose values are computed before tables are available, so that tables must not occur."""
 
 
@@ -217,6 +229,8 @@ def require_keys(entries: Sequence[Entry], kinds: Kinds) -> None:
             raise BoundaryError(f"periodic lists {key}", f"list {moving} only")
         if role == "jump" and not is_moving:
             raise BoundaryError(f"{entry.what} at a switch", f"let {moving} jump only")
+        if role == "event change" and not is_moving:
+            raise BoundaryError(f"{entry.what} is no part of the state", f"let {moving} change only")
         if role.endswith("bound") and not (is_moving or isinstance(key, (ControlInput, FreeParameter))):
             remedy = f"bound {moving}, controls, free parameters"
             raise SymbolError(f"bounds gives {key}, which cannot be bounded", remedy)

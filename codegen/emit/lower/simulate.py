@@ -9,6 +9,7 @@ from sympy import Symbol
 
 from codegen.discretise.program import StepProgram
 from codegen.emit.differentiation import StepDerivatives
+from codegen.emit.lower.events import event_fields, event_kernels, event_lines
 from codegen.emit.lower.kernels import KERNEL, VALUE, Kernel, Line, Output, kernel, needed
 from codegen.emit.lower.module import SimulateModule, arguments_of, record_fields
 from codegen.emit.lower.printer import readable, scalar_code
@@ -40,6 +41,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     """Return the module that solves an initial value problem, with all kernels and texts as strings."""
     model, tables, codes = program.model, tables_of(program.model), _codes(program)
     equations = [value for _, value in program.equations]
+    is_watched = bool(program.events or program.gaps)
     ranged = ranged_inputs(tables, len(model.parameters), equations)
     inside = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
     inside |= {symbol: code for symbol, code in codes.items() if symbol not in inside}
@@ -65,6 +67,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         )  # fmt: skip
     if program.constraints:
         kernels.append(_constraints_kernel(program, codes))
+    kernels += event_kernels(program, codes)
     if ranged:
         arguments, entry = ("state", "interval", *_ARGUMENTS[1:]), "inputs[2*{0} + {1}]"
         kernels.append(inputs_kernel("step_inputs", "in a step", arguments, inside, ranged, equations, entry, KERNEL))
@@ -82,11 +85,12 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
             "is_linear": repr(solver is not StepSolver.NEWTON), "is_constant": repr(solver is StepSolver.CONSTANT),
         }  # fmt: skip
     else:
-        fields |= {"explicit": "explicit_step", **({} if ranged else {"all_steps": "all_steps"})}
+        fields |= {"explicit": "explicit_step", **({} if ranged or is_watched else {"all_steps": "all_steps"})}
     fields |= {"fractions": "FRACTIONS"} if program.fractions else {}
     fields |= {"inputs": "step_inputs", "ranges": "RANGES", "range_names": "RANGE_NAMES"} if ranged else {}
     fields |= {"tables": "TABLES"} if tables else {}
     fields |= {"constraints": "node_constraints"} if program.constraints else {}
+    fields |= event_fields(program)
     sizes = f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}"
     stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
     state_names = ", ".join(unknown.name for unknown in program.state)
@@ -113,7 +117,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         sizes=(),
         public=tuple(sorted((*every, *of_steps, *(("first_outside",) if ranged else ())))),
         record=tuple(fields.items()),
-        explicit_sizes=() if program.unknowns or ranged else (sizes,),
+        explicit_sizes=() if program.unknowns or ranged or is_watched else (sizes,),
         arguments=arguments_of(model),
         table_arguments=("tables",) if tables else (),
         steps=model.steps,
@@ -245,6 +249,7 @@ def _description(program: StepProgram, kernels: Sequence[Kernel], tables: Sequen
         for velocity, after, before, time in program.velocities:
             divisor = sympy.sstr(time) if time.is_Symbol else f"({sympy.sstr(time)})"
             lines.append(f"    {velocity} = ({after} - {before})/{divisor}")
+    lines += event_lines(program)
     lines += ["", "Tables:", "", *(f"    {line}" for line in tables)] if tables else []
     lines += ["", "Operations of one evaluation, before and after common subexpressions are shared:", ""]
     return [*lines, *(f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels)]
@@ -299,7 +304,11 @@ def _record(
         stages=tuple(s.name for s in program.stage_symbols),
         unknowns=tuple(s.name for s in program.unknowns),
         constraints=tuple(c.name for c in program.constraints),
+        events=tuple(event.name for event in program.events),
+        gaps=tuple(gap.name for gap in program.gaps),
         conservative=model.form != "first-order"
         and not any(model.force)
-        and not any(e.has(model.time) for e in (model.function, *model.holonomic)),
+        and not any(event.after for event in program.events)
+        and not any(e.has(model.time) for e in (model.function, *model.holonomic, *(g.expression for g in model.gaps)))
+        and all(gap.restitution == 1 for gap in program.gaps),
     )

@@ -21,6 +21,7 @@ from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.emit.differentiation import data_of
 from codegen.emit.lower.control.kernels import named_elements
 from codegen.emit.lower.control.layout import parameters
+from codegen.emit.lower.events import EVENT_KERNELS, rows_of_events
 from codegen.emit.verify.comparison import (
     EXACT,
     SIZED,
@@ -277,6 +278,9 @@ def verify_step(program: StepProgram, text: Text) -> None:
     rows = [(c.name, value) for c in program.constraints for value in c.row]
     held = [f"the constraint {name}, its rate or gradient" for name, _ in rows]
     kernels.compare("node_constraints", [], program.state_assignments, [value for _, value in rows], held)
+    assignments = (*program.state_assignments, *program.event_assignments)
+    for name, entries in rows_of_events(program).items():
+        kernels.compare(name, [], assignments, [value for _, value in entries], [f"the {what}" for what, _ in entries])
     named = [f"the {symbol} of a step" for symbol in interval]
     if not program.unknowns:
         kernels.compare("explicit_step", [], program.before, list(interval), named)
@@ -317,7 +321,7 @@ class _StepKernels:
             within, results = [at[symbol] for symbol in inside], [0] * len(values)
             if name == "energy":
                 return [kernel(state, time, parameters)]
-            if name == "node_constraints":
+            if name == "node_constraints" or name in EVENT_KERNELS:
                 kernel(state, time, parameters, results)
             elif name == "step_equations":
                 kernel(state, within, time, lengths, parameters, results)

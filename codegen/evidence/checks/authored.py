@@ -73,7 +73,7 @@ from codegen.identifiers import plain
 from codegen.problem import symbols
 from codegen.problem.description import quantities_in
 from codegen.problem.particles import Connect, Pairwise
-from codegen.problem.problem import Control, Phases, Simulate
+from codegen.problem.problem import Control, Event, Phases, Simulate
 from codegen.runtime.record import Kind, Method, Sites
 from codegen.solving.request import parameter_arguments
 
@@ -671,7 +671,7 @@ def _simulation(author: Author) -> Iterator[Finding]:
     expected = _state(author, start)
     pairs = zip(names, expected, grid.start, strict=True)
     yield from _verdict("values at the start", [number_item(str(n), a, b) for n, a, b in pairs])
-    motions, energies, generator = list[Item](), list[Item](), np.random.default_rng(5)
+    motions, energies, written, generator = list[Item](), list[Item](), list[Item](), np.random.default_rng(5)
     moving = [*author.coordinates, *author.rates]
     for _ in range(3):
         values: dict[sympy.Symbol, Any] = dict(start)
@@ -693,8 +693,43 @@ def _simulation(author: Author) -> Iterator[Finding]:
             exact, size = _energy(author, values, t)
             parameters = module.make_grid(1, **arguments).parameters
             energies.append(Item("H", exact, float(energy(state, float(t[0]), parameters)), 1e-10 * size))
+        written.extend(_events(author, values, state, float(t[0])))
     yield from _verdict("equations of motion", motions)
     yield from _verdict("energy", energies)
+    yield from _verdict("events and gaps", written)
+
+
+def _events(author: Author, values: dict[sympy.Symbol, Any], state: Array, t: float) -> Iterator[Item]:
+    """Yield values of events and gaps, restitutions, and states after events, as written and in the module."""
+    phase: Any = author.first
+    events = {name: e if isinstance(e, Event) else Event(e) for name, e in getattr(phase, "events", {}).items()}
+    gaps = relations_of(getattr(phase, "unilateral", ()))
+    if not events and not gaps:
+        return
+    at, module = np.array([t]), author.module
+    parameters = module.make_grid(1, **author.arguments).parameters
+
+    def number(expression: Any) -> float:
+        return float(values_along(expression, values, at)[0])
+
+    expressions = {**{name: e.expression for name, e in events.items()}, **{gap.name: -gap.expression for gap in gaps}}
+    numbers = np.empty((len(expressions), 3))
+    module.event_values(state, t, parameters, numbers)
+    for (name, expression), row in zip(expressions.items(), numbers, strict=True):
+        yield number_item(name, number(expression), float(row[0]))
+    changing = {name: e.then for name, e in events.items() if isinstance(e.then, Mapping)}
+    jumps = np.empty((len(changing), state.size))
+    if changing:
+        module.event_jumps(state, t, parameters, jumps)
+    for (name, then), row in zip(changing.items(), jumps, strict=True):
+        after = _state(author, {**values, **{symbol: np.array([number(value)]) for symbol, value in then.items()}})
+        yield from (number_item(f"state {i + 1} after {name}", a, b) for i, (a, b) in enumerate(zip(after, row)))
+    normals = np.empty((len(gaps), 3 + state.size))
+    if gaps:
+        module.gap_normals(state, t, parameters, normals)
+    given = phase.restitution if isinstance(phase.restitution, (list, tuple)) else [phase.restitution] * len(gaps)
+    for gap, restitution, row in zip(gaps, given, normals, strict=True):
+        yield number_item(f"restitution of {gap.name}", number(restitution), float(row[1]))
 
 
 def _constrained(author: Author, values: dict[sympy.Symbol, Any], t: Array) -> Array:

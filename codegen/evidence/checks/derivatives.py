@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -23,6 +24,7 @@ from sympy import Expr, S, Symbol
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Model
 from codegen.discretise.program import ControlProgram, EndElement, SampleElement, StepProgram
+from codegen.emit.lower.events import rows_of_events
 from codegen.emit.verify.comparison import complex_numbers, step_of
 from codegen.emit.verify.execution import Tape
 from codegen.emit.verify.shares import shared_symbols
@@ -127,6 +129,12 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     rows = [value for c in program.constraints for value in c.row]
     held, constraints = np.empty(len(rows)), function_of(base, rows, program.state_assignments)
     residuals, heights, closed, constrained = Agreement(), Agreement(), Agreement(), Agreement()
+    events = dict[str, tuple[list[str], Callable[..., Any], Agreement]]()
+    for kernel, values in rows_of_events(program).items():
+        assigned = (*program.state_assignments, *program.event_assignments)
+        events[kernel] = (
+            [label for label, _ in values], function_of(base, [value for _, value in values], assigned), Agreement()
+        )  # fmt: skip
     names = [name for name, _ in program.equations]
     module, emitted, after = context.module, np.empty(len(interval)), np.empty(len(program.equations))
     for point in random_points([v for _, v in program.equations], [*base, *interval], program.model):
@@ -141,6 +149,10 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
             if rows:
                 module.node_constraints(arguments[0], arguments[1], arguments[3], held)
                 constrained.compare([f"value {i}" for i in range(len(rows))], held, constraints(*numbers))
+            for kernel, (labels, reference, agreement) in events.items():
+                filled = np.empty(len(labels))
+                getattr(module, kernel)(arguments[0], arguments[1], arguments[3], filled)
+                agreement.compare(labels, filled, reference(*numbers))
 
         # A long step may have no solution, for example where bodies happen to be close; a short step has one.
         errors = [mpmath.inf] * len(names)
@@ -168,6 +180,8 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
         yield heights.finding("energy", "the Hamiltonian")
     if rows:
         yield constrained.finding("node_constraints", "the constraints, their rates and gradients")
+    for kernel, (_, _, agreement) in events.items():
+        yield agreement.finding(kernel, "events and gaps")
     yield closed.finding("one step", "the scheme's equations")
     if not program.unknowns:
         return

@@ -29,6 +29,7 @@ from codegen.discretise.interval import STEP
 from codegen.discretise.program import ControlProgram, IntervalElement, StepProgram, Unknown
 from codegen.emit.lower.control.kernels import named_elements
 from codegen.emit.lower.control.layout import parameters
+from codegen.emit.lower.events import EVENT_KERNELS, rows_of_events
 from codegen.emit.verify.comparison import Values, with_time
 from codegen.emit.verify.kernels import part_of_chain
 from codegen.emit.verify.shares import shared_symbols
@@ -440,6 +441,8 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
         "stages": tuple(s.name for s in program.stage_symbols),
         "unknowns": tuple(s.name for s in program.unknowns),
         "constraints": tuple(c.name for c in program.constraints),
+        "events": tuple(event.name for event in program.events),
+        "gaps": tuple(gap.name for gap in program.gaps),
         "parameters": tuple(p.name for p in program.model.parameters),
     }
     if program.fractions:
@@ -467,6 +470,8 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
     if program.constraints:
         shape = (sum(len(c.row) for c in program.constraints),)
         yield from _run(module, "node_constraints", (base[0], base[1], base[3]), values=shape)
+    for name, entries in rows_of_events(program).items():
+        yield from _run(module, name, (base[0], base[1], base[3]), False, **{EVENT_KERNELS[name][0]: (len(entries),)})
     if not size:
         yield from _run(module, "explicit_step", base, interval=(whole,))
         return

@@ -86,6 +86,8 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
         return [case for s in usable for case in refined_cases(default, candidate("variational", s), ())]
     if is_simulation(default):
         candidates = [candidate(method, scheme) for method in methods for scheme in of_method(method)]
+        if default.metadata.events or default.metadata.gaps:  # a vector field has no impacts
+            return [case for one in candidates for case in refined_cases(default, one, ())]
         euler = compiler.build(problem, arguments, scheme="explicit-euler", method=None if first else "hamiltonian")
         field = load(euler.path)
         assert is_simulation(field)

@@ -8,6 +8,20 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.search.grid import checked_count, checked_times, checked_tolerance
+from codegen.runtime.stepping.events import (
+    ACCUMULATED,
+    FULL,
+    MOST_EVENTS,
+    NO_CONTACT,
+    STOPPED,
+    Watched,
+    addresses_of,
+    follow_watched,
+    largest_defect,
+    least_gaps,
+    log_of,
+    room_for,
+)
 from codegen.runtime.stepping.problem import StepProblem
 from codegen.runtime.stepping.steps import (
     EQUAL,
@@ -33,6 +47,18 @@ FAILURES = {
     -4: ("outside a table", "{}; keep the motion inside, take a wider table, or give it outside='clamp' or 'extend'"),
 }
 
+EVENT_FAILURES = FAILURES | {
+    ACCUMULATED: (
+        "events accumulate",
+        "event {!r} returns without end near t = {:.10g}; end the motion there, or write an impact as unilateral",
+    ),
+    NO_CONTACT: (
+        "contact failed",
+        "the contact forces are not determined, last of {!r} at t = {:.12g}; use more steps, or fewer gaps",
+    ),
+}
+FIRST_ROWS = 2 * MOST_EVENTS  # of the log of events
+
 
 class Grid(NamedTuple):
     """N steps of mean length h, parameters, the initial state (state,), the accuracy of implicit steps, the problem.
@@ -48,6 +74,26 @@ class Grid(NamedTuple):
     max_iterations: int
     problem: StepProblem
     spans: np.ndarray = EQUAL
+
+
+class EventLog(NamedTuple):
+    """The M events of a motion in the order of time.
+
+    Attributes
+    ----------
+    number, action : array (M,)
+        Number of the event among all events and gaps, and number of its effect in the order of `record.EventAction`.
+    t : array (M,)
+        Times.
+    before, after : array (M, state)
+        States before and after the event.
+    """
+
+    number: np.ndarray
+    action: np.ndarray
+    t: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
 
 
 class Solution(NamedTuple):
@@ -72,6 +118,8 @@ class Solution(NamedTuple):
         are all steps. A last state that was stored because the next step failed is left out. NaN if no step was made.
     iterations : int
         Number of linear systems solved.
+    events : EventLog or None
+        The events; None for a problem without events.
     """
 
     status: str
@@ -83,6 +131,7 @@ class Solution(NamedTuple):
     energy: np.ndarray | None
     residual: float
     iterations: int
+    events: EventLog | None = None
 
 
 def checked_step_grid(problem, steps, duration, parameters, start, tables=None, grid=None):
@@ -159,6 +208,8 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     if problem.constraints is not None:
         require_constraints(grid)
     every, size = min(checked_count("every", every), steps), start.size
+    if problem.events is not None:
+        return follow_with_events(grid, every)
     path = np.empty((1 - (-steps // every), size))
     before = path if every == 1 else np.empty((path.shape[0] - 1, size))
     accuracy, memory = (grid.tolerance, grid.max_iterations), memory_for(problem.scheme)
@@ -182,6 +233,126 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     positions = size if energy is None else size // 2
     q, p = path[:rows, :positions].copy(), path[:rows, positions:].copy()
     return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations)
+
+
+def follow_with_events(grid, every):
+    """Make all steps with events, and return a Solution; arguments are those of `follow_motion`, checked."""
+    problem, (steps, h, parameters, start) = grid.problem, grid[:4]
+    watched = watched_of(problem, grid.tolerance, grid.max_iterations)
+    size, scheme = start.size, problem.scheme._replace(is_constant=0)
+    require_gaps(grid, watched)
+    path = np.empty((1 - (-steps // every), size))
+    before = path if every == 1 else np.empty((path.shape[0] - 1, size))
+    (room, arrays), memory = room_for(watched, problem.rules, FIRST_ROWS), memory_for(scheme)
+    arrays["now"][:] = start
+    progress, marks, outcome = np.array([0, 1, every, 0, 0, 1]), np.zeros(steps, np.int64), FULL
+    while outcome == FULL:
+        outcome = follow_watched(
+            scheme, watched, memory, room, progress, steps, h, parameters, every, path, before, grid.spans, marks
+        )
+        if outcome == FULL:
+            larger = log_of(2 * room.capacity, size)
+            for name, array in larger.items():
+                array[: room.capacity] = arrays[name]
+            arrays |= larger
+            room = addresses_of(arrays)
+    made, rows, _, iterations, logged, _ = map(int, progress)
+    numbers, times, states = (arrays[name][:logged].copy() for name in ("rows", "times", "states"))
+    t = times_at(grid, np.minimum(every * np.arange(rows), made))
+    if outcome == STOPPED:
+        t[-1] = times[-1, 2]
+    log = EventLog(numbers[:, 0], numbers[:, 1], times[:, 2], states[:, 1], states[:, 2])
+    energy = None
+    if problem.energy is not None:
+        energy = np.empty(rows)
+        energies(problem.energy.address, path, t, parameters, energy)
+    log_of_parts = numbers, times, states
+    residual = residual_with_events(grid, watched, room, every, path, before, marks[:made], rows, log_of_parts)
+    failed = times_at(grid, np.minimum([made, made + 1], steps))
+    status, message = describe(steps, failed, made, iterations, min(outcome, 0), EVENT_FAILURES)
+    names = (*problem.metadata.events, *problem.metadata.gaps)
+    if outcome == STOPPED:
+        message = f"event {names[log.number[-1]]!r} ended the motion at t = {t[-1]:.12g}, in step {made} of {steps}"
+    elif outcome in (ACCUMULATED, NO_CONTACT):
+        message = message.format(*((names[log.number[-1]], log.t[-1]) if logged else (names[-1], 0.0)))
+    if outcome == LEFT_TABLE:
+        message = message.format(range_left(grid, path[rows - 1], times_at(grid, made)))
+    positions = size if energy is None else size // 2
+    q, p = path[:rows, :positions].copy(), path[:rows, positions:].copy()
+    return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations, log)
+
+
+def gap_values(grid, path, times):
+    """Return the least value of all gaps along a `path` (M, size) at `times` (M,)."""
+    watched = watched_of(grid.problem)
+    least = np.empty(watched.gaps)
+    least_gaps(watched, np.ascontiguousarray(path, dtype=float), np.array(times, dtype=float), grid.parameters, least)
+    return float(least.min())
+
+
+def watched_of(problem, tolerance=TOLERANCE, most=MOST):
+    """Return the events of a problem for compiled code."""
+    count = len(problem.metadata.events)
+    kernels = (0 if kernel is None else kernel.address for kernel in (problem.events, problem.jumps, problem.normals))
+    gaps, changes = len(problem.rules) - count, int((problem.rules[:, 2] >= 0).sum())
+    return Watched(*kernels, count, gaps, changes, problem.state, 3 + problem.state, most, tolerance)
+
+
+def require_gaps(grid, watched):
+    """Raise ValueError if a gap is negative at the start, if it closes there, or for a wrong restitution."""
+    values = np.empty((watched.events + watched.gaps, 3))
+    grid.problem.events(grid.start, 0.0, grid.parameters, values)
+    if not watched.gaps:
+        return
+    normals = np.empty((watched.gaps, 3 + grid.start.size))
+    grid.problem.normals(grid.start, 0.0, grid.parameters, normals)
+    for name, (value, rate, scale), (_, restitution, speed) in zip(
+        grid.problem.metadata.gaps, values[watched.events :], normals[:, :3], strict=True
+    ):
+        if not 0.0 <= restitution <= 1.0:
+            raise ValueError(f"the restitution of {name} is {restitution:g}; give a number from 0 to 1")
+        if value < -CONSISTENT * max(scale, LEAST_LENGTH):
+            raise ValueError(f"start violates {name}: the gap is {value:g}; correct the start, or the parameters")
+        if value <= CONSISTENT * scale and rate < -CONSISTENT * speed:
+            raise ValueError(f"start closes {name} with the velocity {rate:g}; start before the impact, or after it")
+
+
+def residual_with_events(grid, watched, room, every, path, before, marks, rows, log):
+    """Return the largest residual of a motion with events.
+
+    Steps without events are evaluated as in other motions, those to stored states alone. Parts of the other steps are
+    made again, and the differences of the states are divided by the length of a step.
+    """
+    scheme, accuracy = grid.problem.scheme._replace(is_constant=0), (grid.tolerance, grid.max_iterations)
+    memory, made, largest = memory_for(scheme), marks.size, 0.0
+    lasts = np.minimum(every * np.arange(1, rows), made) - 1
+    free = marks[lasts] == 0
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], free, [0]])))
+    spans = grid.spans
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        k = lasts[first:end]
+        own = np.column_stack([grid.h * k, np.full(k.size, grid.h)]) if len(spans) == 0 else spans[k]
+        starts = (path if every == 1 else before)[first:end]
+        ends = np.vstack([starts[:1], path[first + 1 : end + 1]])
+        largest = max(
+            largest,
+            largest_residual(
+                scheme, memory, np.ascontiguousarray(starts), ends, k.size + 1, k.size, grid.h, grid.parameters,
+                *accuracy, 1, np.ascontiguousarray(own),
+            ),
+        )  # fmt: skip
+    numbers, times, states = log
+    lengths = times[:, 1] > 0.0
+    if lengths.any():
+        largest = max(
+            largest,
+            largest_defect(
+                scheme, watched, memory, room, np.ascontiguousarray(numbers[lengths, 3]),
+                np.ascontiguousarray(states[lengths, 0]), np.ascontiguousarray(times[lengths, :2]),
+                np.ascontiguousarray(states[lengths, 1]), grid.h, grid.parameters,
+            ),
+        )  # fmt: skip
+    return largest
 
 
 def constraint_values(grid, state, t=0.0):

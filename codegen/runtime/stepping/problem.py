@@ -52,6 +52,12 @@ class StepProblem:
     constraints : Kernel or None
         Fills an array (constraints, 3 + coordinates): value, rate, scale of the rate, and gradient of each holonomic
         constraint at a node. Its arguments are (state, t, parameters).
+    events, jumps, normals : Kernel or None
+        Fill values, rates and scales (events + gaps, 3) of events and gaps, states (changes, state) after events, and
+        accelerations, restitutions, sizes of rates, normals and responses (gaps, 3 + 2 coordinates) of gaps. Their
+        arguments are (state, t, parameters).
+    rules : array (events + gaps, 3)
+        Action, direction, and row in `jumps` or -1, of each event and gap.
     tables : mapping
         Breakpoints and values of each table, as one array for each name.
     """
@@ -75,6 +81,10 @@ class StepProblem:
     ranges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     range_names: tuple[str, ...] = ()
     constraints: Kernel | None = None
+    events: Kernel | None = None
+    jumps: Kernel | None = None
+    normals: Kernel | None = None
+    rules: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     tables: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __reduce__(self):
@@ -114,7 +124,8 @@ class StepProblem:
         """Return the kernels that a solution calls, as a tuple without None."""
         every = (
             self.all_steps, self.jacobian, self.explicit, self.predict, self.residual if self.is_constant else None,
-            self.complete, self.equations, self.inputs, self.energy, self.constraints,
+            self.complete, self.equations, self.inputs, self.energy, self.constraints, self.events, self.jumps,
+            self.normals,
         )  # fmt: skip
         return tuple(kernel for kernel in every if kernel is not None)
 

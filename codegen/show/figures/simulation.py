@@ -75,6 +75,7 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
         t, q = result.t[::stride], result.q[::stride, i]
         axes.plot(t, q, color=BLUE, linewidth=1.2)
         axes.plot(t[0], q[0], "o", color=AMBER, markersize=5, label="start")
+        _draw_events(axes, result, i, is_labelled=i == 0)
         axes.margins(x=0.01)
         panels.widen_if_flat(axes, q)
         axes.set_ylabel(in_unit(label(names[i]), units.get(names[i], "")))
@@ -101,6 +102,16 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
     if drawing is not None:
         figure.draw_without_rendering()  # axes of equal scales need a second pass of the layout
     return figure
+
+
+def _draw_events(axes: Axes, result: Result, i: int, is_labelled: bool) -> None:
+    """Mark the events on the curve of coordinate number i."""
+    if result.events is None or len(result.events) == 0:
+        return
+    events = result.events
+    stride = max(1, -(-len(events) // _MOST_POINTS))
+    at = events.t[::stride], events.after[::stride, i]
+    axes.plot(*at, "|", color=CRIMSON, markersize=7, label="event" if is_labelled else None)
 
 
 def _draw_energy(axes: Axes, result: Result, stride: int, units: Mapping[str, str]) -> None:

@@ -81,6 +81,8 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
     The number of iterations is the number of evaluations of the residual. Raise ArgumentError for an explicit scheme,
     and for particles.
     """
+    if getattr(module.metadata, "events", ()) or getattr(module.metadata, "gaps", ()):
+        raise ArgumentError("driver fsolve finds no events", "use newton")
     if not _is_stepwise(module):
         raise ArgumentError(
             f"driver fsolve has nothing to solve: {module.metadata.scheme} is explicit for this problem",

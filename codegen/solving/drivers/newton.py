@@ -98,7 +98,7 @@ _ROUNDED = 1e-9
 
 Neighbours that move apart have large momenta, so that rounding errors of positions come close to this value.
 """
-_OWN = ("tolerance", "trajectories", "scaled", "is_explained", "generated")
+_OWN = ("tolerance", "trajectories", "scaled", "is_explained", "generated", "events")
 """Fields of an attempt that are not copied from the return value of `solve` of a module."""
 _CLAIMED: dict[type, tuple[str, ...]] = {
     attempt: tuple(f.name for f in fields(attempt) if f.name not in _OWN)
@@ -133,7 +133,8 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
     if limit and is_of_particles(module):
         raise ArgumentError("--max-iterations of particles, whose module limits Newton's method itself", "leave it out")
     solution = module.solve(steps=run.steps, every=run.every, **limit)
-    return SimulateAttempt(**_claimed(SimulateAttempt, solution), tolerance=TOLERANCE, generated=True)
+    events = getattr(solution, "events", None)  # particles have none
+    return SimulateAttempt(**_claimed(SimulateAttempt, solution), tolerance=TOLERANCE, events=events, generated=True)
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:

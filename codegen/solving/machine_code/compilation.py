@@ -193,16 +193,27 @@ QUANTITIES = (
 def step_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     """Yield the runtime functions that Python calls during a simulation, with the types of their arguments."""
     from codegen.runtime import arithmetic
-    from codegen.runtime.stepping import steps
+    from codegen.runtime.stepping import events, motion, steps
 
     scheme = typeof(steps.Scheme(*[0] * len(steps.Scheme._fields)))
-    if problem.all_steps is None:
+    if problem.all_steps is None and problem.events is None:
         yield steps.follow, (
             scheme, REALS, REALS, int64, float64, REALS, float64, int64, int64, TABLE, TABLE, TABLE,
         )  # fmt: skip
     yield steps.largest_residual, (
         scheme, REALS, TABLE, TABLE, int64, int64, float64, REALS, float64, int64, int64, TABLE,
     )  # fmt: skip
+    if problem.events is not None:
+        watched = motion.watched_of(problem)
+        room, memory = events.Room(*[0] * len(events.Room._fields)), REALS
+        yield events.follow_watched, (
+            scheme, typeof(watched), memory, typeof(room), INTEGERS, int64, float64, REALS, int64, TABLE, TABLE, TABLE,
+            INTEGERS,
+        )  # fmt: skip
+        yield events.largest_defect, (
+            scheme, typeof(watched), memory, typeof(room), INTEGERS, TABLE, TABLE, TABLE, float64, REALS,
+        )  # fmt: skip
+        yield events.least_gaps, (typeof(watched), TABLE, REALS, REALS, REALS)
     yield steps.energies, (int64, TABLE, REALS, REALS, REALS)
     yield arithmetic.factor_matrix, (TABLE, INTEGERS)
     yield arithmetic.solve_factored, (TABLE, INTEGERS, REALS)

@@ -7,10 +7,11 @@ import math
 import numpy as np
 
 from codegen.errors import PointsError
-from codegen.runtime.record import Record, SimulationRecord
-from codegen.solving.loading import Case, ConnectModule, Matrix, SimulateModule, Vector
+from codegen.runtime.record import EventAction, Record, SimulationRecord
+from codegen.solving.loading import Case, ConnectModule, EventArrays, Matrix, SimulateModule, Vector
 from codegen.solving.results.result import (
     ConnectAttempt,
+    MotionEvents,
     Outline,
     Result,
     Run,
@@ -25,6 +26,8 @@ from codegen.solving.results.result import (
 
 UNITS = 1e4
 """Ratio of the perturbations, which measure the effect of rounding errors, to the rounding errors."""
+PENETRATION = 1e-9
+"""Largest penetration of a gap, relative to the state and the inverse of the time step."""
 TOLERANCE = 1e-12
 """Default tolerance of the arrival of particles."""
 
@@ -40,7 +43,7 @@ def simulate_result(
     step = attempt.t[-1] / max(attempt.steps, 1)
     scale = max(1.0, max_norm(attempt.q), max_norm(attempt.p)) * max(1.0, 1.0 / step if step > 0.0 else 1.0)
     residual, rounding = attempt.residual, (1e3 * float(np.finfo(float).eps) * scale)
-    if run.every == 1 and attempt.t.size > 1:
+    if attempt.events is None and run.every == 1 and attempt.t.size > 1:
         residual = module.path_residual(module.make_grid(run.steps), np.hstack([attempt.q, attempt.p]))
         if residual > max(attempt.tolerance, rounding):
             rounding = max(rounding, 10.0 * rounding_level(module, run.steps, attempt.q, attempt.p))
@@ -72,11 +75,32 @@ def simulate_result(
         states = np.hstack([attempt.q, attempt.p])
         errors = constraint_errors(module.make_grid(run.steps), states, attempt.t)
         summary["constraint_error"], summary["constraint_rate"] = errors
+    events = None
+    if attempt.events is not None and isinstance(module.metadata, SimulationRecord):
+        events = motion_events(module.metadata, attempt.events)
+        summary["events"] = float(len(events))
+        if module.metadata.gaps:
+            from codegen.runtime.stepping.motion import gap_values  # imports numba
+
+            states = np.hstack([attempt.q, attempt.p])
+            summary["least_gap"] = gap_values(module.make_grid(run.steps), states, attempt.t)
+            if status == "solved" and not summary["least_gap"] > -PENETRATION * scale:
+                finding = f"a gap is {summary['least_gap']:.1e}"
+                status, message = contradicted(driver, finding, "try more steps")
     summary["steps_per_second"] = attempt.steps / seconds if seconds > 0.0 else float("inf")
     return Result(
         **origin(module.metadata, driver, run, attempt, seconds), status=status, message=message,
         residual=float(residual), t=attempt.t, q=attempt.q, p=attempt.p, energy=attempt.energy, names=names,
-        summary=summary, labels={f"final_{name}": f"final {name}" for name in final},
+        summary=summary, labels={f"final_{name}": f"final {name}" for name in final}, events=events,
+    )  # fmt: skip
+
+
+def motion_events(metadata: SimulationRecord, events: EventArrays) -> MotionEvents:
+    """Return the events of a motion by name."""
+    names, actions = (*metadata.events, *metadata.gaps), tuple(EventAction)
+    return MotionEvents(
+        tuple(names[int(i)] for i in events.number), tuple(actions[int(i)] for i in events.action), events.t,
+        events.before, events.after,
     )  # fmt: skip
 
 

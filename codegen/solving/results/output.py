@@ -266,6 +266,10 @@ def save(result: Result, record: JsonObject, path: Path) -> None:
     arrays: dict[str, Any] = {name: getattr(result, name) for name in names if getattr(result, name) is not None}
     if result.u is not None:
         arrays["u_times"] = result.control_times
+    if result.events is not None:
+        events = result.events
+        arrays |= {"event_names": np.array(events.names), "event_actions": np.array([str(a) for a in events.actions])}
+        arrays |= {"event_times": events.t, "event_before": events.before, "event_after": events.after}
     if result.sensitivity is not None:
         arrays |= sensitivities.as_arrays(result.sensitivity)
     labels: dict[str, Any] = {f"{name}_names": np.array(columns) for name, columns in result.names.items() if columns}

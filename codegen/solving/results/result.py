@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError
 from codegen.problem.points import PointSet
-from codegen.runtime.record import Form, Record
-from codegen.solving.loading import Grid, Matrix, Vector
+from codegen.runtime.record import EventAction, Form, Record
+from codegen.solving.loading import EventArrays, Grid, Matrix, Vector
 from codegen.solving.results.display import Background, Display
 from codegen.solving.results.estimates import Estimates
 
@@ -44,6 +44,8 @@ STATUSES = {
     "outside a table": "the solution reads a table outside its range",
     "singular": "the equations of one step have no unique solution",
     "newton failed": "Newton's method did not converge within one step",
+    "events accumulate": "infinitely many events follow each other in a finite time",
+    "contact failed": "the contact forces of closed gaps are not determined",
     "not connected": "no attempt found a motion from the given points to their targets",
     "accuracy not reached": "the equations hold, but no grid was found on which their solution is as accurate as asked",
     "inaccurate": "the driver claimed success, but the residuals evaluated afterwards are too large",
@@ -171,6 +173,62 @@ class Run:
 
 
 @dataclass(frozen=True)
+class EventRecord:
+    """An event of a motion: its name, its effect, its time, and the states (q, p) before and after it."""
+
+    name: str
+    action: EventAction
+    t: float
+    before: Vector
+    after: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class MotionEvents(Sequence[EventRecord]):
+    """The M events of a motion in the order of time, as a sequence of `EventRecord`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The name of each event. Impacts, and the beginning and end of a contact, have the name of their gap.
+    actions : tuple of EventAction
+        The effect of each event.
+    t : ndarray, shape (M,)
+        Times.
+    before, after : ndarray, shape (M, state)
+        States (q, p) before and after the events.
+    """
+
+    names: tuple[str, ...]
+    actions: tuple[EventAction, ...]
+    t: Vector
+    before: Matrix
+    after: Matrix
+
+    @overload
+    def __getitem__(self, index: int) -> EventRecord: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[EventRecord]: ...
+
+    def __getitem__(self, index: int | slice) -> EventRecord | Sequence[EventRecord]:
+        """Return an event by its number, or several events."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        values = self.names[index], self.actions[index], float(self.t[index])
+        return EventRecord(*values, self.before[index], self.after[index])
+
+    def __len__(self) -> int:
+        """Return the number of events."""
+        return len(self.names)
+
+    def times(self, name: str, action: str = "") -> Vector:
+        """Return the times of the events with a name, and with an action such as "impact" if one is given."""
+        pairs = zip(self.names, self.actions, strict=True)
+        return self.t[[own == name and action in ("", effect) for own, effect in pairs]]
+
+
+@dataclass(frozen=True)
 class ConnectAttempt:
     """The attempt of a driver at a connect problem, before its residuals are checked.
 
@@ -214,7 +272,8 @@ class ControlAttempt:
 class SimulateAttempt:
     """The attempt of a driver at a simulation, before its residuals are checked; arrays have a row per stored step.
 
-    `steps` is the number of computed steps. `generated` is True if the driver is the generated solver.
+    `steps` is the number of computed steps. `generated` is True if the driver is the generated solver. `events` are the
+    events, or None for a problem without events.
     """
 
     status: str
@@ -227,6 +286,7 @@ class SimulateAttempt:
     steps: int
     residual: float
     tolerance: float
+    events: EventArrays | None = None
     generated: bool = False
 
 
@@ -345,6 +405,8 @@ class Result(Display):
         Results on all grids of a refinement.
     stage_abscissae : tuple of float
         Positions of the stages as fractions of an interval; empty if controls are not at stages.
+    events : MotionEvents or None
+        Events of a simulation in the order of time; None for a problem without events.
     grid : ndarray or None
         Lengths of the intervals relative to the duration, or for each phase; None for equal intervals.
     accuracy, error, estimates, sensitivity
@@ -389,6 +451,7 @@ class Result(Display):
     notes: tuple[str, ...] = ()
     levels: tuple[Result, ...] = ()
     stage_abscissae: tuple[float, ...] = ()
+    events: MotionEvents | None = None
     grid: Vector | None = None
     accuracy: Accuracy | None = None
     error: DiscretisationError | None = None
