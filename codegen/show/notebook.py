@@ -17,7 +17,7 @@ import sympy
 from sympy.logic.boolalg import Boolean
 from sympy.printing.latex import LatexPrinter
 
-from codegen.discretise.conditions import CONDITIONS, HOLONOMIC
+from codegen.discretise.conditions import CONDITIONS, SIMULATED
 from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import ArgumentError, CodegenError
 from codegen.identifiers import in_latex, written_unit
@@ -179,7 +179,7 @@ def _rows(
     for mapping, time in ((problem.start, print_.first), (getattr(problem, "end", {}), print_.last)):
         yield from (f"{print_.at(key, time)} &= {print_(value)}" for key, value in _items(mapping))
     if isinstance(problem, Simulate):
-        yield from HOLONOMIC.displayed(problem, print_)
+        yield from (row for kind in SIMULATED for row in kind.displayed(problem, print_))
     if isinstance(problem, Control):
         for symbol, value in _items(problem.history):
             yield rf"{print_.at(symbol, 't')} &= {print_(value)}\quad\text{{for }} t \le 0"

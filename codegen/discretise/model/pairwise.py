@@ -102,8 +102,10 @@ def normalise_pairwise(problem: Problem, declared: Sequence[Quantity], name: str
         raise ProblemFileError("Connect needs a pairwise Hamiltonian", "write hamiltonian=Pairwise(...)")
     if not isinstance(problem, (Connect, Simulate)):
         raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
-    if isinstance(problem, Simulate) and problem.constraint:
-        raise ExpressionError("constraint beside particles", "leave it out, or write the Lagrangian of each particle")
+    for argument in ("constraint", "rolling") if isinstance(problem, Simulate) else ():
+        if getattr(problem, argument):
+            remedy = "leave it out, or write the Lagrangian of each particle"
+            raise ExpressionError(f"{argument} beside particles", remedy)
     terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
     if system.self_term is not None:
         terms["self_term"] = expressions.checked(system.self_term, "self_term")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import sympy
 
-from codegen.discretise.conditions import CONDITIONS, HOLONOMIC
+from codegen.discretise.conditions import CONDITIONS, SIMULATED
 from codegen.discretise.model.delays import history_entries
 from codegen.discretise.model.relations import Entry, checked_mapping, checked_sequence, entry_of, value_entries
 from codegen.errors import ExpressionError, SymbolError, TableError
@@ -119,7 +119,8 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
     yield from value_entries("force", problem.force)
     yield from value_entries("start", problem.start)
     if isinstance(problem, Simulate):
-        yield from HOLONOMIC.written(problem)
+        for kind in SIMULATED:
+            yield from kind.written(problem)
     if control is None:
         return
     yield from history_entries(control)

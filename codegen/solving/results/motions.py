@@ -71,7 +71,11 @@ def simulate_result(
 
         states = np.hstack([attempt.q, attempt.p])
         errors = constraint_errors(module.make_grid(run.steps), states, attempt.t)
-        summary["constraint_error"], summary["constraint_rate"] = errors
+        count = len(module.metadata.constraints) - len(module.metadata.rolling)
+        if count:
+            summary["constraint_error"], summary["constraint_rate"] = map(float, errors[:, :count].max(axis=1))
+        if module.metadata.rolling:
+            summary["rolling_error"] = float(errors[1, count:].max())
     summary["steps_per_second"] = attempt.steps / seconds if seconds > 0.0 else float("inf")
     return Result(
         **origin(module.metadata, driver, run, attempt, seconds), status=status, message=message,
