@@ -365,7 +365,8 @@ class ControlProgram:
 class ConstraintAtNode:
     """A constraint at the left node of a step: its name, value c, rate dc/dt and gradient dc/dq.
 
-    A rolling constraint has the value zero, and A v + b in place of the rate. The terms of the rate are at most of the size `scale`.
+    A rolling constraint has the value zero, and A v + b in place of the rate. The terms of the rate are at most of the
+    size `scale`.
     """
 
     name: str

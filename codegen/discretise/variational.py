@@ -63,8 +63,8 @@ class EndConditions:
 def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgram:
     """Return the program with unknowns q and lambda at nodes, and u on intervals (or at nodes).
 
-    Holonomic constraints add kappa and eta to the nodes, rolling constraints kappa and zeta. Raises the errors of the Legendre transform, and BoundaryError
-    for conditions that do not fit together.
+    Holonomic constraints add kappa and eta to the nodes, rolling constraints kappa and zeta. Raises the errors of the
+    Legendre transform, and BoundaryError for conditions that do not fit together.
     """
     model, boundary_values = with_symbolic_boundaries(in_velocities(original))
     names, guesses = Names(model), coordinate_guess(model)

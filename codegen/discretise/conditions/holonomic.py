@@ -128,20 +128,23 @@ class Constraints:
             for c in (*model.holonomic, *model.rolling)
         )
 
-    def force(self, suffix: str) -> list[Expr]:
-        """Return the impulse h/2 G^T kappa of the constraint force at the left (`_k`) or right (`_k1`) node.
-
-        Rolling constraints have their coefficients A in place of the gradient G.
-        """
-        substitution = dict(zip(self.model.coordinates, at_nodes(self.model.coordinates, suffix), strict=True))
-        if suffix == "_k1":
-            substitution[self.model.time] = self.model.time + STEP
-        kappa = symbols([unknown.name for unknown in self.kappa], suffix)
+    @property
+    def along(self) -> list[Expr]:
+        """The forces G^T kappa of all constraints; rolling constraints have A in place of the gradient G."""
+        kappa = [Symbol(unknown.name, real=True) for unknown in self.kappa]
         potential = sum((k * c for k, c in zip(kappa, self.model.holonomic, strict=False)), S.Zero)
         forces = [sympy.diff(potential, q) for q in self.model.coordinates]
         for k, row in zip(kappa[len(self.model.holonomic) :], self.rows, strict=True):
             forces = [force + k * entry for force, entry in zip(forces, row, strict=True)]
-        return [(STEP * force / 2).xreplace(substitution) for force in forces]
+        return forces
+
+    def force(self, suffix: str) -> list[Expr]:
+        """Return the impulse h/2 G^T kappa of the constraint force at the left (`_k`) or right (`_k1`) node."""
+        of_node = (*self.model.coordinates, *(Symbol(unknown.name, real=True) for unknown in self.kappa))
+        substitution = dict(zip(of_node, at_nodes(of_node, suffix), strict=True))
+        if suffix == "_k1":
+            substitution[self.model.time] = self.model.time + STEP
+        return [(STEP * force / 2).xreplace(substitution) for force in self.along]
 
     def nodal_terms(
         self, matched: tuple[set[int], set[int]], by_pi: tuple[set[int], set[int]], scheme: Scheme
@@ -154,9 +157,7 @@ class Constraints:
         pairs = list(zip(self.kappa, self.touched, strict=True))
         conditions = [Condition(str(c), c) for c in self.model.holonomic]
         eta = nodal_equalities(self.model, conditions, "eta", self.names, Kind.CONSTRAINT)
-        zeta = tuple(
-            Unknown(self.names.numbered("zeta"), Meaning(Kind.ROLLING, str(c))) for c in self.model.rolling
-        )
+        zeta = tuple(Unknown(self.names.numbered("zeta"), Meaning(Kind.ROLLING, str(c))) for c in self.model.rolling)
         means = rolling.discrete(self.model, scheme) if zeta else []
         multipliers = [unknown.name for unknown in zeta]
         return NodalTerms(
@@ -197,13 +198,13 @@ class Constraints:
                 sympy.diff(constraint, time),
             )
             conditions.append(Condition(f"velocity along the constraint {constraint}", row))
-        for constraint, touched in zip(self.model.rolling, self.touched[len(self.model.holonomic) :], strict=True):
-            fixed = {self.model.rates[i]: values.get(boundary.rates[i]) for i in touched}
-            rests = all(value == 0 for value in fixed.values()) and not constraint.xreplace(dict.fromkeys(fixed, S.Zero))
-            is_known = None not in fixed.values() and all(
-                boundary.positions[i] is not None for i in occurring(self.model.coordinates, constraint)
-            )
-            if touched & matched and not rests and not is_known:
+        of_rolling = zip(self.model.rolling, self.touched[len(self.model.holonomic) :], strict=True)
+        for constraint, touched in (pair for pair in of_rolling if pair[1] & matched):
+            fixed = [boundary.rates[i] for i in touched]
+            at_rest = constraint.xreplace(dict.fromkeys(self.model.rates, S.Zero))
+            rests = at_rest == 0 and all(v is not None and values.get(v) == 0 for v in fixed)
+            positions = [boundary.positions[i] for i in occurring(self.model.coordinates, constraint)]
+            if not rests and (None in fixed or None in positions):
                 conditions.append(Condition(f"rolling {constraint} = 0", constraint))
         return tuple(conditions)
 

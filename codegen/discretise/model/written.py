@@ -119,8 +119,8 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
     yield from value_entries("force", problem.force)
     yield from value_entries("start", problem.start)
     if isinstance(problem, Simulate):
-        for kind in SIMULATED:
-            yield from kind.written(problem)
+        for simulated in SIMULATED:
+            yield from simulated.written(problem)
     if control is None:
         return
     yield from history_entries(control)

@@ -157,8 +157,8 @@ def check_rolling(context: Context) -> Iterator[Finding]:
         for b in range(model.bodies if not scheme.parts else 0):
             q = solution.q[:, b * width : (b + 1) * width]
             means, sizes = np.zeros(len(h)), np.zeros(len(h))
-            for point in scheme.discrete_lagrangian().points:
-                weight, c = float(point.weight), float(point.abscissa)
+            for quadrature in scheme.discrete_lagrangian().points:
+                weight, c = float(quadrature.weight), float(quadrature.abscissa)
                 position, t = (1.0 - c) * q[:-1] + c * q[1:], solution.t[:-1] + c * h[:, 0]
                 value, scale = function(*position.T, *(np.diff(q, axis=0) / h).T, t, *data.values())
                 means, sizes = means + weight * value, sizes + weight * scale
