@@ -37,12 +37,13 @@ from codegen.discretise.conditions.base import (
     listed,
 )
 from codegen.discretise.interval import STEP, PolynomialMotion, at_nodes, substitute
-from codegen.discretise.model.definitions import Condition, Model
+from codegen.discretise.model.definitions import Condition, Model, prescribed
 from codegen.discretise.model.relations import Entry, relation_entries, text
 from codegen.discretise.schemes.base import Scheme
-from codegen.errors import DegenerateError, ExpressionError
+from codegen.errors import BoundaryError, DegenerateError, ExpressionError
 from codegen.problem.problem import Control, Simulate
 from codegen.problem.symbols import ControlInput, Coordinate, FreeParameter, Parameter, Time, Velocity
+from codegen.symbolic import checks as expressions
 from codegen.symbolic.derivatives import gradient
 from codegen.symbolic.zeros import identically_zero
 
@@ -76,10 +77,10 @@ class Rolling(ConditionKind):
         for v, slope in zip(velocities, slopes, strict=True):
             for w in velocities:
                 if slope.has(w) and not identically_zero(sympy.diff(slope, w)):
-                    product = f"{v}**2" if v == w else f"{v}*{w}"
+                    product = f"{v} twice" if v == w else f"{v} and {w}"
                     raise ExpressionError(
-                        f"{entry.what} is not linear in the velocities: it contains {product}, or the like",
-                        "the principle of Lagrange and d'Alembert needs a(q, t) v + b(q, t) = 0; factor the equation",
+                        f"{entry.what} is not linear in the velocities: its derivative by {product} is not zero",
+                        "write a(q, t) v + b(q, t) = 0, as the principle of Lagrange and d'Alembert requires",
                     )
 
     def conditions(self, entries: Sequence[Entry]) -> tuple[Expr, ...]:
@@ -101,17 +102,19 @@ class Rolling(ConditionKind):
             if is_constant(condition, model.rates, points):
                 raise DegenerateError(f"rolling {condition} depends on no velocity", "leave it out")
         holonomic = [
-            Condition(f"constraint {text(c)} = 0", sympy.Matrix([c]).jacobian(model.coordinates).dot(model.rates))
+            Condition(f"d/dt ({text(c)}) = 0", sympy.Matrix([c]).jacobian(model.coordinates).dot(model.rates))
             for c in model.holonomic
         ]
         if named and (names := dependent([*holonomic, *named], model.rates, points)):
-            raise DegenerateError(f"the rolling constraints {names} depend on each other", "leave out one of them")
+            raise DegenerateError(f"the constraints {names} depend on each other", "leave out one of them")
         if named and len(holonomic) + len(named) >= len(model.coordinates):
             raise DegenerateError(
                 f"{len(holonomic) + len(named)} constraints on {len(model.coordinates)} coordinates leave nothing to"
                 " move",
                 "leave out a constraint",
             )
+        for end in ("start", "end") if model.task == "control" else ():
+            _require_consistent(model, end)
 
     def sentences(self, model: Model) -> list[str]:
         return [f"{sympy.sstr(c)} = 0 as mean of every interval, and at the ends" for c in model.rolling]
@@ -123,6 +126,32 @@ class Rolling(ConditionKind):
     def displayed(self, control: Control | Simulate, latex: Latex) -> Iterator[str]:
         for constraint in listed(control.rolling):
             yield rf"0 &= {latex(constraint)}\quad\text{{(rolling)}}"
+
+
+def _require_consistent(model: Model, end: str) -> None:
+    """Raise BoundaryError if prescribed values at an end satisfy a constraint only at the default parameters.
+
+    The force of the constraint would absorb the momentum across the constraint, and no equation would fail.
+    """
+    fixed = {**prescribed(model, end), model.time: S.Zero if end == "start" else model.duration}
+    for constraint in model.rolling:
+        if not constraint.free_symbols <= {*fixed, *model.parameters}:
+            continue
+        value = constraint.subs(fixed, simultaneous=True)
+        defaults = {**dict(zip(model.parameters, model.defaults, strict=True)), model.body: 0.0}
+        for parameter in sorted(value.free_symbols & {*model.parameters}, key=str):
+            for factor in _CHANGES:
+                numbers = {**defaults, parameter: factor * (defaults[parameter] or 1.0)}
+                excess = expressions.rounded_at(value, numbers)
+                if excess is not None and abs(excess) > expressions.rounding_at(value, numbers):
+                    raise BoundaryError(
+                        f"{end} violates rolling {text(constraint)} = 0 for other values of {parameter}",
+                        f"write the velocities in {parameter}, or leave out a velocity, which the constraint determines",
+                    )
+
+
+_CHANGES = (1.07, 0.85)
+"""Factors of the default values of parameters at which boundary values are tested."""
 
 
 def coefficients(model: Model, constraint: Expr) -> list[Expr]:
