@@ -20,11 +20,11 @@ that ends in node k1, so that zeta is zero at the start.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar
 
 import sympy
-from sympy import Expr, S
+from sympy import Expr, S, Symbol
 
 from codegen.discretise.conditions.base import (
     ConditionKind,
@@ -139,14 +139,19 @@ def _require_consistent(model: Model, end: str) -> None:
             continue
         value = constraint.subs(fixed, simultaneous=True)
         defaults = {**dict(zip(model.parameters, model.defaults, strict=True)), model.body: 0.0}
+
+        def is_violated(numbers: Mapping[Symbol | None, float], value: Expr = value) -> bool:
+            excess = expressions.rounded_at(value, numbers)
+            return excess is not None and abs(excess) > expressions.rounding_at(value, numbers)
+
+        if is_violated(defaults):
+            continue  # an error without mention of parameters follows
         for parameter in sorted(value.free_symbols & {*model.parameters}, key=str):
             for factor in _CHANGES:
-                numbers = {**defaults, parameter: factor * (defaults[parameter] or 1.0)}
-                excess = expressions.rounded_at(value, numbers)
-                if excess is not None and abs(excess) > expressions.rounding_at(value, numbers):
+                if is_violated({**defaults, parameter: factor * (defaults[parameter] or 1.0)}):
                     raise BoundaryError(
                         f"{end} violates rolling {text(constraint)} = 0 for other values of {parameter}",
-                        f"write the velocities in {parameter}, or leave out a velocity, which the constraint determines",
+                        f"write velocities in {parameter}, or leave out a velocity, which the constraint determines",
                     )
 
 
