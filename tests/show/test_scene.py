@@ -20,9 +20,9 @@ from codegen.show.films import fine_times, scene
 from codegen.solving.results.result import Result
 
 DRAWN = (
-    "acrobot brachistochrone cart_pendulum cart_pole convoy crane double_pendulum_cartesian four_bar hovercraft "
-    "linear_pendulum low_thrust n_link_pendulum orbital_transfer pendulum pendulum_swing_up quadrotor "
-    "spherical_pendulum two_link_arm"
+    "acrobot brachistochrone cart_pendulum cart_pole chaplygin_sleigh convoy crane double_pendulum_cartesian four_bar "
+    "hovercraft linear_pendulum low_thrust n_link_pendulum orbital_transfer pendulum pendulum_swing_up quadrotor "
+    "rolling_disc snakeboard spherical_pendulum two_link_arm"
 ).split()
 
 
