@@ -68,6 +68,7 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
     """
     model, boundary_values = with_symbolic_boundaries(in_velocities(original))
     names, guesses = Names(model), coordinate_guess(model)
+    values = {value.symbol: value.value for value in boundary_values}
     constraints = Constraints(model, names)
     equalities = path.nodal_equalities(model, nodal_conditions(model, equality=True), "y", names)
     periodic = periodic_unknowns(model, model.coordinates, guesses, names)
@@ -76,7 +77,7 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
         periodic += periodic_momenta(original, model, names)
     else:
         periodic += periodic_velocities(model, names)
-        require_constraints_return(model, periodic)
+        require_constraints_return(model, periodic, values)
     shared = shared_unknowns(model, periodic, guesses, names)
     assert model.end is not None, "a control problem has an end"
     at_start = (*model.start_conditions, *path.start_inequalities(model), *periodic.start_conditions)
@@ -88,7 +89,6 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
         EndConditions("_k1", -1, model.end, at_end, model.terminal_cost, momenta[1], aliased[1]),
     )
     matched = [_matched_indices(model, e, constraints) for e in ends]
-    values = {value.symbol: value.value for value in boundary_values}
     optimised = {own.symbol for own in shared.all}
     start, end = (
         _momentum_end(model, e, indices, constraints, values, optimised, names)

@@ -9,10 +9,10 @@ import pytest
 from conftest import PROBLEMS
 from scipy.integrate import quad, solve_bvp, solve_ivp
 from scipy.special import ellipj, ellipk
-from sympy import Eq, cos, sin
+from sympy import Eq, cos, pi, sin
 
 import codegen
-from codegen import Control, Phases, Simulate, controls, coordinates, free_parameter, parameters, time
+from codegen import Control, Phases, Simulate, body_number, controls, coordinates, free_parameter, parameters, time
 from codegen.emit.naming import Choices
 from codegen.errors import (
     ArgumentError,
@@ -355,6 +355,69 @@ def test_the_force_of_the_constraint_is_no_control():
     expected = -speed * np.gradient(phi, t)  # the row (sin phi, -cos phi) points to the right
     assert np.abs(expected).max() > 0.1
     assert nodes[0, 1:-1, index] == pytest.approx(expected[1:-1], abs=1e-3)
+
+
+def test_a_unicycle_rolls_in_a_circle_without_effort():
+    """A lap that is periodic but for a full turn: the heading of the end is that of the start, and one force acts."""
+    problem = unicycle()
+    x, y, phi, *_ = problem.start
+    t = time()
+    lap = replace(
+        problem, start={x: 0, y: 0, phi: 0}, end={}, periodic={**dict.fromkeys(problem.start, 0), phi: 2 * pi},
+        at={1: [Eq(x, 0), Eq(y, 1)]}, guess={x: sin(pi * t) / 2, y: (1 - cos(pi * t)) / 2, phi: pi * t},
+    )  # fmt: skip
+    result = codegen.solve(lap)
+    assert result.solved
+    assert result.cost == pytest.approx(0, abs=1e-20)
+    assert np.hypot(result.q[:, 0], result.q[:, 1] - 0.5) == pytest.approx(0.5, abs=1e-12)
+    assert result.q[-1, 2] == pytest.approx(2 * np.pi, abs=1e-12)
+
+
+def test_the_least_time_of_a_wheel():
+    """A free duration and bounds: the wheel is the inertia M with the time 2 sqrt(M phi_T/limit)."""
+    (x, phi), (dx, dphi) = coordinates("x phi")
+    (tau,) = controls("tau")
+    duration = free_parameter("T", 2.0)
+    problem = Control(
+        lagrangian=2 * dx**2 / 2 + 0.3 * dphi**2 / 2, force={phi: tau}, rolling=[dx - 0.5 * dphi],
+        terminal_cost=duration, duration=duration, steps=20, bounds={tau: (-1.5, 1.5)},
+        start=dict.fromkeys((x, phi, dx, dphi), 0), end={x: 1, dx: 0, dphi: 0},
+    )  # fmt: skip
+    assert codegen.solve(problem).cost == pytest.approx(2 * np.sqrt(0.8 * 2 / 1.5), rel=1e-7)
+
+
+def test_bodies_differ_in_their_ends():
+    problem = unicycle()
+    x, y, phi, dx, dy, dphi = problem.start
+    end = {x: 1, y: body_number(), phi: body_number() / 2, dx: 0, dy: 0, dphi: 0}
+    together = codegen.solve(replace(problem, bodies=2, end=end))
+    alone = [codegen.solve(unicycle((1, i, i / 2, 0, 0, 0))) for i in range(2)]
+    assert together.cost == pytest.approx(sum(result.cost for result in alone), rel=1e-10)
+    assert alone[0].cost == pytest.approx(2 * 12 / 8 / 2 * 1600 / 1599, rel=1e-9)  # a straight line
+
+
+def test_a_motion_into_a_singular_point_ends_with_the_name_of_the_constraint():
+    """y dx + x dy = 0 keeps a bead on the crossing lines x y = 0, which it reaches after 64 steps of length 1/64."""
+    (x, y), (dx, dy) = coordinates("x y")
+    problem = Simulate(
+        lagrangian=(dx**2 + dy**2) / 2, rolling=[y * dx + x * dy], duration=2, steps=128,
+        start={x: 1, y: 0, dx: -1, dy: 0},
+    )  # fmt: skip
+    result = codegen.solve(problem, scheme="trapezoidal")
+    assert result.status == "singular"
+    assert "the gradient of the constraint dx*y + dy*x = 0 vanishes there" in result.message
+
+
+def test_show_has_the_forces_and_the_discrete_constraint(capsys):
+    from codegen.cli import main
+
+    with pytest.raises(SystemExit) as ended:
+        main(["show", str(SLEIGH), "--latex"])
+    assert ended.value.code in (0, None)
+    text = capsys.readouterr().out
+    assert "Rolling constraints" in text
+    assert "Discrete rolling constraints of an interval" in text
+    assert r"G^T \kappa" in text
 
 
 def test_a_sweep_varies_parameters_of_a_rolling_problem(tmp_path):

@@ -233,28 +233,30 @@ def own_unknown(name: str, kind: Kind, of: Symbol, guess: Expr, follows: bool = 
     return Own(Unknown(name, Meaning(kind, of.name)), Symbol(name, real=True), guess, follows)
 
 
-def require_constraints_return(model: Model, periodic: Periodic) -> None:
+def require_constraints_return(model: Model, periodic: Periodic, values: Mapping[Symbol, Expr]) -> None:
     """Raise BoundaryError if constraints and periodic velocities do not fit together.
 
     Velocities of a constraint must be periodic all alike, without a shift. A rolling constraint must be the same at
-    both ends, because one force acts there.
+    both ends, because one force acts there. `values` maps the symbols of boundary values to the values.
     """
     conditions = (*periodic.start_conditions, *periodic.end_conditions)
     indices = occurring(model.rates, *(condition.expression for condition in conditions))
     matched, shifts = {i for i, _ in periodic.start_momenta}, dict(model.periodic)
+    assert model.end is not None, "a control problem has an end"
+    for q, first, last in zip(model.coordinates, model.start.positions, model.end.positions, strict=True):
+        if first is not None and last is not None:
+            shifts[q] = last.xreplace(values) - first.xreplace(values)
     every = (*model.holonomic, *model.rolling)
     for constraint, touched in zip(every, touched_by_constraints(model), strict=True):
-        moving = [q for q in model.coordinates if constraint.has(q)]
-        is_same = all(q in shifts for q in moving) and not constraint.has(model.time)
-        if (
-            constraint in model.rolling
-            and touched & matched
-            and not (is_same and is_invariant_under_shifts(constraint, {q: shifts[q] for q in moving}))
-        ):
-            raise BoundaryError(
-                f"the rolling constraint {constraint} = 0 is not the same at both ends of a periodic motion",
-                "make its coordinates periodic, with shifts that leave it unchanged",
-            )
+        if constraint in model.rolling and touched & matched:
+            moving = {q: shifts.get(q) for q in model.coordinates if constraint.has(q)}
+            known = {q: shift for q, shift in moving.items() if shift is not None}
+            is_same = known == moving and is_invariant_under_shifts(constraint, known)
+            if constraint.has(model.time) or not is_same:
+                raise BoundaryError(
+                    f"the rolling constraint {constraint} = 0 is not the same at both ends of a periodic motion",
+                    "make its coordinates periodic, with shifts that leave it unchanged",
+                )
         if indices & touched:
             listed = " ".join(model.rates[i].name for i in sorted(touched))
             raise BoundaryError(
