@@ -17,7 +17,7 @@ from codegen.drawing import Mass, Rod, Trail
 
 def problem() -> Simulate:
     (x, y, phi, theta, psi), (dx, dy, dphi, dtheta, dpsi) = coordinates("x y phi theta psi")
-    m, r, g, lean, turn, wobble, T = parameters(m=1, r=0.5, g=9.81, lean=0.3, turn=1.5, wobble=0.8, duration=8)
+    m, r, g, lean, turn, wobble = parameters(m=1, r=0.5, g=9.81, lean=0.3, turn=1.5, wobble=0.8)
     A, C = m * r**2 / 4, m * r**2 / 2
     # The centre is above the point of contact by r, along the leaning disc.
     vx = dx - r * (cos(theta) * sin(phi) * dtheta + sin(theta) * cos(phi) * dphi)
@@ -32,7 +32,7 @@ def problem() -> Simulate:
         + C * (dpsi - dphi * sin(theta)) ** 2 / 2
         - m * g * r * cos(theta),
         rolling=[dx - r * cos(phi) * dpsi, dy - r * sin(phi) * dpsi],
-        duration=T,
+        duration=8,
         start={x: 0, y: 0, phi: 0, theta: lean, psi: 0} | {dx: r * spin, dy: 0, dphi: turn, dtheta: wobble, dpsi: spin},
         steps=800,
         # Seen from above: the path of the contact, the edge of the disc, and its axle.

@@ -17,7 +17,7 @@ from codegen.drawing import Rod, Trail
 def problem() -> Control:
     (x, y, theta, psi, phi), (dx, dy, dtheta, dpsi, dphi) = coordinates("x y theta psi phi")
     u_psi, u_phi = controls("u_psi u_phi")  # the torques that turn body and wheels
-    m, half, J_body, J_wheel, d, T = parameters(m=1, l=0.5, J_body=0.1, J_wheel=0.01, d=0.3, duration=4)
+    m, half, J_body, J_wheel, d, T = parameters(m=1, l=0.5, J_body=0.1, J_wheel=0.01, d=0.3, T=4)
     t = time()
     front, back = ((cos(theta + a), sin(theta + a)) for a in (phi, -phi))  # the directions in which the wheels roll
     pivots = [(x + s * half * cos(theta), y + s * half * sin(theta)) for s in (1, -1)]
