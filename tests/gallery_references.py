@@ -218,6 +218,14 @@ REFERENCES = (
         limit=291.68484,
     ),
     Reference(
+        "snakeboard",
+        {40: 0.079076194923, 80: 0.0778035644047, 160: 0.0774883470721},
+        value=0.0773835,
+        error=2e-4,
+        source="optimum by multiple shooting with RK4, CasADi and IPOPT (tests/benchmarks/rolling.py)",
+        limit=0.0773835,
+    ),
+    Reference(
         "betts_10_7",
         {100: 6.56038563029, 200: 6.68095299246, 400: 6.71315673735},
         value=6.724113810,

@@ -89,8 +89,8 @@ class Rates:
     """The rates of functions along the motion of a model, whose rates have the values `velocities` at the left node.
 
     `velocities` and `left` are the rates in terms of the state at the left node, and the symbols of this state.
-    `constraint_rates` are the time derivatives of the holonomic constraints. `linear` has assignments and velocities of
-    a large mass matrix that is not inverted, as functions of the left node.
+    `constraint_rates` are the time derivatives of holonomic constraints, and the rolling constraints. `linear` has
+    assignments and velocities of a large mass matrix that is not inverted, as functions of the left node.
     """
 
     def __init__(

@@ -326,7 +326,7 @@ class ControlProgram:
 
     @property
     def holonomic_multipliers(self) -> tuple[Unknown, ...]:
-        """The unknowns of a node that are forces of holonomic constraints."""
+        """The unknowns of a node that are forces of constraints, first of holonomic constraints."""
         return tuple(unknown for unknown in self.node if unknown.kind is Kind.NORMAL_FORCE)
 
     def in_time(self, expression: Expr) -> Expr:
@@ -364,9 +364,10 @@ class ControlProgram:
 
 @dataclass(frozen=True)
 class ConstraintAtNode:
-    """A holonomic constraint at the left node of a step: its name, value c, rate dc/dt and gradient dc/dq.
+    """A constraint at the left node of a step: its name, value c, rate dc/dt and gradient dc/dq.
 
-    The terms of the rate are at most of the size `scale`.
+    A rolling constraint has the value zero, and A v + b in place of the rate. The terms of the rate are at most of the
+    size `scale`.
     """
 
     name: str
@@ -394,7 +395,7 @@ class StepProgram:
     `guess` is the initial guess of Newton's method. `energy` is the Hamiltonian at the left node, or None for
     first-order dynamics. `start` is the initial state in terms of the parameters and the symbols of `start_values`.
 
-    With holonomic constraints, the forces along their normals at both nodes are values inside the step, and
+    With constraints, the forces along their normals at both nodes are values inside the step, and
     `holonomic_multipliers` are their names without the suffix of a node. `constraints` are read from the left node.
     So are `events` and `gaps`, which may also contain symbols of `event_assignments`.
 

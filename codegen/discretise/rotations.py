@@ -13,8 +13,8 @@ in the frame of the body, with mu = dL/dw and with the torque M of forces and of
     pi_k1 = (1 - |b|^2) mu - 2 b x mu + 2 b (b . mu) + h/2 (M - b x M)
 
 for the midpoint rule. The state has the momentum p = 2 q pi of the quaternion, which is perpendicular to q. Further
-holonomic constraints have impulses at both nodes, as in `simulation`. The equations have neither a singular attitude
-nor a multiplier for the length of q.
+holonomic constraints, and rolling constraints, have impulses at both nodes, as in `simulation`. The equations have
+neither a singular attitude nor a multiplier for the length of q.
 
 Sources: Lee, Leok and McClamroch (2007), Lie group variational integrators for the full body problem in orbital
 mechanics; Bou-Rabee and Marsden (2009), Hamilton-Pontryagin integrators on Lie groups; Schaub and Junkins (1996),
@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import sympy
@@ -98,9 +99,9 @@ def half_imaginary(left: Sequence[Expr], right: Sequence[Expr]) -> Matrix:
     return Matrix(product(conjugate(left), right)[1:]) / 2
 
 
-def in_body_rates(model: Model, rates: Mapping[tuple[Symbol, ...], Sequence[Symbol]]) -> Expr:
-    """Return L in x, v, q and the angular velocities `rates` of all attitudes, in place of the velocities of q."""
-    velocity, function = dict(zip(model.coordinates, model.rates, strict=True)), model.function
+def in_body_rates(model: Model, function: Expr, rates: Mapping[tuple[Symbol, ...], Sequence[Symbol]]) -> Expr:
+    """Return a function of x, v, q and the angular velocities `rates` of all attitudes, without the velocities of q."""
+    velocity = dict(zip(model.coordinates, model.rates, strict=True))
     for quaternion, omega in rates.items():
         moving = [velocity[q] for q in quaternion]
         length = squared_length(quaternion)
@@ -133,11 +134,12 @@ def in_body_frames(model: Model) -> Model:
         rates=tuple(v for _, v in pairs),
         parameters=(*model.parameters, *(quaternion[0] for quaternion in model.rotations)),
         defaults=(*model.defaults, *(1.0 for _ in model.rotations)),
-        function=in_body_rates(model, rates),
+        function=in_body_rates(model, model.function, rates),
         force=(S.Zero,) * len(pairs),
         start=Boundary(free, free),
         end=None,
         holonomic=(),
+        rolling=(),
         rotations=(),
     )
 
@@ -197,15 +199,16 @@ def step_with_rotations(
     straight = [i for i, q in enumerate(model.coordinates) if q not in turning]
     places, speeds = [model.coordinates[i] for i in straight], [model.rates[i] for i in straight]
     v = at_nodes(speeds, "_k")
-    function = in_body_rates(model, {body.coordinates: body.rates for body in bodies})
+    body_rates = {body.coordinates: body.rates for body in bodies}
+    function = in_body_rates(model, model.function, body_rates)
     force = dict(zip(model.coordinates, model.force, strict=True))
-    joints = _Joints(model, bodies, places, speeds, function, names, at_right, p_right)
     mu = [Matrix([0, 0, 0]) for _ in bodies]
     push = [S.Zero for _ in places]
     moments = {sign: [Matrix([0, 0, 0]) for _ in bodies] for sign in (1, -1)}
     kicks = {sign: [S.Zero for _ in places] for sign in (1, -1)}
+    points = []
     for point in rule.points:
-        c, weight = sympy.nsimplify(point.abscissa), point.weight
+        c = sympy.nsimplify(point.abscissa)
         here: dict[Any, Expr] = {x: at_left[x] + c * STEP * y for x, y in zip(places, v, strict=True)}
         here |= dict(zip(speeds, v, strict=True)) | {model.time: model.time + c * STEP}
         lengths = dict[Any, Expr]()
@@ -214,10 +217,11 @@ def step_with_rotations(
             length = squared_length(body.coordinates)
             lengths[length] = turned.pop(length)
             here |= turned
-
-        def value(expression: Expr, here: dict[Any, Expr] = here, lengths: dict[Any, Expr] = lengths) -> Expr:
-            return expression.xreplace(lengths).xreplace(here)
-
+        points.append((c, point.weight, partial(_at_point, lengths, here)))
+    slips = [in_body_rates(model, each, body_rates) for each in model.rolling]
+    means = [Add(*(weight * value(slip) for _, weight, value in points)) for slip in slips]
+    joints = _Joints(model, bodies, places, speeds, function, names, at_right, p_right, slips, means)
+    for c, weight, value in points:
         for i, body in enumerate(bodies):
             mu[i] += weight * Matrix([value(slope) for slope in gradient(function, body.rates)])
             # The length of q counts as constant, because a change of it does no work.
@@ -282,8 +286,15 @@ def step_with_rotations(
     )
 
 
+def _at_point(lengths: Mapping[Any, Expr], here: Mapping[Any, Expr], expression: Expr) -> Expr:
+    return expression.xreplace(lengths).xreplace(here)
+
+
 class _Joints:
-    """The holonomic constraints besides the lengths of quaternions, with impulses h/2 kappa at both nodes.
+    """The constraints besides the lengths of quaternions, with impulses h/2 kappa at both nodes.
+
+    Holonomic constraints come first, then the rolling constraints `slips`, in the rates of bodies, with their `means`
+    on the step.
 
     `solved` are equations for the `unknowns`, in the same order: impulses at the left node, velocities and angular
     velocities at the right node, impulses there, and the forces kappa. `written` are those for the `stages`.
@@ -299,10 +310,14 @@ class _Joints:
         names: Names,
         at_right: Mapping[Symbol, Symbol],
         p_right: Mapping[Symbol, Symbol],
+        slips: Sequence[Expr],
+        means: Sequence[Expr],
     ) -> None:
         lengths = [squared_length(body.coordinates) - 1 for body in bodies]
-        self.constraints = [c for c in model.holonomic if c not in lengths]
-        self.model, self.bodies, self.places = model, bodies, places
+        held = [c for c in model.holonomic if c not in lengths]
+        self.constraints = [*held, *slips]
+        self.model, self.places, self.slips = model, places, slips
+        self.speeds = dict(zip(places, speeds, strict=True))
         kappa = [names.numbered("kappa") for _ in self.constraints]
         numbered = [names.numbered("impulse") for _ in self.constraints]
         self._kappa = {mark: symbols(kappa, mark) for mark in ("_k", "_k1")}
@@ -322,12 +337,15 @@ class _Joints:
         here[model.time] = model.time + STEP
         for body in bodies:
             here |= dict(zip(body.rates, body.rates_right, strict=True))
-        positions = [c.xreplace(here) for c in self.constraints]
+        positions = [*(c.xreplace(here) / STEP for c in held), *means]
         rates = []
-        for c in self.constraints:
+        for c in held:
             moving = [sympy.diff(c, x) * speed for x, speed in zip(places, speeds, strict=True)]
             moving += [self._slope(c, body).dot(Matrix(body.rates)) for body in bodies]
             rates.append(Add(sympy.diff(c, model.time), *moving).xreplace(here))
+        rates += [slip.xreplace(here) for slip in slips]
+        titles = [*(f"constraint {text(c)}" for c in held), *(f"mean of {text(c)}" for c in model.rolling)]
+        leaving = [*(f"rate of constraint {text(c)}" for c in held), *map(text, model.rolling)]
         transforms = [
             (y, p_right[x] - sympy.diff(function, speed).xreplace(here))
             for x, speed, y in zip(places, speeds, self._speeds, strict=True)
@@ -339,20 +357,26 @@ class _Joints:
         self.stages = (*self._kappa["_k"], *self._speeds, *self._spins, *self._kappa["_k1"])
         self.unknowns = (*self._impulse["_k"], *self._speeds, *self._spins, *self._impulse["_k1"], *self.force_of)
         self.written = [
-            *((f"constraint {text(c)}", value) for c, value in zip(self.constraints, positions, strict=True)),
+            *zip(titles, positions, strict=True),
             *((f"{y} of momenta", value) for y, value in transforms),
-            *((f"rate of constraint {text(c)}", rate) for c, rate in zip(self.constraints, rates, strict=True)),
+            *zip(leaving, rates, strict=True),
         ]
         self.solved = [
-            *(value / STEP for value in positions),
+            *positions,
             *(value for _, value in transforms),
             *rates,
             *(k - value for k, value in self.force_of.items()),
         ]
 
     def _slope(self, constraint: Expr, body: _Attitude) -> Matrix:
-        """Return the derivative of a constraint along rotations of a body in its frame."""
+        """Return the derivative of a constraint along rotations of a body in its frame, or the coefficients of w."""
+        if constraint in self.slips:
+            return Matrix(gradient(constraint, body.rates))
         return half_imaginary(body.coordinates, gradient(constraint, body.coordinates))
+
+    def _along(self, x: Symbol, constraint: Expr) -> Expr:
+        """Return the derivative of a constraint by a coordinate, or the coefficient of its velocity."""
+        return sympy.diff(constraint, self.speeds[x] if constraint in self.slips else x)
 
     def in_forces(self, expression: Expr) -> Expr:
         """Return an expression of impulses in terms of the forces kappa."""
@@ -370,11 +394,11 @@ class _Joints:
 
     def left_impulse(self, x: Symbol) -> Expr:
         """Return the impulse on a coordinate x at the left node."""
-        return Add(*self._force(lambda c: sympy.diff(c, x), "_k")).xreplace(self._at("_k"))
+        return Add(*self._force(partial(self._along, x), "_k")).xreplace(self._at("_k"))
 
     def right_impulse(self, x: Symbol) -> Expr:
         """Return the impulse on a coordinate x at the right node."""
-        return Add(*self._force(lambda c: sympy.diff(c, x), "_k1")).xreplace(self._at("_k1"))
+        return Add(*self._force(partial(self._along, x), "_k1")).xreplace(self._at("_k1"))
 
     def left_moment(self, body: _Attitude) -> Matrix:
         """Return the angular impulse on a body at the left node, in its frame."""

@@ -19,6 +19,9 @@ the trapezoidal rule and a constant mass matrix the scheme is RATTLE. The impuls
 the forces, whose rounding errors grow like 1/h^2. Source: Hairer, Lubich and Wanner (2006), VII.1.3 and VII.1.4;
 Marsden and West (2001), section 3.5.
 
+A rolling constraint A(q, t) v + b(q, t) = 0 has A in place of G, and its mean on the step in place of c(q_k1) = 0; see
+`conditions/rolling.py`.
+
 Explicit elimination leaves to Newton's method only the unknowns without a symbolic solution. Equation i belongs to
 unknown i: for a consistent scheme the coefficient of the unknown is 1 + O(h), or an entry of the mass matrix, and does
 not vanish. An equation that is linear in an unknown is solved for it, and the solution is substituted into the other
@@ -33,7 +36,7 @@ of assignments, needs about n^3/6 products. Source: Golub and Van Loan (2013), M
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import lru_cache
@@ -43,7 +46,7 @@ import sympy
 from sympy import Add, Expr, S, Symbol, diff, expand, expand_mul
 
 from codegen.discretise import events
-from codegen.discretise.conditions import holonomic
+from codegen.discretise.conditions import holonomic, rolling
 from codegen.discretise.forms import with_symbolic_boundaries
 from codegen.discretise.interval import (
     STEP,
@@ -434,7 +437,8 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         if model.form == "lagrangian":
             moving = at_left or rates_of_change(phase, left)[: len(moving)]
         linear = (assigned, moving) if stepwise else None
-        found = events.at_node(model, events.Rates(model, left, moving, holonomic.rates(model), linear))
+        held = (*holonomic.rates(model), *model.rolling)
+        found = events.at_node(model, events.Rates(model, left, moving, held, linear))
     kind = Kind.COORDINATE if is_mechanical else Kind.STATE
     kinds = [*((kind, q) for q in phase.coordinates), *((Kind.MOMENTUM, p) for p in phase.rates)]
     solution = step.solution
@@ -493,16 +497,27 @@ def _phase_space(model: Model, method: str) -> tuple[Model, PhaseFunctions | Non
 
 
 def _constraints(model: Model, left: Sequence[Symbol], velocities: Sequence[Expr]) -> tuple[ConstraintAtNode, ...]:
-    """Return the holonomic constraints at the left node, where the coordinates have the given velocities."""
+    """Return the constraints at the left node, where the coordinates have the given velocities.
+
+    A rolling constraint A v + b has the value zero, the rate A v + b and the gradient A.
+    """
     positions = dict(zip(model.coordinates, left, strict=False))
     at_node = {**positions, **dict(zip(model.rates, velocities, strict=True))}
     speed = sympy.sqrt(Add(*(v**2 for v in velocities)))
+    at_rest = dict.fromkeys(model.rates, S.Zero)
+    held = [
+        *(
+            (c, c, rate, gradient(c, model.coordinates), diff(c, model.time))
+            for c, rate in zip(model.holonomic, holonomic.rates(model), strict=True)
+        ),
+        *((c, S.Zero, c, rolling.coefficients(model, c), c.xreplace(at_rest)) for c in model.rolling),
+    ]
     rows = list[ConstraintAtNode]()
-    for c, rate in zip(model.holonomic, holonomic.rates(model), strict=True):
-        slopes = tuple(slope.xreplace(positions) for slope in gradient(c, model.coordinates))
-        by_time = diff(c, model.time).xreplace(positions)
-        scale = speed * sympy.sqrt(Add(*(slope**2 for slope in slopes))) + sympy.sqrt(by_time**2)
-        rows.append(ConstraintAtNode(text(c), c.xreplace(positions), rate.xreplace(at_node), scale, slopes))
+    for c, value, rate, normal, drift in held:
+        slopes = tuple(slope.xreplace(positions) for slope in normal)
+        rate_at_rest = drift.xreplace(positions)
+        scale = speed * sympy.sqrt(Add(*(slope**2 for slope in slopes))) + sympy.sqrt(rate_at_rest**2)
+        rows.append(ConstraintAtNode(text(c), value.xreplace(positions), rate.xreplace(at_node), scale, slopes))
     return tuple(rows)
 
 
@@ -516,7 +531,7 @@ def _variational_step(
 ) -> _Step:
     interval = variational_interval(model, scheme)
     holonomic.require_no_inner_points(model, interval.inner, scheme.name)
-    normal = _NormalForces(model, left, right)
+    normal = _NormalForces(model, scheme, left, right)
     dimension = len(model.coordinates)
     impulses = normal.constraints.force("_k"), normal.constraints.force("_k1")
     transforms = [
@@ -558,11 +573,11 @@ def _variational_step(
         *(in_velocities(value) for value in interval.inner_balance),
         *(q1 - value for q1, value in arrival.items()),
         *(p - i - in_velocities(value) for p, i, value in zip(right[dimension:], gained, arriving, strict=True)),
-        *normal.solved,
+        *normal.solved(in_velocities),
     ]
     unknowns = (*velocities, *arrival, *right[dimension:], *normal.unknowns)
     guesses = dict(zip(velocities, list(mean_velocities) * (1 + len(points)), strict=True))
-    if model.holonomic:  # elimination may leave any of the unknowns
+    if model.holonomic or model.rolling:  # elimination may leave any of the unknowns
         guesses |= {q1: q + STEP * v for q1, q, v in zip(right, left, mean_velocities, strict=False)}
         guesses |= dict(zip(right[dimension:], left[dimension:], strict=True))
         guesses |= dict.fromkeys(normal.unknowns, S.Zero) | dict(zip(normal.velocities, left_velocities, strict=True))
@@ -597,13 +612,13 @@ def _rotating_step(
 
 
 class _NormalForces:
-    """The forces kappa of holonomic constraints at both nodes of a step, and the velocities at the right node.
+    """The forces kappa of constraints at both nodes of a step, and the velocities at the right node.
 
     `equations` of the scheme, with names, determine the `stages`: kappa at the left node, velocities and kappa at the
-    right node. `solved` are equations for the `unknowns` in the same order, for an elimination.
+    right node. `solved` returns equations for the `unknowns` in the same order, for an elimination.
     """
 
-    def __init__(self, model: Model, left: Sequence[Symbol], right: Sequence[Symbol]) -> None:
+    def __init__(self, model: Model, scheme: Scheme, left: Sequence[Symbol], right: Sequence[Symbol]) -> None:
         names, dimension = Names(model), len(model.coordinates)
         self.constraints = holonomic.Constraints(model, names)
         multipliers = [unknown.name for unknown in self.constraints.kappa]
@@ -615,15 +630,19 @@ class _NormalForces:
         at_right: dict[Symbol, Expr] = dict(zip(model.coordinates, right, strict=False))
         at_right |= dict(zip(model.rates, self.velocities, strict=False))
         at_right[model.time] = model.time + STEP
-        positions = [c.xreplace(at_right) for c in model.holonomic]
-        rates = [rate.xreplace(at_right) for rate in holonomic.rates(model)]
+        self._positions = [c.xreplace(at_right) for c in model.holonomic]
+        self._means = rolling.discrete(model, scheme) if model.rolling else []
+        self._rates = [rate.xreplace(at_right) for rate in (*holonomic.rates(model), *model.rolling)]
         momenta = [value.xreplace(at_right) for value in gradient(model.function, model.rates)]
         transforms = [p - value for p, value in zip(right[dimension:], momenta, strict=True)] if multipliers else []
+        self._transforms = transforms
         self.stages = (*forces[0], *self.velocities, *forces[1])
+        holding = [*(f"constraint {text(c)}" for c in model.holonomic), *(f"mean of {text(c)}" for c in model.rolling)]
+        leaving = [*(f"rate of constraint {text(c)}" for c in model.holonomic), *(text(c) for c in model.rolling)]
         self.equations = [
-            *((f"constraint {text(c)}", value) for c, value in zip(model.holonomic, positions, strict=True)),
+            *zip(holding, (*self._positions, *self._means), strict=True),
             *((f"{v} of momenta", value) for v, value in zip(self.velocities, transforms, strict=True)),
-            *((f"rate of constraint {text(c)}", rate) for c, rate in zip(model.holonomic, rates, strict=True)),
+            *zip(leaving, self._rates, strict=True),
         ]
         self._impulses: dict[Symbol, Expr] = {
             kappa: 2 * impulse / STEP
@@ -631,10 +650,14 @@ class _NormalForces:
             for kappa, impulse in zip(*pair, strict=True)
         }
         self.unknowns = (*impulses[0], *self.velocities, *impulses[1], *self._impulses)
-        self.solved = [
-            *(value / STEP for value in positions),
-            *transforms,
-            *rates,
+
+    def solved(self, in_velocities: Callable[[Expr], Expr]) -> list[Expr]:
+        """Return the equations for the unknowns; the function replaces differences of positions by velocities."""
+        return [
+            *(value / STEP for value in self._positions),
+            *map(in_velocities, self._means),
+            *self._transforms,
+            *self._rates,
             *(kappa - value for kappa, value in self._impulses.items()),
         ]
 

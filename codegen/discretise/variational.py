@@ -63,11 +63,12 @@ class EndConditions:
 def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgram:
     """Return the program with unknowns q and lambda at nodes, and u on intervals (or at nodes).
 
-    Holonomic constraints add kappa and eta to the nodes. Raises the errors of the Legendre transform, and BoundaryError
-    for conditions that do not fit together.
+    Holonomic constraints add kappa and eta to the nodes, rolling constraints kappa and zeta. Raises the errors of the
+    Legendre transform, and BoundaryError for conditions that do not fit together.
     """
     model, boundary_values = with_symbolic_boundaries(in_velocities(original))
     names, guesses = Names(model), coordinate_guess(model)
+    values = {value.symbol: value.value for value in boundary_values}
     constraints = Constraints(model, names)
     equalities = path.nodal_equalities(model, nodal_conditions(model, equality=True), "y", names)
     periodic = periodic_unknowns(model, model.coordinates, guesses, names)
@@ -76,7 +77,7 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
         periodic += periodic_momenta(original, model, names)
     else:
         periodic += periodic_velocities(model, names)
-        require_constraints_return(model, periodic)
+        require_constraints_return(model, periodic, values)
     shared = shared_unknowns(model, periodic, guesses, names)
     assert model.end is not None, "a control problem has an end"
     at_start = (*model.start_conditions, *path.start_inequalities(model), *periodic.start_conditions)
@@ -88,7 +89,6 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
         EndConditions("_k1", -1, model.end, at_end, model.terminal_cost, momenta[1], aliased[1]),
     )
     matched = [_matched_indices(model, e, constraints) for e in ends]
-    values = {value.symbol: value.value for value in boundary_values}
     optimised = {own.symbol for own in shared.all}
     start, end = (
         _momentum_end(model, e, indices, constraints, values, optimised, names)
@@ -98,7 +98,7 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
         model,
         _motion(model, scheme, controls, constraints),
         boundary_values,
-        constraints.nodal_terms((matched[0], matched[1]), (set(momenta[0]), set(momenta[1]))) + equalities,
+        constraints.nodal_terms((matched[0], matched[1]), (set(momenta[0]), set(momenta[1])), scheme) + equalities,
         start,
         end + End(element=periodic.end_share),
         shared,
@@ -109,8 +109,8 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
 def _matched_indices(model: Model, end: EndConditions, constraints: Constraints) -> set[int]:
     """Return the indices of coordinates whose discrete momentum at an end matches the momentum of a velocity.
 
-    The velocity is prescribed, or a condition, the terminal cost, another matched momentum or a holonomic constraint
-    with a matched velocity depends on it.
+    The velocity is prescribed, or a condition, the terminal cost, another matched momentum, or a constraint with a
+    matched velocity, depends on it.
     """
     momentum = gradient(model.function, model.rates)
     matched = {i for i, value in enumerate(end.boundary.rates) if value is not None}
@@ -221,9 +221,10 @@ def _left_velocities(model: Model, interval: VariationalInterval) -> tuple[Expr,
     Raises BoundaryError where constraints divide the momentum of a node between its intervals, and the errors of the
     transform.
     """
-    if model.holonomic:
+    if model.holonomic or model.rolling:
+        words = "holonomic" if model.holonomic else "rolling"
         raise BoundaryError(
-            "a condition at an inner time depends on velocities, beside holonomic constraints",
+            f"a condition at an inner time depends on velocities, beside {words} constraints",
             "write it in coordinates, or as path condition",
         )
     at_left: dict[Symbol, Expr] = dict(zip(model.coordinates, at_nodes(model.coordinates, "_k"), strict=True))

@@ -49,6 +49,7 @@ def together(
     start_conditions: Relations = (),
     end_conditions: Relations = (),
     constraint: Sequence[Expression] = (),
+    rolling: Sequence[Expression] = (),
     drawing: Sequence[Item] = (),
 ) -> Control:
     """Combine the control problems of several bodies, each with its own coordinates, into one problem.
@@ -64,7 +65,7 @@ def together(
         Term that is added to the Lagrangian (minus a potential energy) or to the Hamiltonian.
     cost, terminal_cost, maximise, terminal_maximise : expression
         Costs in addition to the costs of the bodies.
-    path, integral, at, waypoints, start_conditions, end_conditions, constraint
+    path, integral, at, waypoints, start_conditions, end_conditions, constraint, rolling
         Relations between quantities of several bodies, as for Control.
     drawing : sequence of Item
         Items of the drawing in addition to the drawings of the bodies.
@@ -121,6 +122,7 @@ def together(
         start_conditions=listed("start_conditions", start_conditions),
         end_conditions=listed("end_conditions", end_conditions),
         constraint=listed("constraint", constraint),
+        rolling=listed("rolling", rolling),
         drawing=[*chain.from_iterable(body.drawing for body in bodies), *drawing],
     )
 

@@ -167,6 +167,11 @@ class Simulate(Problem):
         Holonomic constraints c(q) = 0 of a Lagrangian system, which the values at the start must satisfy, and their
         time derivatives too. Every stored state satisfies both to rounding. The scheme is midpoint, trapezoidal
         (RATTLE for a constant mass matrix) or rectangle, or a composition of midpoint or trapezoidal.
+    rolling : list of expressions
+        Constraints a(q, t) dq + b(q, t) = 0 on the velocities of a Lagrangian system, as in
+        `[dx*sin(phi) - dy*cos(phi)]` for a blade. Their forces follow the principle of Lagrange and d'Alembert. The
+        velocities at the start must satisfy them, and those of every stored state do to rounding. The schemes are
+        those of `constraint`.
     events : dict
         Events by name: expressions whose first zero ends the motion, or an Event with another effect. A value of zero
         at the start is no event. The time of an event is found to rounding.
@@ -185,6 +190,7 @@ class Simulate(Problem):
 
     _: KW_ONLY
     constraint: Sequence[Expression] = ()
+    rolling: Sequence[Expression] = ()
     events: Mapping[str, Expression | Event] = field(default_factory=dict)
     unilateral: Relations = ()
     restitution: Expression | Sequence[Expression] = 1
@@ -236,6 +242,8 @@ class Control(Problem):
         bound.
     constraint : list of expressions
         Holonomic constraints c(q) = 0 of a Lagrangian system.
+    rolling : list of expressions
+        Constraints a(q, t) dq + b(q, t) = 0 on the velocities of a Lagrangian system, as for `Simulate`.
     periodic : list or dict
         Quantities that have the same value at T and at 0; a dict has the value at T minus the value at 0 for each.
     history : dict
@@ -272,6 +280,7 @@ class Control(Problem):
     at: Mapping[Expression, Relations] = field(default_factory=dict)
     waypoints: Sequence[Relations | Waypoint] = ()
     constraint: Sequence[Expression] = ()
+    rolling: Sequence[Expression] = ()
     periodic: Values | Sequence[Expression] = ()
     history: Values = field(default_factory=dict)
     bodies: int = 1

@@ -145,6 +145,7 @@ class Kind(StrEnum):
     BOUND = Role.MULTIPLIER, "the bound {}", Place.INTERVAL
     NODAL = Role.MULTIPLIER, "{}", Place.OWN
     CONSTRAINT = Role.MULTIPLIER, "the constraint {}", Place.OWN
+    ROLLING = Role.MULTIPLIER, "the rolling constraint {} before a node", Place.OWN
     START_CONDITION = Role.MULTIPLIER, "{}", Place.START
     END_CONDITION = Role.MULTIPLIER, "{}", Place.END
     SWITCH_CONDITION = Role.MULTIPLIER, "{}", Place.SWITCH
@@ -496,7 +497,9 @@ class SimulationRecord(Record):
     momenta, node, stages, unknowns : tuple of str
         Names of momenta, of the state at a node, of values inside a step, and of the unknowns of a step.
     constraints : tuple of str
-        The holonomic constraints, as expressions that vanish.
+        The holonomic constraints, then the rolling constraints, as expressions that vanish.
+    rolling : tuple of str
+        The rolling constraints among them.
     events, gaps : tuple of str
         Names of the events, and of the gaps that do not become negative.
     """
@@ -508,6 +511,7 @@ class SimulationRecord(Record):
     stages: tuple[str, ...] = ()
     unknowns: tuple[str, ...] = ()
     constraints: tuple[str, ...] = ()
+    rolling: tuple[str, ...] = ()
     events: tuple[str, ...] = ()
     gaps: tuple[str, ...] = ()
 

@@ -15,13 +15,15 @@ from sympy.simplify.fu import TR8
 
 from codegen.discretise import schemes, transcribe
 from codegen.discretise.conditions import CONDITIONS
+from codegen.discretise.conditions.holonomic import Constraints
+from codegen.discretise.conditions.rolling import discrete
 from codegen.discretise.interval import STEP, at_nodes, one_step_interval, repeated, variational_interval
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Bounds, Model, prescribed
 from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.discretise.particles import pairwise
-from codegen.discretise.program import ControlProgram, StepProgram
+from codegen.discretise.program import ControlProgram, Names, StepProgram
 from codegen.problem.sources import Source, settings_of, source_of
 from codegen.runtime.record import EventAction
 from codegen.show.notation import WIDTH, Block, Notation, written
@@ -121,6 +123,11 @@ _EULER_LAGRANGE = (
     "d/dt ∂L/∂v - ∂L/∂q - f = 0, written out",
     r"$\frac{d}{dt} \partial L/\partial v - \partial L/\partial q - f = 0$, written out",
 )
+_CONSTRAINED = (
+    "d/dt ∂L/∂v - ∂L/∂q - f - Gᵀκ = 0 with the forces κ of the constraints, written out",
+    r"$\frac{d}{dt} \partial L/\partial v - \partial L/\partial q - f - G^T \kappa = 0$ with the forces $\kappa$ of the"
+    " constraints, written out",
+)
 _LEGENDRE = (
     "pₖ = -D₁ Ld(qₖ, qₖ₊₁) - f⁻,  pₖ₊₁ = D₂ Ld(qₖ, qₖ₊₁) + f⁺",
     r"$p_k = -D_1 L_d(q_k, q_{k+1}) - f^-$, $p_{k+1} = D_2 L_d(q_k, q_{k+1}) + f^+$",
@@ -128,6 +135,11 @@ _LEGENDRE = (
 _BALANCE = (
     "D₂ Ld(qₖ₋₁, qₖ) + D₁ Ld(qₖ, qₖ₊₁) + f⁺ₖ₋₁ + f⁻ₖ = 0 for k = 1, ..., N - 1, written out",
     r"$D_2 L_d(q_{k-1}, q_k) + D_1 L_d(q_k, q_{k+1}) + f^+_{k-1} + f^-_k = 0$ for $k = 1, \dots, N - 1$, written out",
+)
+_CONSTRAINED_BALANCE = (
+    "D₂ Ld(qₖ₋₁, qₖ) + D₁ Ld(qₖ, qₖ₊₁) + f⁺ₖ₋₁ + f⁻ₖ + h G(qₖ)ᵀκₖ = 0 for k = 1, ..., N - 1, written out",
+    r"$D_2 L_d(q_{k-1}, q_k) + D_1 L_d(q_k, q_{k+1}) + f^+_{k-1} + f^-_k + h G(q_k)^T \kappa_k = 0$"
+    r" for $k = 1, \dots, N - 1$, written out",
 )
 _MAXIMISED = ("the cost is minus what is to be greatest",) * 2
 _MOMENTA = ("the discrete momenta of the first and last node are those of the prescribed velocities",) * 2
@@ -251,13 +263,14 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
     elif letter == "L":
         q, v = model.coordinates, model.rates
         accelerations = [_named(f"acceleration {x}") for x in q]
-        balances = []
-        for x, w, f in zip(q, v, model.force, strict=True):
+        balances, constraints = [], Constraints(model, Names(model))
+        for x, w, f, normal in zip(q, v, model.force, constraints.along, strict=True):
             momentum = sympy.diff(model.function, w)
             rate = sympy.diff(momentum, model.time)
             rate += sum(sympy.diff(momentum, y) * z for y, z in zip((*q, *v), (*v, *accelerations), strict=True))
-            balances.append((_named("0"), _shortest(rate - sympy.diff(model.function, x) - f)))
-        yield Block(f"{forced}Euler-Lagrange equations", tuple(balances), (_EULER_LAGRANGE,))
+            balances.append((_named("0"), _shortest(rate - sympy.diff(model.function, x) - f - normal)))
+        remark = _CONSTRAINED if constraints.kappa else _EULER_LAGRANGE
+        yield Block(f"{forced}Euler-Lagrange equations", tuple(balances), (remark,))
     else:
         slopes = [f - sympy.diff(model.function, q) for q, f in zip(model.coordinates, model.force, strict=True)]
         field = [*(sympy.diff(model.function, p) for p in model.rates), *slopes]
@@ -274,9 +287,9 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
     for event in authored.events:
         effects = {EventAction.STOP: "The event ends the motion.", EventAction.RECORD: "The event is only recorded."}
         changes = tuple((_named(f"{symbol}_after"), value) for symbol, value in event.changes)
-        remark = effects.get(event.action)
+        effect = effects.get(event.action)
         shown = ((_named("0"), event.expression), *changes)
-        yield Block(f"Event {event.name}", shown, ((remark, remark),) if remark else ())
+        yield Block(f"Event {event.name}", shown, ((effect, effect),) if effect else ())
     if authored.gaps:
         gaps = [(_named(f"gap_{i}"), gap.expression) for i, gap in enumerate(authored.gaps, 1)]
         factors = [(_named(f"restitution_{i}"), gap.restitution) for i, gap in enumerate(authored.gaps, 1)]
@@ -319,12 +332,15 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
         if sites.nodal:
             shift |= dict(zip(sites.right_controls, sites.left_controls, strict=True))
         shift[side.time] = side.time - STEP
-        balances = []
+        balances, constraints = [], Constraints(side, Names(side))
+        normal = [2 * impulse for impulse in constraints.force("_k")]
         for i in own:
             before = _shortest(interval.right_momentum[i].xreplace(shift))
-            balances.append((_named("0"), _shortest(before - _shortest(interval.left_momentum[i]))))
+            balances.append((_named("0"), _shortest(before - _shortest(interval.left_momentum[i]) + normal[i])))
         heading = ("Forced discrete" if any(side.force) else "Discrete") + " Euler-Lagrange equations"
-        yield Block(heading, tuple(balances), (_BALANCE,))
+        yield Block(heading, tuple(balances), (_CONSTRAINED_BALANCE if constraints.kappa else _BALANCE,))
+        if means := tuple((_named("0"), _shortest(mean)) for mean in discrete(side, scheme) if side.rolling):
+            yield Block("Discrete rolling constraints of an interval", means)
         if isinstance(program, StepProgram) and program.constraints:
             rows = [(_named("0"), _shortest(value)) for _, value in program.equations]
             yield Block("Equations of one step, with the forces of the constraints at both nodes", tuple(rows))

@@ -17,7 +17,7 @@ import sympy
 from sympy.logic.boolalg import Boolean
 from sympy.printing.latex import LatexPrinter
 
-from codegen.discretise.conditions import CONDITIONS, HOLONOMIC
+from codegen.discretise.conditions import CONDITIONS, SIMULATED
 from codegen.discretise.conditions.base import listed
 from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import ArgumentError, CodegenError
@@ -180,7 +180,7 @@ def _rows(
     for mapping, time in ((problem.start, print_.first), (getattr(problem, "end", {}), print_.last)):
         yield from (f"{print_.at(key, time)} &= {print_(value)}" for key, value in _items(mapping))
     if isinstance(problem, Simulate):
-        yield from HOLONOMIC.displayed(problem, print_)
+        yield from (row for kind in SIMULATED for row in kind.displayed(problem, print_))
         yield from (rf"&{print_.relation(gap)}\quad\text{{(gap)}}" for gap in listed(problem.unilateral))
         for _, event in _items(problem.events):
             yield rf"0 &= {print_(event.expression if isinstance(event, Event) else event)}\quad\text{{(event)}}"

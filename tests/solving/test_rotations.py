@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, ellipk
-from sympy import Matrix, diag, eye, pi, sin
+from sympy import Matrix, diag, eye, pi, sin, sqrt
 
 import codegen
 from codegen import (
@@ -187,6 +187,56 @@ def test_top_on_a_joint_agrees_with_eulers_equations():
         errors.append(float((last.inv() * exact).magnitude()))
         assert np.abs(result.q[-1, :3] - last.apply([0, 0, 1])).max() < 1e-12
     assert slopes(errors, steps) == pytest.approx(2, abs=0.15)
+
+
+def test_rolling_disc_as_a_pose_is_that_in_angles():
+    """The disc of `problems/rolling_disc.py`, whose angles are singular where it lies flat, by its attitude."""
+    theta, turn, wobble, r, m, g = 0.3, 1.5, 0.8, 0.5, 1.0, 9.81
+    A, C = m * r**2 / 4, m * r**2 / 2
+    spin = (m * g * r * np.sin(theta) / (turn * np.cos(theta)) - A * turn * np.sin(theta)) / (C + m * r**2)
+    spin += turn * np.sin(theta)
+    forward, up = np.array([1, 0, 0]), np.array([0, np.sin(theta), np.cos(theta)])
+    axle = np.cross(forward, up)
+    omega_space = turn * np.array([0, 0, 1]) - wobble * forward - spin * axle
+    start = np.column_stack([forward, up, axle])
+    (x, R), (v, omega) = pose("B")
+    e = R[:, 2]
+    outward = (Matrix([0, 0, 1]) - e[2] * e) / sqrt(1 - e[2] ** 2)
+    problem = Simulate(
+        lagrangian=m * v.dot(v) / 2 + omega.dot(diag(A, A, C) * omega) / 2 - m * g * x[2],
+        rolling=list(v - r * (R @ omega).cross(outward)),
+        duration=1,
+        start={
+            x: tuple(r * up),
+            v: tuple(np.cross(omega_space, r * up)),
+            R: start,
+            omega: tuple(start.T @ omega_space),
+        },
+    )
+    result = codegen.solve(problem, scheme="suzuki-4-of-midpoint", steps=400)
+    angles = codegen.solve(PROBLEMS / "rolling_disc.py", scheme="suzuki-4-of-midpoint", steps=3200)
+    assert result.status == angles.status == "solved"
+    px, py, phi, lean = (angles[name][:401] for name in ("x", "y", "phi", "theta"))
+    centre = np.column_stack(
+        [px - r * np.sin(lean) * np.sin(phi), py + r * np.sin(lean) * np.cos(phi), r * np.cos(lean)]
+    )
+    assert result.q[:, :3] == pytest.approx(centre, abs=1e-6)
+    assert result.summary["rolling_error"] < 1e-12
+
+
+def test_event_of_an_attitude():
+    """A sphere that turns steadily about its third axis, after a quarter of a turn."""
+    R, omega = rotation("R")
+    problem = Simulate(
+        lagrangian=omega.dot(omega) / 2,
+        duration=5,
+        start={R: eye(3), omega: (0, 0, 1)},
+        events={"quarter": R[0, 0]},
+        steps=100,
+    )
+    result = codegen.solve(problem, scheme="suzuki-4-of-midpoint")
+    assert result.events.names == ("quarter",)
+    assert result.t[-1] == pytest.approx(np.pi / 2, abs=1e-7)
 
 
 @pytest.mark.parametrize("frame", ["body", "space"])

@@ -10,13 +10,14 @@ from codegen.discretise.conditions.integral import Integrals
 from codegen.discretise.conditions.measurements import Observations
 from codegen.discretise.conditions.path import Path
 from codegen.discretise.conditions.periodic import PeriodicKind
+from codegen.discretise.conditions.rolling import Rolling
 
-HOLONOMIC = Holonomic()
-"""The only kind of conditions that simulations have."""
+SIMULATED: tuple[Holonomic | Rolling, ...] = (Holonomic(), Rolling())
+"""The kinds of conditions that simulations have."""
 
 CONDITIONS: tuple[ConditionKind, ...] = (
     Path(),
-    HOLONOMIC,
+    *SIMULATED,
     Integrals(),
     AtTimes(),
     Waypoints(),

@@ -25,6 +25,7 @@ from typing import ClassVar
 import sympy
 from sympy import Expr, S, Symbol
 
+from codegen.discretise.conditions import rolling
 from codegen.discretise.conditions.base import (
     ConditionKind,
     Latex,
@@ -39,7 +40,8 @@ from codegen.discretise.conditions.path import NodalTerms, nodal_equalities
 from codegen.discretise.interval import STEP, at_nodes
 from codegen.discretise.model.definitions import Boundary, Condition, Model
 from codegen.discretise.model.relations import Entry, relation_entries, text
-from codegen.discretise.program import Names, Unknown, occurring, symbols
+from codegen.discretise.program import Equation, Names, Unknown, occurring, symbols
+from codegen.discretise.schemes.base import Scheme
 from codegen.errors import ArgumentError, DegenerateError, ExpressionError, SchemeError
 from codegen.problem.problem import Control, Simulate
 from codegen.problem.symbols import Coordinate, Parameter, Time
@@ -110,26 +112,43 @@ class Holonomic(ConditionKind):
 
 
 class Constraints:
-    """The holonomic constraints of a model with the forces kappa and, in control problems, eta of every node."""
+    """The constraints of a model with the forces kappa of every node; in control problems also eta and zeta.
+
+    Holonomic constraints come first, then rolling constraints.
+    """
 
     def __init__(self, model: Model, names: Names) -> None:
-        """Name the forces; the attribute `touched` has the indices of the coordinates in each constraint."""
+        """Name the forces; the attribute `touched` has the indices of the coordinates on which each force acts."""
         self.model, self.names = model, names
+        self.rows = tuple(rolling.coefficients(model, c) for c in model.rolling)
         self.touched = tuple(occurring(model.coordinates, c) for c in model.holonomic)
+        self.touched += tuple({i for i, entry in enumerate(row) if entry != 0} for row in self.rows)
         self.kappa = tuple(
-            Unknown(names.numbered("kappa"), Meaning(Kind.NORMAL_FORCE, str(c))) for c in model.holonomic
+            Unknown(names.numbered("kappa"), Meaning(Kind.NORMAL_FORCE, str(c)))
+            for c in (*model.holonomic, *model.rolling)
         )
+
+    @property
+    def along(self) -> list[Expr]:
+        """The forces G^T kappa of all constraints; rolling constraints have A in place of the gradient G."""
+        kappa = [Symbol(unknown.name, real=True) for unknown in self.kappa]
+        potential = sum((k * c for k, c in zip(kappa, self.model.holonomic, strict=False)), S.Zero)
+        forces = [sympy.diff(potential, q) for q in self.model.coordinates]
+        for k, row in zip(kappa[len(self.model.holonomic) :], self.rows, strict=True):
+            forces = [force + k * entry for force, entry in zip(forces, row, strict=True)]
+        return forces
 
     def force(self, suffix: str) -> list[Expr]:
         """Return the impulse h/2 G^T kappa of the constraint force at the left (`_k`) or right (`_k1`) node."""
-        substitution = dict(zip(self.model.coordinates, at_nodes(self.model.coordinates, suffix), strict=True))
+        of_node = (*self.model.coordinates, *(Symbol(unknown.name, real=True) for unknown in self.kappa))
+        substitution = dict(zip(of_node, at_nodes(of_node, suffix), strict=True))
         if suffix == "_k1":
             substitution[self.model.time] = self.model.time + STEP
-        kappa = symbols([unknown.name for unknown in self.kappa], suffix)
-        potential = sum((k * c for k, c in zip(kappa, self.model.holonomic, strict=True)), S.Zero)
-        return [(STEP * sympy.diff(potential, q) / 2).xreplace(substitution) for q in self.model.coordinates]
+        return [(STEP * force / 2).xreplace(substitution) for force in self.along]
 
-    def nodal_terms(self, matched: tuple[set[int], set[int]], by_pi: tuple[set[int], set[int]]) -> NodalTerms:
+    def nodal_terms(
+        self, matched: tuple[set[int], set[int]], by_pi: tuple[set[int], set[int]], scheme: Scheme
+    ) -> NodalTerms:
         """Return the unknowns of nodes; kappa is zero at an end where no momentum of its coordinates is matched.
 
         `matched` and `by_pi` are, at start and end, the indices of momenta matched to velocities and to unknowns pi.
@@ -138,12 +157,18 @@ class Constraints:
         pairs = list(zip(self.kappa, self.touched, strict=True))
         conditions = [Condition(str(c), c) for c in self.model.holonomic]
         eta = nodal_equalities(self.model, conditions, "eta", self.names, Kind.CONSTRAINT)
+        zeta = tuple(Unknown(self.names.numbered("zeta"), Meaning(Kind.ROLLING, str(c))) for c in self.model.rolling)
+        means = rolling.discrete(self.model, scheme) if zeta else []
+        multipliers = [unknown.name for unknown in zeta]
         return NodalTerms(
-            unknowns=(*self.kappa, *eta.unknowns),
-            element=eta.element,
-            start_pins=(*eta.start_pins, *(k.name for k, t in pairs if not t & (matched[0] | by_pi[0]))),
+            unknowns=(*self.kappa, *eta.unknowns, *zeta),
+            element=sum((y * c for y, c in zip(symbols(multipliers, "_k1"), means, strict=True)), eta.element),
+            start_pins=(*eta.start_pins, *(k.name for k, t in pairs if not t & (matched[0] | by_pi[0])), *multipliers),
             end_pins=(*eta.end_pins, *(k.name for k, t in pairs if not t & matched[1] or t & by_pi[1])),
-            equations=eta.equations,
+            equations=(
+                *eta.equations,
+                *(Equation(mean, condition=u.meaning.subject) for u, mean in zip(zeta, means, strict=True)),
+            ),
         )
 
     def tangency(self, boundary: Boundary, matched: set[int], values: Mapping[Symbol, Expr]) -> tuple[Condition, ...]:
@@ -154,7 +179,7 @@ class Constraints:
         at least as many constraints as free coordinates must depend on no other free coordinate.
         """
         conditions, time = [], self.model.time
-        for constraint, touched in zip(self.model.holonomic, self.touched, strict=True):
+        for constraint, touched in zip(self.model.holonomic, self.touched, strict=False):
             if not touched & matched:
                 continue
             free = {i for i in touched if boundary.positions[i] is None}
@@ -173,6 +198,14 @@ class Constraints:
                 sympy.diff(constraint, time),
             )
             conditions.append(Condition(f"velocity along the constraint {constraint}", row))
+        of_rolling = zip(self.model.rolling, self.touched[len(self.model.holonomic) :], strict=True)
+        for constraint, touched in (pair for pair in of_rolling if pair[1] & matched):
+            fixed = [boundary.rates[i] for i in touched]
+            at_rest = constraint.xreplace(dict.fromkeys(self.model.rates, S.Zero))
+            rests = at_rest == 0 and all(v is not None and values.get(v) == 0 for v in fixed)
+            positions = [boundary.positions[i] for i in occurring(self.model.coordinates, constraint)]
+            if not rests and (None in fixed or None in positions):
+                conditions.append(Condition(f"rolling {constraint} = 0", constraint))
         return tuple(conditions)
 
 
@@ -185,18 +218,21 @@ def rates(model: Model) -> tuple[Expr, ...]:
 
 
 def require_no_inner_points(model: Model, inner: Sequence[Symbol], scheme: str) -> None:
-    """Raise SchemeError if a scheme with inner points is to discretise a model with holonomic constraints."""
-    if inner and model.holonomic:
+    """Raise SchemeError if a scheme with inner points is to discretise a model with constraints."""
+    if inner and (model.holonomic or model.rolling):
+        words = "holonomic" if model.holonomic else "rolling"
         raise SchemeError(
-            f"scheme {scheme!r} has inner points, where holonomic constraints are not imposed",
+            f"scheme {scheme!r} has inner points, where {words} constraints are not imposed",
             "use midpoint or trapezoidal" + (", or suzuki-4-of-trapezoidal" if model.task == "simulate" else ""),
         )
 
 
 def refuse(model: Model, method: str) -> None:
-    """Raise ArgumentError for a model with holonomic constraints: the method has no discrete constraint forces."""
-    if model.holonomic:
-        raise ArgumentError(
-            f"the {method} method has no holonomic constraints, and {text(model.holonomic[0])} = 0 is one",
-            "use --method variational, or generalised coordinates",
-        )
+    """Raise ArgumentError for a model with constraints: the method has no discrete constraint forces."""
+    kinds = (("holonomic", model.holonomic, ", or generalised coordinates"), ("rolling", model.rolling, ""))
+    for words, constraints, alternative in kinds:
+        if constraints:
+            raise ArgumentError(
+                f"the {method} method has no {words} constraints, and {text(constraints[0])} = 0 is one",
+                f"use --method variational{alternative}",
+            )

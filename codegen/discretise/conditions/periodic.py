@@ -177,7 +177,7 @@ def equivalent_momenta(model: Model, chosen: Sequence[int]) -> tuple[int, ...]:
     """Return the `chosen` indices of velocities whose periodicity is equivalent to periodic momenta dL/dv.
 
     The momenta must depend on periodic velocities and coordinates only, and must not change under the coordinates'
-    shifts. All coordinates in a holonomic constraint must qualify, or none is returned.
+    shifts. All coordinates on which the force of a constraint acts must qualify, or none is returned.
     """
     shifts = dict(model.periodic)
     same = {i for i in chosen if shifts[model.rates[i]] == 0}
@@ -193,12 +193,17 @@ def equivalent_momenta(model: Model, chosen: Sequence[int]) -> tuple[int, ...]:
 
     while True:
         failing = {i for i in same if not returns(momenta[i])}
-        for constraint in model.holonomic:
-            touched = occurring(model.coordinates, constraint)
+        for touched in touched_by_constraints(model):
             failing |= same & touched if not touched <= same else set()
         if not failing:
             return tuple(sorted(same))
         same -= failing
+
+
+def touched_by_constraints(model: Model) -> list[set[int]]:
+    """Return the indices of the coordinates on which the force of each constraint acts, holonomic ones first."""
+    touched = [occurring(model.coordinates, constraint) for constraint in model.holonomic]
+    return touched + [occurring(model.rates, constraint) for constraint in model.rolling]
 
 
 def _tied(quantity: Symbol, shift: Expr, guess: Expr, names: Names) -> Periodic:
@@ -228,12 +233,30 @@ def own_unknown(name: str, kind: Kind, of: Symbol, guess: Expr, follows: bool = 
     return Own(Unknown(name, Meaning(kind, of.name)), Symbol(name, real=True), guess, follows)
 
 
-def require_constraints_return(model: Model, periodic: Periodic) -> None:
-    """Raise BoundaryError if velocities of a holonomic constraint are periodic only in part, or with a shift."""
+def require_constraints_return(model: Model, periodic: Periodic, values: Mapping[Symbol, Expr]) -> None:
+    """Raise BoundaryError if constraints and periodic velocities do not fit together.
+
+    Velocities of a constraint must be periodic all alike, without a shift. A rolling constraint must be the same at
+    both ends, because one force acts there. `values` maps the symbols of boundary values to the values.
+    """
     conditions = (*periodic.start_conditions, *periodic.end_conditions)
     indices = occurring(model.rates, *(condition.expression for condition in conditions))
-    for constraint in model.holonomic:
-        touched = occurring(model.coordinates, constraint)
+    matched, shifts = {i for i, _ in periodic.start_momenta}, dict(model.periodic)
+    assert model.end is not None, "a control problem has an end"
+    for q, first, last in zip(model.coordinates, model.start.positions, model.end.positions, strict=True):
+        if first is not None and last is not None:
+            shifts[q] = last.xreplace(values) - first.xreplace(values)
+    every = (*model.holonomic, *model.rolling)
+    for constraint, touched in zip(every, touched_by_constraints(model), strict=True):
+        if constraint in model.rolling and touched & matched:
+            moving = {q: shifts.get(q) for q in model.coordinates if constraint.has(q)}
+            known = {q: shift for q, shift in moving.items() if shift is not None}
+            is_same = known == moving and is_invariant_under_shifts(constraint, known)
+            if constraint.has(model.time) or not is_same:
+                raise BoundaryError(
+                    f"the rolling constraint {constraint} = 0 is not the same at both ends of a periodic motion",
+                    "make its coordinates periodic, with shifts that leave it unchanged",
+                )
         if indices & touched:
             listed = " ".join(model.rates[i].name for i in sorted(touched))
             raise BoundaryError(

@@ -172,10 +172,10 @@ class Model:
     `end_conditions` are conditions on coordinates and rates of one end, in addition to the values of `start` and `end`.
     `terminal_cost` is added to the integral of `cost` and depends on coordinates and rates at the end and on
     parameters. Both are negated where the author asked for a maximum (`maximised`). `holonomic` constraints c(q) = 0
-    hold at every time. `rotations` are quadruples of coordinates, the unit quaternions of attitudes; their lengths are
-    constraints too. A simulation may have `events` and `gaps`. The `loss` of the differences between `observed`
-    expressions and `measurements` is added to the cost. The measurements are files with the same layout, one file for
-    each body.
+    and `rolling` constraints A(q) v + b(q) = 0 hold at every time. `rotations` are quadruples of coordinates, the unit
+    quaternions of attitudes; their lengths are constraints too. A simulation may have `events` and `gaps`. The `loss`
+    of the differences between `observed` expressions and `measurements` is added to the cost. The measurements are
+    files with the same layout, one file for each body.
     `periodic` gives pairs (coordinate or rate, shift): the value at the end is the value at the start plus the shift.
     `joined` gives pairs of coordinates: the first one at the end equals the second one at the start, and so do their
     rates. Models with `delays` have symbols for delayed values. After the division into segments only the problem
@@ -225,6 +225,7 @@ class Model:
     rotations: tuple[tuple[sympy.Symbol, ...], ...] = ()
     events: tuple[MotionEvent, ...] = ()
     gaps: tuple[Gap, ...] = ()
+    rolling: tuple[sympy.Expr, ...] = ()
     periodic: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
     joined: tuple[tuple[sympy.Symbol, sympy.Symbol], ...] = ()
     delays: tuple[Delay, ...] = ()

@@ -10,7 +10,7 @@ from numbers import Integral
 import sympy
 
 from codegen import identifiers
-from codegen.discretise.conditions import CONDITIONS, HOLONOMIC
+from codegen.discretise.conditions import CONDITIONS, SIMULATED
 from codegen.discretise.conditions.measurements import measurements_of
 from codegen.discretise.model import delays, events, scope, smoothness, values
 from codegen.discretise.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Model
@@ -156,8 +156,9 @@ def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kind
         missing = [str(s) for s in (*kinds.coordinates, *kinds.rates) if s not in problem.start]
         if missing:
             raise BoundaryError(f"start lacks {', '.join(missing)}", "a simulation needs the complete initial state")
-        for entry in (entry for entry in entries if entry.role == HOLONOMIC.argument):
-            HOLONOMIC.require_fitting(entry, problem, form)
+        for simulated in SIMULATED:
+            for entry in (entry for entry in entries if entry.role == simulated.argument):
+                simulated.require_fitting(entry, problem, form)
         events.require_fitting(problem, form, entries)
     if form == "dynamics":
         missing = [str(x) for x in kinds.coordinates if x not in (problem.dynamics or {})]

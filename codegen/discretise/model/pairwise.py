@@ -102,10 +102,8 @@ def normalise_pairwise(problem: Problem, declared: Sequence[Quantity], name: str
         raise ProblemFileError("Connect needs a pairwise Hamiltonian", "write hamiltonian=Pairwise(...)")
     if not isinstance(problem, (Connect, Simulate)):
         raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
-    if isinstance(problem, Simulate) and problem.constraint:
-        raise ExpressionError("constraint beside particles", "leave it out, or write the Lagrangian of each particle")
-    for argument in ("events", "unilateral"):
-        if getattr(problem, argument, None):
+    for argument in ("constraint", "rolling", "events", "unilateral"):
+        if isinstance(problem, Simulate) and getattr(problem, argument):
             remedy = "leave it out, or write the Lagrangian of each particle"
             raise ExpressionError(f"{argument} beside particles", remedy)
     terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}

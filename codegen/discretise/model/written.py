@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import sympy
 
-from codegen.discretise.conditions import CONDITIONS, HOLONOMIC
+from codegen.discretise.conditions import CONDITIONS, SIMULATED
 from codegen.discretise.model import events
 from codegen.discretise.model.delays import history_entries
 from codegen.discretise.model.relations import Entry, checked_mapping, checked_sequence, entry_of, value_entries
@@ -120,7 +120,8 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
     yield from value_entries("force", problem.force)
     yield from value_entries("start", problem.start)
     if isinstance(problem, Simulate):
-        yield from HOLONOMIC.written(problem)
+        for simulated in SIMULATED:
+            yield from simulated.written(problem)
         yield from events.written(problem)
     if control is None:
         return

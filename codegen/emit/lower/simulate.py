@@ -259,6 +259,7 @@ def _record(
     program: StepProgram, derivatives: StepDerivatives, kernels: Sequence[Kernel], tables: Sequence[TableData]
 ) -> SimulationRecord:
     model, solver = program.model, _solver(program, derivatives)
+    held = (*model.holonomic, *model.rolling)
     out = []
     if solver is StepSolver.EXPLICIT:
         system = "system" if model.form == "first-order" else model.form.capitalize()
@@ -282,7 +283,7 @@ def _record(
             out.append("forces: there are none")
         elif idle:
             out.append(f"forces on {', '.join(idle)}: there are none")
-    if not any(e.has(model.time) for e in (model.function, *model.force, *model.dynamics, *model.holonomic)):
+    if not any(e.has(model.time) for e in (model.function, *model.force, *model.dynamics, *held)):
         out.append("time in the kernels: nothing depends on it explicitly")
     return SimulationRecord(
         **record_fields(model),
@@ -304,11 +305,13 @@ def _record(
         stages=tuple(s.name for s in program.stage_symbols),
         unknowns=tuple(s.name for s in program.unknowns),
         constraints=tuple(c.name for c in program.constraints),
+        rolling=tuple(c.name for c in program.constraints[len(model.holonomic) :]),
         events=tuple(event.name for event in program.events),
         gaps=tuple(gap.name for gap in program.gaps),
         conservative=model.form != "first-order"
         and not any(model.force)
         and not any(event.after for event in program.events)
-        and not any(e.has(model.time) for e in (model.function, *model.holonomic, *(g.expression for g in model.gaps)))
+        and not any(e.has(model.time) for e in (model.function, *held, *(g.expression for g in model.gaps)))
+        and not any(c.xreplace(dict.fromkeys(model.rates, sympy.S.Zero)) for c in model.rolling)
         and all(gap.restitution == 1 for gap in program.gaps),
     )

@@ -77,8 +77,8 @@ def analysis(
     Raises
     ------
     ArgumentError
-        If `order` is out of range, or the problem has particles, several phases, holonomic constraints or delayed
-        values. `modified_equations` raises further errors.
+        If `order` is out of range, or the problem has particles, several phases, constraints or delayed values.
+        `modified_equations` raises further errors.
     """
     if not 1 <= order <= LARGEST_ORDER:
         raise ArgumentError(f"--order {order}", f"give a power of h from 1 to {LARGEST_ORDER}")
@@ -90,6 +90,8 @@ def analysis(
         reason = "several phases"
     elif model.holonomic:
         reason = "holonomic constraints"
+    elif model.rolling:
+        reason = "rolling constraints"
     elif model.segments:
         reason = "values of the past"
     if reason:

@@ -19,7 +19,10 @@ integrals use Gauss-Legendre quadrature. The limits of momentum equations at bot
 the author's end velocities.
 
 A step of a simulation from a random state, divided by its length, must tend to the author's equations of motion. With
-holonomic constraints the state satisfies them, and momenta are compared along the directions that they leave free.
+constraints the state satisfies them, and momenta are compared along the directions that they leave free: virtual
+displacements dq with G dq = 0 for holonomic constraints of gradient G, and A dq = 0 for rolling constraints A v + b.
+In optimal control the module's forces kappa of constraints get smooth values of time, and the author's equations of
+motion gain w G^T kappa and w A^T kappa.
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import combinations
+from itertools import chain, combinations
 from types import ModuleType
 from typing import Any
 
@@ -63,9 +66,11 @@ from codegen.evidence.checks.limits import (
     limit_of,
     named,
     node_times,
+    normals_of,
     number_item,
     quadrature,
     sampled,
+    trial_force,
     weight,
     weighted_residual,
 )
@@ -392,7 +397,8 @@ def _path_items(author: Author, phase: Control, motion: Path, leg: Leg, samples:
         expected, size = float(factors @ g), float(np.abs(factors) @ np.abs(g))
         sums = _closest_limit(found, expected)
         yield absent(label) if sums is None else limit_of(label, expected, sums, size)
-    for index, c in enumerate(phase.constraint):
+    constraints += [plain(name) for name in record.node if record.kind(name) == Kind.ROLLING]
+    for index, c in enumerate((*phase.constraint, *(relation.expression for relation in relations_of(phase.rolling)))):
         g, label = values_along(c, values, t), f"{c} = 0{leg.label}"
         if index >= len(constraints):
             yield absent(label)
@@ -412,10 +418,14 @@ def _equations(author: Author, phase: Any, along: Motion, w: Array, slope: Array
     function = phase.hamiltonian if author.is_hamiltonian else phase.lagrangian
     found = dict[str, tuple[str, list[Array]]]()
     momenta = author.momenta(phase, values, t)
+    normals = normals_of(phase, author.coordinates)
     for i, q in enumerate(author.coordinates):
         force = values_along(phase.force.get(q, 0), values, t)
         gradient = values_along(sympy.diff(function, q), values, t) * (-1.0 if author.is_hamiltonian else 1.0)
         terms = [w * gradient, slope * momenta[q], w * force]
+        for number, normal in enumerate(normals):
+            kappa = trial_force(author, number, t)
+            terms.append(w * kappa * values_along(normal[i], values, t))
         if author.record.method == Method.VARIATIONAL:
             found[f"lambda_{q}"] = str(q), terms
             continue
@@ -733,13 +743,14 @@ def _events(author: Author, values: dict[sympy.Symbol, Any], state: Array, t: fl
 
 
 def _constrained(author: Author, values: dict[sympy.Symbol, Any], t: Array) -> Array:
-    """Move coordinates and velocities onto the holonomic constraints; return the free directions (rows, state).
+    """Move coordinates and velocities onto the constraints; return the free directions (rows, state).
 
     The rows of the result are all directions of coordinates, then an orthonormal basis of the momenta without forces
     of the constraints. Raise NoMotionError if the constraints cannot be satisfied near the given values.
     """
     size, constraints = len(author.coordinates), relations_of(getattr(author.first, "constraint", ()))
-    if not constraints:
+    rolling = [relation.expression for relation in relations_of(getattr(author.first, "rolling", ()))]
+    if not constraints and not rolling:
         return np.eye(size + len(author.rates))
 
     def numbers(expressions: Iterable[Any]) -> Array:
@@ -747,7 +758,7 @@ def _constrained(author: Author, values: dict[sympy.Symbol, Any], t: Array) -> A
 
     written = [relation.expression for relation in constraints]
     slopes = [sympy.diff(c, q) for c in written for q in author.coordinates]
-    for _ in range(50):
+    for _ in range(50 if written else 0):
         gradients = numbers(slopes).reshape(len(written), size)
         change = np.linalg.pinv(gradients) @ numbers(written)
         for q, correction in zip(author.coordinates, change, strict=True):
@@ -755,15 +766,17 @@ def _constrained(author: Author, values: dict[sympy.Symbol, Any], t: Array) -> A
         if np.abs(change).max() < 1e-14 * (1.0 + max(np.abs(values[q]).max() for q in author.coordinates)):
             break
     else:
-        raise NoMotionError("the constraints have no solution near the start")
-    gradients = numbers(slopes).reshape(len(written), size)
-    velocities = np.array([np.ravel(values[v])[0] for v in author.rates])
+        if written:
+            raise NoMotionError("the constraints have no solution near the start")
+    normals = normals_of(author.first, author.coordinates)
+    gradients = numbers(chain.from_iterable(normals)).reshape(len(normals), size)
     clock = sympy.Dummy("t")  # authors must not differentiate by the time, which has other rules in their expressions
     partial = [sympy.diff(c.xreplace({author.time: clock}), clock).xreplace({clock: author.time}) for c in written]
-    excess = gradients @ velocities + numbers(partial)
+    velocities = np.array([np.ravel(values[v])[0] for v in author.rates])
+    excess = np.append(gradients[: len(written)] @ velocities + numbers(partial), numbers(rolling))
     for v, correction in zip(author.rates, np.linalg.pinv(gradients) @ excess, strict=True):
         values[v] = values[v] - correction
-    tangents = np.linalg.svd(gradients)[2][len(written) :]
+    tangents = np.linalg.svd(gradients)[2][len(gradients) :]
     return np.block([[np.eye(size), np.zeros((size, size))], [np.zeros((len(tangents), size)), tangents]])
 
 

@@ -3,8 +3,8 @@
 Divided by h, the discrete equations must tend to the forced equations of motion as h -> 0. This fixes the signs of
 forces and potentials. The discrete side is the source of the module. The continuous side is derived independently: the
 Euler-Lagrange equations d/dt dL/dv - dL/dq = f + G^T y, Hamilton's equations, or x' = f. The constraint forces y act
-along the normals of holonomic constraints. Along a smooth motion both sides differ by O(h). In the same way an
-interval's term of an integral condition, divided by h, must tend to the author's integrand.
+along the normals of constraints. Along a smooth motion both sides differ by O(h). In the same way an interval's term of
+an integral condition, divided by h, must tend to the author's integrand.
 
 Momentum matching: the discrete Euler-Lagrange equation is p_k^+ = p_k^- (Marsden and West 2001, section 1.5). The
 momenta are p_k^- = -D1 Ld(q_k, q_k1) - f- and p_k^+ = D2 Ld(q_k-1, q_k) + f+. The ends match prescribed momenta.
@@ -125,7 +125,7 @@ def _node_sides(model: Model, program: ControlProgram | StepProgram, scheme: Dis
     """Return both sides of the equations of a node at time t, along the motion q(t +- h) = q +- h v + h^2 a/2."""
     q, v = model.coordinates, model.rates
     a = [Symbol(f"acceleration_{x}", real=True) for x in q]
-    forces = [Symbol(f"constraint_force_{i}", real=True) for i in range(len(model.holonomic))]
+    forces = [Symbol(f"constraint_force_{i}", real=True) for i in range(len(_normals(model)))]
 
     def shifted(s: Expr) -> list[Expr]:
         return [x + s * w + s**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
@@ -151,11 +151,11 @@ def _node_sides(model: Model, program: ControlProgram | StepProgram, scheme: Dis
     discrete = [(after + before) / weight for after, before in zip(*sides, strict=True)]
 
     continuous = []
-    for x, w, f in zip(q, v, model.force, strict=True):
+    for i, (x, w, f) in enumerate(zip(q, v, model.force, strict=True)):
         momentum = sympy.diff(model.function, w)
         rate = sympy.diff(momentum, model.time)
         rate += sum(sympy.diff(momentum, y) * z for y, z in zip((*q, *v), (*v, *a), strict=True))
-        normal = sum((y * sympy.diff(c, x) for y, c in zip(forces, model.holonomic, strict=True)), S.Zero)
+        normal = sum((y * row[i] for y, row in zip(forces, _normals(model), strict=True)), S.Zero)
         continuous.append(sympy.diff(model.function, x) - rate + f + normal)
     return discrete, continuous, [*v, *a, *forces]
 
@@ -176,6 +176,12 @@ def _node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], 
     equations = program.equations[-len(momenta) :]
     values = [p - equation for p, (_, equation) in zip(momenta, equations, strict=True)]
     return [-value for value in values[:dimension]], values[dimension:]
+
+
+def _normals(model: Model) -> list[list[Expr]]:
+    """Return the row of each constraint along which its force acts: dc/dq, or the coefficients A of A v + b = 0."""
+    rows = [[sympy.diff(c, q) for q in model.coordinates] for c in model.holonomic]
+    return rows + [[sympy.diff(c, v).subs(dict.fromkeys(model.rates, 0)) for v in model.rates] for c in model.rolling]
 
 
 def _constraint_multipliers(program: ControlProgram | StepProgram, suffix: str) -> list[Symbol]:
@@ -333,14 +339,13 @@ def _matching(context: Context) -> Iterator[Finding]:
     model = legendre.lagrangian_form(context.model.with_free_ends)
     interval = variational_interval(model, repeated(context.scheme)[1], context.choices.controls)
     after, before = _node_equations(context.program)
-    # Impulses of holonomic constraints in half an interval: h/2 G^T kappa at the left and at the right node.
+    # Impulses of constraints in half an interval: h/2 G^T kappa at the left and at the right node.
     impulses = []
     for suffix, instant in (("_k", model.time), ("_k1", model.time + STEP)):
         node = dict(zip(model.coordinates, at_nodes(model.coordinates, suffix), strict=True)) | {model.time: instant}
-        pairs = list(zip(_constraint_multipliers(context.program, suffix), model.holonomic, strict=True))
-        impulses.append(
-            [sum((STEP / 2 * y * sympy.diff(c, q).xreplace(node) for y, c in pairs), S.Zero) for q in model.coordinates]
-        )
+        pairs = list(zip(_constraint_multipliers(context.program, suffix), _normals(model), strict=True))
+        count = range(len(model.coordinates))
+        impulses.append([sum((STEP / 2 * y * row[i].xreplace(node) for y, row in pairs), S.Zero) for i in count])
     for i, q in enumerate(model.coordinates):
         minus = -sympy.diff(interval.lagrangian, interval.q.left[i]) - interval.force_minus[i] - impulses[0][i]
         plus = sympy.diff(interval.lagrangian, interval.q.right[i]) + interval.force_plus[i] + impulses[1][i]

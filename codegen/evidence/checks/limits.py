@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from codegen.evidence.checks.author import Array, Author, Path, Values
+from codegen.evidence.checks.author import Array, Author, Path, Values, relations_of
 from codegen.identifiers import plain
 from codegen.problem import symbols
 from codegen.runtime.record import Kind, Method
@@ -185,7 +185,7 @@ def sampled(author: Author, motions: Sequence[Sequence[Path]], steps: int) -> Sa
     unknowns = np.zeros(grid.is_multiplier.size)
     nodes, intervals = module.views(grid, unknowns)
     size, count = grid.steps // len(author.phases), len(author.phases)
-    ends = dict[str, float]()
+    ends, forces = dict[str, float](), [name for name in record.node if record.kind(name) == Kind.NORMAL_FORCE]
     for body, of_phases in enumerate(motions):
         for number in reversed(range(count)):  # the node at a switch belongs to the earlier phase
             motion, t = of_phases[number], node_times(author, grid, number)
@@ -198,7 +198,9 @@ def sampled(author: Author, motions: Sequence[Sequence[Path]], steps: int) -> Sa
             rows = slice(number * size, (number + 1) * size + 1)
             for index, name in enumerate(record.node):
                 value = _value(author, name, at_nodes, momentum)
-                if value is not None:
+                if record.kind(name) == Kind.NORMAL_FORCE:
+                    nodes[body, rows, index] = trial_force(author, forces.index(name), t)
+                elif value is not None:
                     nodes[body, rows, index] = value
                 elif record.waypoints and plain(name).startswith("time_"):
                     nodes[body, rows, index] = t
@@ -228,6 +230,19 @@ def sampled(author: Author, motions: Sequence[Sequence[Path]], steps: int) -> Sa
     of_nodes, of_intervals = module.views(grid, point.gradient)
     linking = point.gradient[point.gradient.size - grid.problem.structure.root :]
     return Sample(grid, unknowns, of_nodes, of_intervals, linking, point.cost)
+
+
+def trial_force(author: Author, number: int, t: Array) -> Array:
+    """Return the force kappa of a constraint at times t, a smooth function that differs between constraints."""
+    return 1.0 + 0.5 * number - (1.0 + number) * t / sum(author.durations)
+
+
+def normals_of(phase: Any, coordinates: Sequence[Any]) -> list[list[Any]]:
+    """Return the row of each constraint along which its force acts: dc/dq, then A of rolling constraints A v + b."""
+    holonomic = [relation.expression for relation in relations_of(getattr(phase, "constraint", ()))]
+    rolling = [relation.expression for relation in relations_of(getattr(phase, "rolling", ()))]
+    rows = [[sympy.diff(c, q) for q in coordinates] for c in holonomic]
+    return rows + [[sympy.diff(c, q.partner) for q in coordinates] for c in rolling]
 
 
 def _value(author: Author, name: str, values: Values, momenta: Mapping[str, Array]) -> Any:

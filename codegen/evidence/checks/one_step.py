@@ -174,6 +174,9 @@ _ATTEMPTS = 6
 def check_symplecticity(context: Context) -> Iterator[Finding]:
     """Check without forces that the scheme satisfies S^T J S = J, or violates it if it does not claim symplecticity."""
     scheme = context.scheme
+    if context.model.rolling:
+        yield does_not_apply("symplecticity", "motions with rolling constraints preserve no symplectic form")
+        return
     if not scheme.symplectic:
         generic = generic_model_without_forces()
         defect = defect_at_random_points(generic, step_equations(generic, scheme))
@@ -313,7 +316,8 @@ def check_noether(context: Context) -> Iterator[Finding]:
         detail = f"{q} is cyclic, and without force its discrete momentum is conserved, proved symbolically"
         if model.force[i] != 0:
             detail += f" (the force {sympy.sstr(model.force[i])} changes it)"
-        if any(constraint.has(q) for constraint in model.holonomic):
+        pushes = any(sympy.diff(c, model.rates[i]) != 0 for c in model.rolling)
+        if pushes or any(constraint.has(q) for constraint in model.holonomic):
             detail += " (the force of a constraint changes it)"
         if not passed:
             detail = f"{q} is cyclic, but its discrete momentum changes by {sympy.sstr(change)[:200]} in a step"

@@ -132,10 +132,48 @@ def check_holonomic_drift(context: Context) -> Iterator[Finding]:
     grid = context.module.make_grid(1)
     states = zip(np.hstack([solution.q, solution.p]), solution.t, strict=True)
     rates = np.array([constraint_values(grid, *state)[:, 1] for state in states])
-    for constraint, rate in zip(model.holonomic, rates.T, strict=True):
+    for constraint, rate in zip(model.holonomic, rates.T, strict=False):
         largest, size = float(np.abs(rate).max()), max(1.0, float(np.abs(solution.p).max()))
         detail = f"|dc/dt| <= {largest:.1g} at all {solution.t.size} nodes"
         yield Finding("holonomic drift", f"rate of {sympy.sstr(constraint)}", largest <= _HELD * size, detail)
+
+
+def check_rolling(context: Context) -> Iterator[Finding]:
+    """Check the mean of every rolling constraint on each interval of the solution, and for simulations its value.
+
+    The mean is the quadrature rule of the scheme for A v + b, with the differences of positions as velocities. Steps of
+    a composition have inner nodes, which are not stored, and no means here.
+    """
+    model, solution, scheme = context.model, context.solution, context.scheme
+    if solution.status != "solved":
+        yield not_measured("rolling constraints", "all constraints", solution.message)
+        return
+    data, width, h = data_at_solution(context), len(model.coordinates), np.diff(solution.t)[:, None]
+    symbols = [*model.coordinates, *model.rates, model.time, *data]
+    for number, constraint in enumerate(model.rolling):
+        terms = sympy.Add.make_args(sympy.expand(constraint))
+        function = sympy.lambdify(symbols, [constraint, sum(map(sympy.Abs, terms), sympy.S.Zero)], cse=True)
+        largest = size = 0.0
+        for b in range(model.bodies if not scheme.parts else 0):
+            q = solution.q[:, b * width : (b + 1) * width]
+            means, sizes = np.zeros(len(h)), np.zeros(len(h))
+            for quadrature in scheme.discrete_lagrangian().points:
+                weight, c = float(quadrature.weight), float(quadrature.abscissa)
+                position, t = (1.0 - c) * q[:-1] + c * q[1:], solution.t[:-1] + c * h[:, 0]
+                value, scale = function(*position.T, *(np.diff(q, axis=0) / h).T, t, *data.values())
+                means, sizes = means + weight * value, sizes + weight * scale
+            largest, size = max(largest, float(np.abs(means).max())), max(size, float(sizes.max()))
+        subject = sympy.sstr(constraint)
+        if not scheme.parts:
+            detail = f"the mean on each interval is at most {largest:.1g}, with terms up to {size:.2g}"
+            yield Finding("rolling constraints", f"mean of {subject}", largest <= _HELD * max(1.0, size), detail)
+        if model.task == "simulate":
+            grid = context.module.make_grid(1)
+            states = zip(np.hstack([solution.q, solution.p]), solution.t, strict=True)
+            values = [constraint_values(grid, *state)[len(model.holonomic) + number, 1:3] for state in states]
+            worst, scale = np.abs(values).max(axis=0)
+            detail = f"its value is at most {worst:.1g} at all {solution.t.size} nodes"
+            yield Finding("rolling constraints", subject, worst <= _HELD * max(1.0, scale), detail)
 
 
 _MET = 1e-7  # violation of a condition relative to its terms

@@ -34,8 +34,8 @@ OPTIONS = {
     "print_time": False, "expand": True, "error_on_fail": False, "ipopt.print_level": 0, "ipopt.sb": "yes",
     "ipopt.tol": 1e-10, "ipopt.max_iter": 1000,
 }  # fmt: skip
-_ABSENT = ("path", "integrals", "inner_conditions", "start_conditions", "end_conditions", "holonomic", "periodic",
-           "joined", "delays", "free_parameters", "phases", "measurements")  # fmt: skip
+_ABSENT = ("path", "integrals", "inner_conditions", "start_conditions", "end_conditions", "holonomic", "rolling",
+           "periodic", "joined", "delays", "free_parameters", "phases", "measurements")  # fmt: skip
 """Features of a model that the program has not."""
 
 

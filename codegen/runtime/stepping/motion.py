@@ -356,9 +356,10 @@ def residual_with_events(grid, watched, room, every, path, before, marks, rows, 
 
 
 def constraint_values(grid, state, t=0.0):
-    """Return the holonomic constraints at `state` as an array (constraints, 3 + coordinates).
+    """Return the constraints at `state` as an array (constraints, 3 + coordinates).
 
-    The columns are value, rate, scale of the rate, and gradient.
+    The columns are value, rate, scale of the rate, and gradient. A rolling constraint A v + b has the value zero, the
+    rate A v + b and the gradient A.
     """
     values = np.empty((len(grid.problem.metadata.constraints), 3 + grid.problem.state // 2))
     if grid.problem.constraints is not None:
@@ -367,7 +368,7 @@ def constraint_values(grid, state, t=0.0):
 
 
 def constraint_errors(grid, path, times):
-    """Return the largest moduli of the constraints and of their rates, at the states `path` (M, size) at `times`."""
+    """Return the largest modulus of each constraint and of its rate (2, constraints) along `path` (M, size)."""
     path, times = np.ascontiguousarray(path, dtype=float), np.ascontiguousarray(times, dtype=float)
     constraints, count = grid.problem.constraints, len(grid.problem.metadata.constraints)
     return largest_constraints(constraints.address, count, path, times, grid.parameters)
@@ -381,7 +382,10 @@ def require_constraints(grid):
         if not abs(value) <= CONSISTENT * np.abs(gradient).sum() * largest:
             raise ValueError(f"the start violates the constraint {name} = 0, whose value is {value:.6g}")
         if not abs(rate) <= CONSISTENT * scale:
-            raise ValueError(f"the velocities at the start violate the constraint {name} = 0, whose rate is {rate:.6g}")
+            kind, word = ("rolling ", "value") if name in grid.problem.metadata.rolling else ("", "rate")
+            raise ValueError(
+                f"the velocities at the start violate the {kind}constraint {name} = 0, whose {word} is {rate:.6g}"
+            )
     if names := dependent_constraints(grid, grid.start, 0.0, DEPENDENT):
         raise ValueError(f"the start does not determine the constraint forces: {names}")
 

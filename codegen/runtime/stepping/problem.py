@@ -50,7 +50,7 @@ class StepProblem:
     range_names : tuple of str
         Names of the inputs for messages.
     constraints : Kernel or None
-        Fills an array (constraints, 3 + coordinates): value, rate, scale of the rate, and gradient of each holonomic
+        Fills an array (constraints, 3 + coordinates): value, rate, scale of the rate, and gradient of each
         constraint at a node. Its arguments are (state, t, parameters).
     events, jumps, normals : Kernel or None
         Fill values, rates and scales (events + gaps, 3) of events and gaps, states (changes, state) after events, and

@@ -495,18 +495,18 @@ def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, t
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def largest_constraints(constraints, count, path, times, parameters):
-    """Return the largest moduli of `count` holonomic constraints and of their rates along a `path` (M, size).
+    """Return the largest modulus of each of `count` constraints and of its rate (2, count) along a `path` (M, size).
 
     `times` (M,) are the times of the states. `constraints` is the address of the kernel of a `StepProblem`.
     """
-    value, rate, width = 0.0, 0.0, 3 + path.shape[1] // 2
-    values = np.empty((count, width))
+    largest, values = np.zeros((2, count)), np.empty((count, 3 + path.shape[1] // 2))
     for row in range(path.shape[0]):
         state_at = path.ctypes.data + 8 * row * path.shape[1]
         call(constraints, (state_at, times[row], parameters.ctypes.data, values.ctypes.data))
         for i in range(count):
-            value, rate = max(value, abs(values[i, 0])), max(rate, abs(values[i, 1]))
-    return value, rate
+            for j in range(2):
+                largest[j, i] = max(largest[j, i], abs(values[i, j]))
+    return largest
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -74,7 +74,11 @@ def simulate_result(
 
         states = np.hstack([attempt.q, attempt.p])
         errors = constraint_errors(module.make_grid(run.steps), states, attempt.t)
-        summary["constraint_error"], summary["constraint_rate"] = errors
+        count = len(module.metadata.constraints) - len(module.metadata.rolling)
+        if count:
+            summary["constraint_error"], summary["constraint_rate"] = map(float, errors[:, :count].max(axis=1))
+        if module.metadata.rolling:
+            summary["rolling_error"] = float(errors[1, count:].max())
     events = None
     if attempt.events is not None and isinstance(module.metadata, SimulationRecord):
         events = motion_events(module.metadata, attempt.events)
