@@ -34,6 +34,7 @@ CASES = {
     "rolling constraints": ("snakeboard", {}, {}),
     "a simulation with rolling constraints": ("rolling_disc", {}, {"scheme": "trapezoidal"}),
     "a simulation with holonomic constraints": ("double_pendulum_cartesian", {}, {"scheme": "trapezoidal"}),
+    "a Lagrangian linear in the velocities": ("point_vortices", {"vortices": "two"}, {}),
 }
 
 BUILT = """

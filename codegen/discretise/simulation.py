@@ -47,11 +47,11 @@ from sympy import Add, Expr, S, Symbol, diff, expand, expand_mul
 
 from codegen.discretise import events
 from codegen.discretise.conditions import holonomic, rolling
+from codegen.discretise.degenerate import for_method, step_interval
 from codegen.discretise.forms import with_symbolic_boundaries
 from codegen.discretise.interval import (
     STEP,
     at_nodes,
-    one_step_interval,
     repeated,
     variational_interval,
 )
@@ -410,7 +410,7 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
     """
     if method != "variational":
         holonomic.refuse(model, method)
-    model, start_values = with_symbolic_boundaries(model)
+    model, start_values = with_symbolic_boundaries(for_method(model, method))
     phase, stepwise = _phase_space(model, method)
     left = (*at_nodes(phase.coordinates, "_k"), *at_nodes(phase.rates, "_k"))
     right = (*at_nodes(phase.coordinates, "_k1"), *at_nodes(phase.rates, "_k1"))
@@ -442,6 +442,7 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
     kind = Kind.COORDINATE if is_mechanical else Kind.STATE
     kinds = [*((kind, q) for q in phase.coordinates), *((Kind.MOMENTUM, p) for p in phase.rates)]
     solution = step.solution
+    energy = stepwise.energy if stepwise else phase.function if is_mechanical else model.linear and model.linear.energy
     return StepProgram(
         model=model,
         method=method,
@@ -460,7 +461,7 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         linear=solution.linear,
         equations=step.equations,
         summary=step.summary,
-        energy=_at(phase, stepwise.energy if stepwise else phase.function, left) if is_mechanical else None,
+        energy=None if energy is None else _at(phase, energy, left),
         state_assignments=tuple(assigned),
         start_values=start_values,
         start=tuple(value for value in (*phase.start.positions, *phase.start.rates) if value is not None),
@@ -673,12 +674,15 @@ def _one_step(
     right: Sequence[Symbol],
     lengths: Sequence[Symbol],
 ) -> _Step:
-    interval = one_step_interval(phase, scheme)
+    interval = step_interval(phase, scheme)
     unknowns = (*interval.stages, *right)
     equations = tuple((f"step of {y}", e) for y, e in zip(unknowns, interval.equations, strict=True))
     # The initial guesses of stages and of the right node are explicit Euler steps from the left node.
     rates = {x.name: (x, rate) for x, rate in zip(left, rates_of_change(phase, left), strict=True)}
-    abscissae, guesses = scheme.step().abscissae, dict[Symbol, Expr]()
+    step, guesses = scheme.step(), dict[Symbol, Expr]()
+    abscissae = step.abscissae
+    if phase.linear and phase.linear.pairs:
+        abscissae = (*(point.abscissa for point in step.points), abscissae[-1])
     for y in unknowns:
         stage = re.search(r"_stage(\d+)$", y.name)
         c = abscissae[int(stage[1]) - 1] if stage else abscissae[-1]

@@ -47,7 +47,10 @@ def transcribe(
     usable = methods_for(model)
     if method not in usable and method in (schemes.FIRST_ORDER, *schemes.METHODS):
         needs = _SYSTEMS["first-order"] if method == schemes.FIRST_ORDER else "a Lagrangian or a Hamiltonian"
-        finding = f"method {method!r} needs {needs}, and the problem gives {_SYSTEMS[model.form]}"
+        if model.linear:
+            needs = "canonical pairs" if method == "hamiltonian" else "a kinetic energy"
+        given = "a Lagrangian that is linear in the velocities" if model.linear else _SYSTEMS[model.form]
+        finding = f"method {method!r} needs {needs}, and the problem gives {given}"
         raise ArgumentError(finding, f"use {' or '.join(usable)}")
     if method not in usable:
         raise ArgumentError(f"method {method!r} does not exist for task {model.task}", f"use {' or '.join(usable)}")
@@ -76,7 +79,8 @@ def transcribe(
 def methods_for(model: Model) -> tuple[str, ...]:
     """Return the methods for a model: "variational" comes first, except in simulations of a Hamiltonian."""
     if model.form == "first-order":
-        return (schemes.FIRST_ORDER,)
+        has_pairs = model.linear is not None and model.linear.pairs is not None
+        return ("hamiltonian", schemes.FIRST_ORDER) if has_pairs else (schemes.FIRST_ORDER,)
     return tuple(sorted(schemes.METHODS, reverse=model.task == "control" or model.form == "lagrangian"))
 
 

@@ -156,13 +156,14 @@ class Simulate(Problem):
     ----------
     lagrangian, hamiltonian, dynamics : expression, expression, dict
         Exactly one of these arguments defines the motion: the Lagrangian L(q, dq, t), the Hamiltonian H(q, p, t), or
-        the time derivative of each state, x' = f(x, t).
+        the time derivative of each state, x' = f(x, t). A Lagrangian is quadratic in all velocities, or linear in all.
     force : dict
         Generalised forces by coordinates.
     duration : expression
         Duration T of the motion.
     start : dict
-        Values at t = 0 of all coordinates and all velocities (or all momenta), or of all states.
+        Values at t = 0 of all coordinates and all velocities (or all momenta), or of all states. Without velocities if
+        the Lagrangian is linear in the velocities, because coordinates determine them.
     constraint : list of expressions
         Holonomic constraints c(q) = 0 of a Lagrangian system, which the values at the start must satisfy, and their
         time derivatives too. Every stored state satisfies both to rounding. The scheme is midpoint, trapezoidal

@@ -17,9 +17,10 @@ from codegen.discretise import schemes, transcribe
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.conditions.holonomic import Constraints
 from codegen.discretise.conditions.rolling import discrete
+from codegen.discretise.degenerate import for_method, step_interval
 from codegen.discretise.interval import STEP, at_nodes, one_step_interval, repeated, variational_interval
 from codegen.discretise.model import legendre
-from codegen.discretise.model.definitions import Bounds, Model, prescribed
+from codegen.discretise.model.definitions import Bounds, LinearLagrangian, Model, prescribed
 from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.discretise.particles import pairwise
@@ -163,6 +164,7 @@ def equations(
     if isinstance(model, PairwiseModel):
         return pairwise_equations(model, scheme, method, latex)
     program = transcribe.transcribe(model, scheme, method, controls)
+    model = for_method(model, program.method)
     shown = with_past(_side(model.authored, program.method))
     notation = Notation.of(model, shown, _side(model, program.method), latex=latex)
     title = f"{model.title.rstrip('.')} ({program.method} method, scheme {program.scheme})"
@@ -258,6 +260,8 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
         rows += [(_named(f"f_{q}"), f) for q, f in zip(model.coordinates, model.force, strict=True) if f != 0]
         yield Block(model.form.capitalize() + (" and forces" if len(rows) > 1 else ""), tuple(rows))
     if model.form == "first-order":
+        if model.linear:
+            yield from _linear(model, model.linear)
         pairs = zip(model.coordinates, model.dynamics, strict=True)
         yield Block("Dynamics", tuple((_named(f"rate {x}"), f) for x, f in pairs))
     elif letter == "L":
@@ -294,6 +298,17 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
         gaps = [(_named(f"gap_{i}"), gap.expression) for i, gap in enumerate(authored.gaps, 1)]
         factors = [(_named(f"restitution_{i}"), gap.restitution) for i, gap in enumerate(authored.gaps, 1)]
         yield Block("Gaps, which do not become negative", (*gaps, *factors))
+
+
+def _linear(model: Model, linear: LinearLagrangian) -> Iterator[Block]:
+    """Yield a Lagrangian that is linear in the velocities, its forces, and the momenta of its canonical pairs."""
+    rates = {v: _named(f"rate {x}") for x, v in zip(model.coordinates, linear.rates, strict=True)}
+    rows = [(_named("L"), linear.function.xreplace(rates))]
+    rows += [(_named(f"f_{x}"), f) for x, f in zip(model.coordinates, linear.force, strict=True) if f != 0]
+    yield Block("Lagrangian, linear in the velocities", tuple(rows))
+    if linear.pairs:
+        momenta = zip(linear.pairs.positions, linear.pairs.momenta, strict=True)
+        yield Block("Momenta of the canonical pairs", tuple((_named(f"p_{x}"), p) for x, p in momenta))
 
 
 def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
@@ -346,10 +361,13 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
             yield Block("Equations of one step, with the forces of the constraints at both nodes", tuple(rows))
         cost, quadratures = interval.cost, interval.integrals
     else:
-        step = one_step_interval(side, scheme, controls)
+        step = step_interval(side, scheme) if side.linear else one_step_interval(side, scheme, controls)
         # Solve each equation for the value that it updates.
-        updates = zip((*step.stages, *step.q.right, *step.p.right), step.equations, strict=True)
-        yield Block("One step", tuple((y, _shortest(y - e)) for y, e in updates if not is_past(y.name)))
+        updates = list(zip((*step.stages, *step.q.right, *step.p.right), step.equations, strict=True))
+        rows = [(y, _shortest(y - e)) for y, e in updates if not is_past(y.name)]
+        if side.linear and side.linear.pairs:  # momenta determine the coordinates
+            rows = [(_named("0"), _shortest(e)) for _, e in updates]
+        yield Block("One step", tuple(rows))
         cost, quadratures = step.cost, step.integrals
     if model.cost is not None:
         yield Block("Discrete cost, summed over all intervals", ((_named("C_d"), cost),))

@@ -160,11 +160,42 @@ class Segments:
 
 
 @dataclass(frozen=True)
+class CanonicalPairs:
+    """Coordinates `positions` x, whose `momenta` p = theta_x(x, y, t) replace the other half, the `partners` y.
+
+    `velocities` are x' and `slopes` are p', both in terms of coordinates and time.
+    """
+
+    positions: tuple[sympy.Symbol, ...]
+    partners: tuple[sympy.Symbol, ...]
+    momenta: tuple[sympy.Expr, ...]
+    velocities: tuple[sympy.Expr, ...]
+    slopes: tuple[sympy.Expr, ...]
+
+
+@dataclass(frozen=True)
+class LinearLagrangian:
+    """A Lagrangian theta(q, t).v - H(q, t), which is linear in all velocities.
+
+    `function` is the Lagrangian in the velocities `rates`, `one_form` is theta and `energy` is H. `pairs` is None if
+    theta gives no canonical pairs, or if the method uses none.
+    """
+
+    function: sympy.Expr
+    rates: tuple[sympy.Symbol, ...]
+    one_form: tuple[sympy.Expr, ...]
+    energy: sympy.Expr
+    force: tuple[sympy.Expr, ...]
+    pairs: CanonicalPairs | None = None
+
+
+@dataclass(frozen=True)
 class Model:
     """A problem in canonical form; `rates` are velocities of a Lagrangian, momenta of a Hamiltonian.
 
     `form` is lagrangian, hamiltonian or first-order. In first-order form coordinates are the states, there are no
-    rates, `function` is zero and `dynamics` holds the right-hand sides of x' = f(x, u, t); `force` is empty.
+    rates, `function` is zero and `dynamics` holds the right-hand sides of x' = f(x, u, t); `force` is empty. A
+    Lagrangian that is linear in the velocities has this form too, and `linear` keeps it.
 
     `path` conditions hold at every time and may depend on coordinates, rates, controls, time and parameters. They
     include bounds on velocities. `integrals` are conditions on integrals over the duration. Each of the
@@ -244,6 +275,7 @@ class Model:
     loss: str = "squares"
     unused: tuple[str, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
+    linear: LinearLagrangian | None = None
 
     @property
     def with_free_ends(self) -> Model:

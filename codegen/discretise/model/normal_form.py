@@ -10,6 +10,7 @@ from numbers import Integral
 import sympy
 
 from codegen import identifiers
+from codegen.discretise import degenerate
 from codegen.discretise.conditions import CONDITIONS, SIMULATED
 from codegen.discretise.conditions.measurements import measurements_of
 from codegen.discretise.model import delays, events, scope, smoothness, values
@@ -96,6 +97,8 @@ def checked_model(
     model = _built(problem, form, entries, kinds, plain, name, title)
     values.require_values(model, _bounds_of(entries, used), smoothness.sample_points(model, elsewhere))
     points = smoothness.sample_points(model)
+    if problem.task == "simulate" and form == "lagrangian" and degenerate.is_linear(model.function, model.rates):
+        return degenerate.first_order_form(model, points)
     values.require_regular_lagrangian(model, points)
     for kind in CONDITIONS:
         kind.require_regular(model, points)
@@ -153,7 +156,11 @@ def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kind
         if isinstance(number, bool) or not isinstance(number, Integral) or number < 1:
             raise ExpressionError(f"{what} is {number!r}", "give a positive integer")
     if isinstance(problem, Simulate):
-        missing = [str(s) for s in (*kinds.coordinates, *kinds.rates) if s not in problem.start]
+        # Coordinates determine the velocities in which a Lagrangian is linear.
+        lagrangian = next((entry.expression for entry in entries if entry.role == "lagrangian"), None)
+        is_linear = lagrangian is not None and degenerate.is_linear(lagrangian, kinds.rates)
+        rates = () if is_linear else kinds.rates
+        missing = [str(s) for s in (*kinds.coordinates, *rates) if s not in problem.start]
         if missing:
             raise BoundaryError(f"start lacks {', '.join(missing)}", "a simulation needs the complete initial state")
         for simulated in SIMULATED:

@@ -8,6 +8,7 @@ import sympy
 
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.conditions.base import Points
+from codegen.discretise.degenerate import is_linear
 from codegen.discretise.model.definitions import Bounds, Model, prescribed
 from codegen.errors import BoundaryError, DegenerateError, ExpressionError
 from codegen.symbolic import checks as expressions
@@ -86,6 +87,10 @@ def require_regular_lagrangian(model: Model, points: Points) -> None:
     if null is not None:
         names = " ".join(str(v) for v, weight in zip(model.rates, null, strict=True) if abs(weight) > 1e-6)
         remedy = "give every coordinate a kinetic energy, or leave it out"
+        if model.task == "control" and is_linear(model.function, model.rates):
+            remedy = "it is linear in the velocities, for simulations only; write the equations as dynamics={x: ...}"
+        elif any(sympy.diff(model.function, v) != 0 for v in model.rates if str(v) in names.split()):
+            remedy += ", or let the Lagrangian be linear in all velocities"
         if len(constraints) < len(model.holonomic):
             remedy += "; across a constraint, add the square of its time derivative, which vanishes along the motion"
         raise DegenerateError(f"the Lagrangian is degenerate in {names}", remedy)

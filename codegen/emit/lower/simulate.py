@@ -91,6 +91,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     fields |= {"tables": "TABLES"} if tables else {}
     fields |= {"constraints": "node_constraints"} if program.constraints else {}
     fields |= event_fields(program)
+    fields |= {"has_momenta": "False"} if model.linear else {}
     sizes = f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}"
     stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
     state_names = ", ".join(unknown.name for unknown in program.state)
@@ -308,10 +309,11 @@ def _record(
         rolling=tuple(c.name for c in program.constraints[len(model.holonomic) :]),
         events=tuple(event.name for event in program.events),
         gaps=tuple(gap.name for gap in program.gaps),
-        conservative=model.form != "first-order"
-        and not any(model.force)
+        conservative=program.energy is not None
+        and not any(model.linear.force if model.linear else model.force)
         and not any(event.after for event in program.events)
-        and not any(e.has(model.time) for e in (model.function, *held, *(g.expression for g in model.gaps)))
+        and not any(e.has(model.time) for e in (program.energy, *model.dynamics, *held))
+        and not any(gap.expression.has(model.time) for gap in model.gaps)
         and not any(c.xreplace(dict.fromkeys(model.rates, sympy.S.Zero)) for c in model.rolling)
         and all(gap.restitution == 1 for gap in program.gaps),
     )

@@ -26,7 +26,8 @@ import sympy
 from sympy import Add, Expr, Rational, S, Symbol
 
 from codegen.discretise import schemes, transcribe
-from codegen.discretise.interval import STEP, at_nodes, one_step_interval, variational_interval
+from codegen.discretise.degenerate import for_method, step_interval
+from codegen.discretise.interval import STEP, at_nodes, variational_interval
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Boundary, Model
 from codegen.discretise.model.from_problem import load_problem
@@ -110,6 +111,7 @@ def analysis(
         chosen: Scheme = replace(alpha(Symbol(weight, real=True)), name=f"{weight} family")
     else:
         chosen = schemes.find(name, method or transcribe.method_with(model, name))
+    model = for_method(model, method or transcribe.method_with(model, name))
     result = modified_equations(model, chosen, order)
     notation = Notation.of(legendre.hamiltonian_form(model.with_free_ends), latex=latex)
     head = f"{chosen.name} on {model.name}: {_conclusion(result, latex)}"
@@ -394,7 +396,7 @@ class _OneStep(_Step):
         if phase.form == "hamiltonian":
             momentum = sum((p * sympy.diff(phase.function, p) for p in phase.rates), S.Zero)
             phase = replace(phase, cost=momentum - phase.function)
-        step = one_step_interval(phase, scheme)
+        step = step_interval(phase, scheme)
         self.action = step.cost if phase.form == "hamiltonian" else None
         self.at_left = dict(zip((*step.q.left, *step.p.left), states, strict=True)) | {phase.time: phase.time}
         self.at_left |= dict(zip(step.q.left_controls, phase.controls, strict=True))
@@ -408,6 +410,12 @@ class _OneStep(_Step):
                     self.origin[stage] = x
         at_rest = sympy.Matrix([equation.xreplace({STEP: S.Zero}) for equation in self.equations])
         slopes = at_rest.jacobian(list(self.unknowns))
+        if phase.linear and phase.linear.pairs:  # equations for momenta
+            if slopes.has(*self.unknowns):
+                finding = f"scheme {scheme.name!r} in canonical pairs whose momenta are not linear in the coordinates"
+                raise SchemeError(f"{finding} has no series here", "use --method one-step")
+            self.equations = tuple(slopes.LUsolve(sympy.Matrix(self.equations)))
+            slopes = sympy.eye(len(self.unknowns))
         if any(entry.free_symbols for entry in slopes) or slopes.det() == 0:
             raise SchemeError(f"scheme {scheme.name!r} has stages that h = 0 does not determine", "use another scheme")
         self.inverse = slopes.inv()

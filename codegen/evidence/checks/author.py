@@ -133,6 +133,19 @@ class Author:
         self.rates = [] if self.is_first_order else [q.partner for q in self.coordinates]
         self.bodies = getattr(self.first, "bodies", 1)
 
+    @cached_property
+    def is_linear(self) -> bool:
+        """True for a simulation whose Lagrangian is linear in the velocities: its state has no momenta."""
+        if not isinstance(self.first, Simulate) or self.first.lagrangian is None:
+            return False
+        second = (sympy.diff(self.first.lagrangian, v, w) for v in self.rates for w in self.rates)
+        return all(sympy.simplify(entry) == 0 for entry in second)
+
+    @property
+    def has_momenta(self) -> bool:
+        """True if the state of a simulation has momenta."""
+        return bool(self.rates) and not self.is_linear
+
     @property
     def levels(self) -> tuple[int, ...]:
         """Numbers of intervals of a phase from which limits are extrapolated."""

@@ -29,13 +29,14 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, combinations
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import sympy
+from sympy.calculus.euler import euler_equations
 
 from codegen.evidence.checks.author import (
     Array,
@@ -676,7 +677,8 @@ def _simulation(author: Author) -> Iterator[Finding]:
     numbers = author.constants
     start: dict[sympy.Symbol, Any] = {**numbers, author.time: np.zeros(1)}
     start |= {s: np.array([float(value_at(value, numbers))]) for s, value in phase.start.items()}
-    momenta = author.rates if author.is_hamiltonian else [f"p_{q}" for q in author.coordinates if author.rates]
+    start |= {v: np.zeros(1) for v in author.rates if author.is_linear}
+    momenta = author.rates if author.is_hamiltonian else [f"p_{q}" for q in author.coordinates if author.has_momenta]
     names = [*author.coordinates, *momenta]
     expected = _state(author, start)
     pairs = zip(names, expected, grid.start, strict=True)
@@ -751,7 +753,7 @@ def _constrained(author: Author, values: dict[sympy.Symbol, Any], t: Array) -> A
     size, constraints = len(author.coordinates), relations_of(getattr(author.first, "constraint", ()))
     rolling = [relation.expression for relation in relations_of(getattr(author.first, "rolling", ()))]
     if not constraints and not rolling:
-        return np.eye(size + len(author.rates))
+        return np.eye(2 * size if author.has_momenta else size)
 
     def numbers(expressions: Iterable[Any]) -> Array:
         return np.array([values_along(e, values, t)[0] for e in expressions])
@@ -808,7 +810,7 @@ def _step_limits(author: Author, state: Array, t: float, sizes: Array, direction
 def _state(author: Author, values: Values) -> Array:
     """Return the module's state at values of coordinates and velocities (or momenta, or states)."""
     t = np.zeros(1)
-    momenta = author.momenta(author.first, values, t) if author.rates else {}
+    momenta = author.momenta(author.first, values, t) if author.has_momenta else {}
     parts = [values[q] for q in author.coordinates] + [momenta[q] for q in momenta]
     return np.array([float(np.ravel(part)[0]) for part in parts])
 
@@ -822,10 +824,29 @@ def _rates(author: Author, values: Values, t: Array) -> list[list[float]]:
 
     if author.is_first_order:
         return [[number(phase.dynamics[x])] for x in author.coordinates]
+    if author.is_linear:
+        return _determined_velocities(author, number)
     function, sign = (phase.hamiltonian, -1.0) if author.is_hamiltonian else (phase.lagrangian, 1.0)
     rates = [[number(sympy.diff(function, v)) if author.is_hamiltonian else number(v)] for v in author.rates]
     forces = [[sign * number(sympy.diff(function, q)), number(phase.force.get(q, 0))] for q in author.coordinates]
     return rates + forces
+
+
+def _determined_velocities(author: Author, number: Callable[[Any], float]) -> list[list[float]]:
+    """Return the terms of the velocities by sympy's Euler-Lagrange equations, which are linear in the velocities."""
+    phase, clock = author.first, sympy.Dummy("t")
+    motions = [sympy.Function(f"motion_{q}")(clock) for q in author.coordinates]
+    moving = dict(zip(author.coordinates, motions, strict=True)) | {author.time: clock}
+    moving |= {v: motion.diff(clock) for v, motion in zip(author.rates, motions, strict=True)}
+    written = euler_equations(sympy.sympify(phase.lagrangian).xreplace(moving), motions, [clock])
+    back: list[dict[Any, Any]] = [{motion.diff(clock): v for v, motion in zip(author.rates, motions, strict=True)}]
+    back.append(dict(zip(motions, author.coordinates, strict=True)) | {clock: author.time})
+    balances = [sympy.expand(e.lhs.doit()).xreplace(back[0]).xreplace(back[1]) for e in written]
+    balances = [e + phase.force.get(q, 0) for e, q in zip(balances, author.coordinates, strict=True)]
+    matrix = np.array([[number(sympy.diff(e, v)) for v in author.rates] for e in balances])
+    at_rest = dict.fromkeys(author.rates, sympy.S.Zero)
+    right = np.array([number(e.xreplace(at_rest)) for e in balances])
+    return (-np.linalg.inv(matrix) * right).tolist()  # type: ignore[no-any-return]
 
 
 def _energy(author: Author, values: Values, t: Array) -> tuple[float, float]:

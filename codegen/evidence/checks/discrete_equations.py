@@ -28,9 +28,9 @@ from sympy import Add, Expr, S, Symbol
 from codegen.discretise.forms import rewritten
 from codegen.discretise.interval import STEP, at_nodes, repeated, variational_interval
 from codegen.discretise.model import legendre
-from codegen.discretise.model.definitions import Model, prescribed
+from codegen.discretise.model.definitions import CanonicalPairs, Model, prescribed
 from codegen.discretise.program import ControlProgram, StepProgram, in_scales
-from codegen.discretise.schemes.base import DiscreteLagrangian, Scheme
+from codegen.discretise.schemes.base import DiscreteLagrangian, Scheme, Step
 from codegen.evidence.checks.base import (
     DIGITS,
     Context,
@@ -223,6 +223,8 @@ def _step_sides(model: Model, program: ControlProgram | StepProgram, scheme: Sch
     else:
         equations = [program.in_time(e.value) for e in program.equations if str(e) == "0"]
     size, step = len(states), scheme.step()
+    if model.linear and model.linear.pairs:
+        return _pairs_sides(states, rates, equations, step, model, model.linear.pairs, equal)
     motion: dict[Symbol, Expr] = _constant_controls(program)
     motion |= _along(states, (S.Zero, *step.abscissae), partial(_straight, states, rates))
     if scheme.is_chain:
@@ -246,6 +248,28 @@ def _step_sides(model: Model, program: ControlProgram | StepProgram, scheme: Sch
     pairs = zip(rates[half:], model.coordinates, model.force, strict=True)
     continuous += [rate + sympy.diff(model.function, q) - f for rate, q, f in pairs]
     return discrete, continuous, rates
+
+
+def _pairs_sides(
+    states: Sequence[Symbol],
+    rates: list[Symbol],
+    equations: Sequence[Expr],
+    step: Step,
+    model: Model,
+    pairs: CanonicalPairs,
+    equal: Mapping[Symbol, Expr],
+) -> _Sides:
+    """Return both sides of the last equations of a step in canonical pairs: x' - velocity, and dp/dt - slope."""
+    instants = (S.Zero, *(point.abscissa for point in step.points), step.abscissae[-1])
+    motion = _along(states, instants, partial(_straight, states, rates))
+    limits = {}
+    for x, velocity in zip(pairs.positions, pairs.velocities, strict=True):
+        limits[x] = rates[states.index(x)] - velocity
+    for y, p, slope in zip(pairs.partners, pairs.momenta, pairs.slopes, strict=True):
+        along = Add(*(sympy.diff(p, x) * rate for x, rate in zip(states, rates, strict=True)))
+        limits[y] = sympy.diff(p, model.time) + along - slope
+    discrete = [e.xreplace(motion).xreplace(equal) for e in equations[-len(states) :]]
+    return discrete, [limits[x] for x in states], rates
 
 
 def check_integrals(context: Context) -> Iterator[Finding]:

@@ -27,9 +27,10 @@ from functools import cache
 
 import mpmath
 import sympy
-from sympy import Expr, Matrix, Rational, S, Symbol
+from sympy import Add, Expr, Matrix, Rational, S, Symbol
 
-from codegen.discretise import schemes
+from codegen.discretise import degenerate, schemes
+from codegen.discretise.degenerate import step_interval
 from codegen.discretise.interval import STEP, at_nodes, between, one_step_interval, repeated, variational_interval
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Model
@@ -89,7 +90,7 @@ def step_equations(model: Model, scheme: Scheme) -> StepEquations:
     lengths, part = repeated(scheme)
     if not part.variational:
         phase = legendre.hamiltonian_form(model)
-        step = one_step_interval(phase, part)
+        step = step_interval(phase, part)
         left, right = (*step.q.left, *step.p.left), (*step.q.right, *step.p.right)
         return StepEquations(left, step.stages, right, step.equations, lengths, scheme.parts)
     interval = variational_interval(legendre.lagrangian_form(model), part)
@@ -173,9 +174,16 @@ _ATTEMPTS = 6
 
 def check_symplecticity(context: Context) -> Iterator[Finding]:
     """Check without forces that the scheme satisfies S^T J S = J, or violates it if it does not claim symplecticity."""
-    scheme = context.scheme
-    if context.model.rolling:
+    scheme, model = context.scheme, context.model
+    if model.rolling:
         yield does_not_apply("symplecticity", "motions with rolling constraints preserve no symplectic form")
+        return
+    if model.form == "first-order":
+        yield (
+            _kept_two_form(model, scheme)
+            if model.linear
+            else does_not_apply("symplecticity", "a first-order system has no symplectic form")
+        )
         return
     if not scheme.symplectic:
         generic = generic_model_without_forces()
@@ -197,6 +205,21 @@ def check_symplecticity(context: Context) -> Iterator[Finding]:
     defect = defect_at_random_points(context.model, step)
     detail = f"|S^T J S - J| = {defect:.2g} at random points in {_DIGITS}-digit arithmetic"
     yield Finding("symplecticity", scheme.name, defect < PRESERVED, detail)
+
+
+def _kept_two_form(model: Model, scheme: Scheme) -> Finding:
+    """Return the finding on S^T Omega(x_k1) S = Omega(x_k), for a Lagrangian that is linear in the velocities.
+
+    Every symplectic scheme for canonical pairs satisfies the equation. In the coordinates it needs a constant Omega.
+    """
+    model, form = degenerate.without_forces(model), degenerate.two_form(model)
+    name, kept = "symplecticity", scheme.symplectic
+    if not (model.linear and model.linear.pairs) and form.free_symbols & {*model.coordinates, model.time}:
+        return does_not_apply(name, "d theta is not constant, and the one-step method does not keep it")
+    defect = defect_at_random_points(model, step_equations(model, scheme), form)
+    detail = f"|S^T Omega S - Omega| = {defect:.2g} for Omega = d theta, at random points in {_DIGITS}-digit arithmetic"
+    detail += "" if kept else ", which is not claimed"
+    return Finding(name, scheme.name, defect < PRESERVED if kept else defect > _VIOLATED, detail)
 
 
 def has_symplectic_table(table: Tableau) -> bool:
@@ -225,16 +248,25 @@ def _symplectic_form(size: int) -> Matrix:
     return Matrix(sympy.BlockMatrix([[zero, unit], [-unit, zero]]))
 
 
-def defect_at_random_points(model: Model, step: StepEquations) -> float:
-    """Return the largest entry of |S^T J S - J| for random steps of a model, in 50-digit arithmetic."""
-    symbols = set().union(*(value.free_symbols for value in step.equations), step.left, step.unknowns)
+def defect_at_random_points(model: Model, step: StepEquations, form: Matrix | None = None) -> float:
+    """Return the largest entry of |S^T J S - J| for random steps of a model, in 50-digit arithmetic.
+
+    J is the canonical form, or a two-form `form` that depends on states and time, at both ends of the step.
+    """
+    form = _symplectic_form(len(step.left)) if form is None else form
+    states = (*model.coordinates, *model.rates)[: len(step.left)]
+    ends = [dict(zip(states, side, strict=False)) for side in (step.left, step.right)]
+    ends[1][model.time] = model.time + Add(*step.lengths)
+    forms = [form.xreplace(end) for end in ends]
+    of_equations = (value.free_symbols for value in step.equations)
+    symbols = set().union(*of_equations, step.left, step.unknowns, *(f.free_symbols for f in forms))
     ordered = sorted(symbols, key=lambda symbol: symbol.name)
     data_symbols = [symbol for symbol in ordered if symbol not in step.unknowns]
     order = [*data_symbols, *step.unknowns]
     residual = function_of(order, step.equations)
     before, after = (function_of(order, list(m)) for m in jacobians(step.left, step.unknowns, step.equations))
     columns, rows = len(step.left), len(step.unknowns)
-    form = mpmath.matrix(_symplectic_form(columns).tolist())
+    matrices = [function_of(order, list(f)) for f in forms]
     largest = 0.0
     with mpmath.workdps(_DIGITS):
         for point in random_points(step.equations, ordered, model, count=2):
@@ -250,7 +282,8 @@ def defect_at_random_points(model: Model, step: StepEquations) -> float:
                         raise
             a, b = _matrix(before(*data, *y), columns), _matrix(after(*data, *y), rows)
             derivative = (-(b**-1) * a)[rows - columns :, :]
-            difference = derivative.T * form * derivative - form
+            first, last = (_matrix(matrix(*data, *y), columns) for matrix in matrices)
+            difference = derivative.T * last * derivative - first
             largest = max(largest, float(max(abs(entry) for entry in difference)))
     return largest
 

@@ -32,7 +32,7 @@ from codegen.evidence.stress.systems import (
     swing,
 )
 from codegen.problem.points import read_points
-from codegen.runtime.record import Form
+from codegen.runtime.record import Form, Method
 from codegen.solving.loading import (
     ControlModule,
     GeneratedModule,
@@ -81,6 +81,8 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
         of_particles = [candidate(None, scheme) for scheme in PARTICLE_SCHEMES.values() if not scheme.adaptive]
         return [case for one in of_particles for case in refined_cases(default, one, points)]
     methods = (FIRST_ORDER,) if first else ("hamiltonian", "variational")
+    if first and default.metadata.method == Method.HAMILTONIAN:  # a Lagrangian that is linear in the velocities
+        methods = ("hamiltonian", FIRST_ORDER)
     if is_simulation(default) and default.metadata.constraints:  # explicit Euler gives no vector field
         usable = [scheme for scheme in of_method("variational") if len(scheme.discrete_lagrangian().nodes) == 2]
         return [case for s in usable for case in refined_cases(default, candidate("variational", s), ())]
@@ -88,7 +90,8 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
         candidates = [candidate(method, scheme) for method in methods for scheme in of_method(method)]
         if default.metadata.events or default.metadata.gaps:  # a vector field has no impacts
             return [case for one in candidates for case in refined_cases(default, one, ())]
-        euler = compiler.build(problem, arguments, scheme="explicit-euler", method=None if first else "hamiltonian")
+        method = FIRST_ORDER if first else "hamiltonian"
+        euler = compiler.build(problem, arguments, scheme="explicit-euler", method=method)
         field = load(euler.path)
         assert is_simulation(field)
         return motion_cases(field, candidates)

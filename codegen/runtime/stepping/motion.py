@@ -110,7 +110,8 @@ class Solution(NamedTuple):
     t : array (M,)
         Times.
     q, p : array (M, coordinates)
-        Positions and momenta. For first-order dynamics `q` has the states, and `p` has no columns.
+        Positions and momenta. For first-order dynamics `q` has the states, and `p` has no columns. The same holds for
+        the coordinates of a Lagrangian that is linear in the velocities.
     energy : array (M,) or None
         The Hamiltonian; None for first-order dynamics.
     residual : float
@@ -144,7 +145,7 @@ def checked_step_grid(problem, steps, duration, parameters, start, tables=None, 
     numbers = table_numbers(problem, tables) if problem.tables else ()
     parameters, start = np.array([*parameters, *numbers], dtype=float), np.array(start, dtype=float)
     if start.shape != (problem.state,):
-        order = "first positions, then momenta" if problem.energy is not None else "all states"
+        order = "first positions, then momenta" if problem.positions < problem.state else "all states"
         raise ValueError(f"start has shape {start.shape}, expected ({problem.state},): {order}")
     require_finite(parameters, start)
     spans = EQUAL if grid is None else checked_spans(grid, duration)
@@ -230,7 +231,7 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
         reached = longest_part(grid, path[rows - 1], times_at(grid, made))
         if names := dependent_constraints(grid, *reached, NEARLY):
             message += f"; {names} there"
-    positions = size if energy is None else size // 2
+    positions = problem.positions
     q, p = path[:rows, :positions].copy(), path[:rows, positions:].copy()
     return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations)
 
@@ -277,7 +278,7 @@ def follow_with_events(grid, every):
         message = message.format(*((names[log.number[-1]], log.t[-1]) if logged else (names[-1], 0.0)))
     if outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], times_at(grid, made)))
-    positions = size if energy is None else size // 2
+    positions = problem.positions
     q, p = path[:rows, :positions].copy(), path[:rows, positions:].copy()
     return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations, log)
 

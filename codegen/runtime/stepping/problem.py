@@ -31,6 +31,9 @@ class StepProblem:
         lengths, parameters).
     energy : Value or None
         The Hamiltonian of (state, t, parameters); None for first-order dynamics.
+    has_momenta : bool
+        True if the second half of a state with an energy are momenta. A Lagrangian that is linear in the velocities has
+        an energy, but no momenta.
     explicit : Kernel or None
         Fills the interval of an explicit scheme.
     all_steps : Kernel or None
@@ -86,10 +89,16 @@ class StepProblem:
     normals: Kernel | None = None
     rules: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     tables: Mapping[str, np.ndarray] = field(default_factory=dict)
+    has_momenta: bool = True
 
     def __reduce__(self):
         """Pickle the problem as the name of its module; another process imports the module."""
         return problem_of, (self.equations.__module__,)
+
+    @property
+    def positions(self):
+        """The number of coordinates or states in front of the momenta."""
+        return self.state // 2 if self.energy is not None and self.has_momenta else self.state
 
     @cached_property
     def scheme(self):

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from codegen.errors import ArgumentError
-from codegen.runtime.record import Form, Method
+from codegen.runtime.record import Method
 from codegen.solving.drivers.shared import (
     DENSE_LIMIT,
     finite,
@@ -110,9 +110,8 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
     path, steps = np.array(states), len(states) - 1
     stored = np.unique([*range(0, steps + 1, run.every), steps])
     times, dimension, energy = grid.h * stored, len(module.metadata.coordinates), None
-    if module.metadata.form != Form.FIRST_ORDER:
-        rows = zip(path[stored], times, strict=True)
-        energy = np.array([module.energy(row, t, grid.parameters) for row, t in rows])
+    if function := getattr(module, "energy", None):
+        energy = np.array([function(row, t, grid.parameters) for row, t in zip(path[stored], times, strict=True)])
     return SimulateAttempt(
         status=status,
         message=message or f"all {steps} steps were made with {evaluations / steps:.2f} evaluations each",
