@@ -342,6 +342,14 @@ def test_reorientation_takes_the_published_time():
     assert result.t[-1] == pytest.approx(28.6304, abs=5e-4)
 
 
+def test_drone_in_space_finds_the_optimum_of_casadi():
+    """CasADi and IPOPT, `benchmarks/peers/casadi_drone.py`: cost 2.98731 and time 2.47519 by collocation of order 4."""
+    result = codegen.solve(PROBLEMS / "drone_in_space.py")
+    assert result.status == "solved"
+    assert result.cost == pytest.approx(2.98731, rel=2e-4)
+    assert result.t[-1] == pytest.approx(2.47519, rel=2e-4)
+
+
 def test_spin_at_the_end_without_an_attitude_is_a_condition():
     R, omega = rotation("R")
     u = Matrix(controls("u1 u2 u3"))
