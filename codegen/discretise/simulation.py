@@ -36,13 +36,16 @@ of assignments, needs about n^3/6 products. Source: Golub and Van Loan (2013), M
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 import sympy
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 from sympy import Add, Expr, S, Symbol, diff, expand, expand_mul
 
 from codegen.discretise import events
@@ -138,6 +141,7 @@ class _System:
     ) -> None:
         self.equations = {i: _Equation.of(e) for i, e in enumerate(equations)}
         self.unknowns = tuple(unknowns)
+        self.places = {y: i for i, y in enumerate(unknowns)}
         self.constants = constants
         self.longest = longest
         self.open = set(unknowns)
@@ -184,9 +188,9 @@ class _System:
         Equation i is first tried for unknown i, then the pair with the least fill-in (Markowitz's count).
         """
         present = {i: self._present(i) for i in order}
-        occurrences = {y: sum(y in symbols for symbols in present.values()) for y in self.open}
+        occurrences = Counter(y for symbols in present.values() for y in symbols)
         ranked = [
-            (y != self.unknowns[i], (occurrences[y] - 1) * (len(present[i]) - 1), position, self.unknowns.index(y))
+            (y != self.unknowns[i], (occurrences[y] - 1) * (len(present[i]) - 1), position, self.places[y])
             for position, i in enumerate(order)
             for y in present[i]
             if (i, y) not in self.rejected
@@ -267,6 +271,30 @@ def _nonlinear_symbols(expression: Expr, variables: AbstractSet[Symbol]) -> Abst
 def _symbols_of(expression: Expr) -> AbstractSet[Symbol]:
     """Return the symbols of a term, cached because every unknown is tested."""
     return frozenset(expression.free_symbols)
+
+
+_LARGE = 12
+"""Number of unknowns from which they are put into an order that makes the Jacobian a narrow band."""
+
+
+def in_bands(solution: Elimination) -> Elimination:
+    """Return a solution whose many unknowns and equations are in an order in which coupled ones are near each other.
+
+    The order of the unknowns is that of Cuthill and McKee for the graph of unknowns with a common equation; equations
+    follow their middle unknown. Source: George and Liu (1981), Computer solution of large sparse positive definite
+    systems, chapter 4.
+    """
+    if len(solution.unknowns) < _LARGE:
+        return solution
+    pattern = np.array([[y in equation.free_symbols for y in solution.unknowns] for equation in solution.residual])
+    order = reverse_cuthill_mckee(csr_array(pattern.T.astype(int) @ pattern.astype(int)), symmetric_mode=True)
+    middles = [np.flatnonzero(row).mean() for row in pattern[:, order]]
+    rows = np.argsort(middles, kind="stable")
+    return replace(
+        solution,
+        unknowns=tuple(solution.unknowns[i] for i in order),
+        residual=tuple(solution.residual[i] for i in rows),
+    )
 
 
 _WRITTEN_OUT = 3
@@ -441,7 +469,7 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         found = events.at_node(model, events.Rates(model, left, moving, held, linear))
     kind = Kind.COORDINATE if is_mechanical else Kind.STATE
     kinds = [*((kind, q) for q in phase.coordinates), *((Kind.MOMENTUM, p) for p in phase.rates)]
-    solution = step.solution
+    solution = in_bands(step.solution)
     energy = stepwise.energy if stepwise else phase.function if is_mechanical else model.linear and model.linear.energy
     return StepProgram(
         model=model,

@@ -123,24 +123,34 @@ def factor_matrix(matrix, pivots):
 
     Return -1, or the first column with a zero or NaN pivot.
     """
+    return factor_band(matrix, pivots, matrix.shape[0], matrix.shape[0])
+
+
+@njit(cache=True, error_model="numpy")
+def factor_band(matrix, pivots, below, above):
+    """Factor a matrix with `below` diagonals under, and `above` diagonals over the main diagonal, as `factor_matrix`.
+
+    The entries outside the band are zero. Exchanges of rows widen the upper part of the band by `below`.
+    """
     size = matrix.shape[0]
     for i in range(size):
+        last, right = min(size, i + below + 1), min(size, i + below + above + 1)
         pivot = i
-        for j in range(i + 1, size):
+        for j in range(i + 1, last):
             if abs(matrix[j, i]) > abs(matrix[pivot, i]):
                 pivot = j
         if not abs(matrix[pivot, i]) > 0.0:
             return i
         pivots[i] = pivot
         if pivot != i:
-            for c in range(size):
+            for c in range(i, right):
                 matrix[i, c], matrix[pivot, c] = matrix[pivot, c], matrix[i, c]
         inverse = 1.0 / matrix[i, i]
-        for j in range(i + 1, size):
+        for j in range(i + 1, last):
             multiplier = matrix[j, i] * inverse
             matrix[j, i] = multiplier
             if multiplier != 0.0:
-                for c in range(i + 1, size):
+                for c in range(i + 1, right):
                     matrix[j, c] -= multiplier * matrix[i, c]
     return -1
 
@@ -148,17 +158,22 @@ def factor_matrix(matrix, pivots):
 @njit(cache=True, error_model="numpy")
 def solve_factored(matrix, pivots, right_hand_side):
     """Overwrite a right-hand side (n,) by the solution, with `matrix` and `pivots` from `factor_matrix`."""
+    solve_band(matrix, pivots, right_hand_side, matrix.shape[0], matrix.shape[0])
+
+
+@njit(cache=True, error_model="numpy")
+def solve_band(matrix, pivots, right_hand_side, below, above):
+    """Overwrite a right-hand side (n,) by the solution, with `matrix` and `pivots` from `factor_band`."""
     size = matrix.shape[0]
     for i in range(size):
         pivot = pivots[i]
         value = right_hand_side[pivot]
         right_hand_side[pivot] = right_hand_side[i]
         right_hand_side[i] = value
-    for i in range(1, size):
-        for j in range(i):
-            right_hand_side[i] -= matrix[i, j] * right_hand_side[j]
+        for j in range(i + 1, min(size, i + below + 1)):
+            right_hand_side[j] -= matrix[j, i] * value
     for i in range(size - 1, -1, -1):
-        for j in range(i + 1, size):
+        for j in range(i + 1, min(size, i + below + above + 1)):
             right_hand_side[i] -= matrix[i, j] * right_hand_side[j]
         right_hand_side[i] /= matrix[i, i]
 

@@ -40,8 +40,12 @@ class TestItems:
     @pytest.mark.parametrize(
         ("make", "finding", "remedy"),
         [
-            (lambda: Ground(-2.5), "Ground.*'end'", r"Ground(start, end, *, label='') with (x, y) as start and as end"),
-            (lambda: Mass((0, 0)), "'radius'", "Mass(centre, radius, *, label='') with (x, y) as centre"),
+            (
+                lambda: Ground(-2.5),
+                "Ground.*'end'",
+                r"Ground(start, end, *, label='') with (x, y) or (x, y, z) as start and as end",
+            ),
+            (lambda: Mass((0, 0)), "'radius'", "Mass(centre, radius, *, label='') with (x, y) or (x, y, z) as centre"),
             (lambda: Box((0, 0), 1, 1, 0, "x"), "too many", "Box(centre, width, height, angle=0, *, label='')"),
             (lambda: Rod((0, 0), (1, 1), colour="red"), "'colour'", "Rod(start, end, *, label='')"),
         ],
@@ -98,7 +102,7 @@ class TestModel:
             ({}, ExpressionError, "drawing is a dict"),
             ([(0, 0)], ExpressionError, r"drawing\[0\] is a tuple"),
             ([Item()], ExpressionError, r"drawing\[0\] is a Item"),
-            ([Mass((0, 0), 1), Trail((0, 0, 0))], ExpressionError, r"drawing\[1\], a Trail, point .*project"),
+            ([Mass((0, 0), 1), Trail((0, 0, 0, 0))], ExpressionError, r"drawing\[1\], a Trail, point .*three in space"),
             ([Trail(0)], ExpressionError, "two coordinates"),
             ([Rod((0, 0), (1, "x"))], ExpressionError, "end is 'x'"),
             ([Mass((0, 0), None)], ExpressionError, "radius is None"),

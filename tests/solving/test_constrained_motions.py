@@ -395,3 +395,39 @@ def test_damage_of_a_constraint_in_the_module_fails_the_checks(tmp_path: Path, w
     module.write_text(text.replace(written, damaged))
     findings = checks.run(DOUBLE, scheme="trapezoidal", module=module, steps=20)
     assert failed in {finding.subject for finding in findings if not finding.passed}
+
+
+def chain(links: int) -> Simulate:
+    """Release a horizontal chain of unit masses and unit links, which hangs at one end."""
+    q, v = coordinates(" ".join(f"x{i} y{i}" for i in range(links)))
+    places, speeds = [*zip(q[::2], q[1::2], strict=True)], [*zip(v[::2], v[1::2], strict=True)]
+    pairs = zip([(0, 0), *places], places, strict=False)
+    return Simulate(
+        lagrangian=sum(dx**2 + dy**2 for dx, dy in speeds) / 2 - 9.81 * sum(y for _, y in places),
+        constraint=[(x - a) ** 2 + (y - b) ** 2 - 1 for (a, b), (x, y) in pairs],
+        duration=0.5,
+        start={**{q[2 * i]: i + 1 for i in range(links)}, **dict.fromkeys(q[1::2], 0), **dict.fromkeys(v, 0)},
+    )
+
+
+def test_steps_of_a_chain_are_solved_in_a_band():
+    """The reference is DOP853 for the angles of the links to the vertical."""
+    links = 6
+
+    def field(t, state):
+        angle, rate = state[:links], state[links:]
+        hanging = links - np.maximum.outer(np.arange(links), np.arange(links))
+        between = np.subtract.outer(angle, angle)
+        weight = 9.81 * (links - np.arange(links)) * np.sin(angle)
+        force = -(hanging * np.sin(between)) @ rate**2 - weight
+        return np.concatenate([rate, np.linalg.solve(hanging * np.cos(between), force)])
+
+    start = np.concatenate([np.full(links, np.pi / 2), np.zeros(links)])
+    angle = solve_ivp(field, (0, 0.5), start, "DOP853", rtol=1e-12, atol=1e-13).y[:links, -1]
+    exact = np.column_stack([np.cumsum(np.sin(angle)), -np.cumsum(np.cos(angle))]).ravel()
+    solver, steps = codegen.compile(chain(links), scheme="trapezoidal"), [100, 200, 400]
+    below, above = solver.module.problem.bands
+    assert 2 * below + above < solver.module.problem.unknowns
+    errors = [np.abs(solver.solve(steps=n).q[-1] - exact).max() for n in steps]
+    assert slopes(errors, steps) == pytest.approx(2, abs=0.1)
+    assert errors[-1] < 1e-4

@@ -297,7 +297,7 @@ def _checked_item(item: object, where: str) -> Item:
             changes[name] = expressions.checked(value, what)
             continue
         if not isinstance(value, (list, tuple)) or len(value) != 2:
-            raise ExpressionError(f"{what} is {value!r}", "give two coordinates (x, y); project a point in space")
+            raise ExpressionError(f"{what} is {value!r}", "give two coordinates (x, y), or three in space (x, y, z)")
         changes[name] = tuple(expressions.checked(part, what) for part in value)
     checked = replace(item, **changes)
     for name, expression in checked.expressions():

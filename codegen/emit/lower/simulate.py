@@ -31,6 +31,8 @@ from codegen.symbolic.tables import TableData
 
 _LONG = 1000
 """Number of operations from which common subexpressions of the equations are found on an expression graph."""
+_MANY = 12
+"""Number of unknowns of a step from which a band is used."""
 _LONGEST_LIST = 21
 """Greatest length of a list of names in a docstring; the comments at STATE and UNKNOWNS always have the list."""
 _ARGUMENTS = ("state", "t", "lengths", "parameters")
@@ -82,6 +84,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         fields |= {
             "unknowns": "UNKNOWNS", "predict": "predict_step", "residual": "step_residual",
             "jacobian": "step_jacobian", "complete": "complete_step",
+            **({"bands": repr(bands)} if (bands := _bands(derivatives)) else {}),
             "is_linear": repr(solver is not StepSolver.NEWTON), "is_constant": repr(solver is StepSolver.CONSTANT),
         }  # fmt: skip
     else:
@@ -183,6 +186,7 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
         Output(f"jacobian[{i * len(names) + j}]", entry, f"by {names[j]}")
         for i, row in enumerate(derivatives.jacobian)
         for j, entry in enumerate(row)
+        if entry != 0
     ]
     listed = ", ".join(names)
     if len(listed) > _LONGEST_LIST:
@@ -204,7 +208,8 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
             () if is_straight else of_residual, KERNEL, straight_line=of_residual if is_straight else (),
         ),
         kernel(
-            "step_jacobian", f"Fill the residual and its `jacobian` (UNKNOWNS UNKNOWNS,) with respect to {listed}.",
+            "step_jacobian",
+            f"Fill the residual, and the entries of its `jacobian` (UNKNOWNS UNKNOWNS,) by {listed} that are not zero.",
             ("unknowns", *_ARGUMENTS, "residual", "jacobian"), codes, [*residual, *entries], None,
             () if is_straight else of_both, KERNEL, straight_line=of_both if is_straight else (),
         ),
@@ -214,6 +219,14 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
             ("unknowns", *_ARGUMENTS, "interval"), codes, interval, None, (*program.before, *program.after), KERNEL,
         ),
     ]  # fmt: skip
+
+
+def _bands(derivatives: StepDerivatives) -> tuple[int, int] | None:
+    """Return the numbers of diagonals under and over the main diagonal; None for few unknowns or a wide band."""
+    size = len(derivatives.jacobian)
+    places = [(i, j) for i, row in enumerate(derivatives.jacobian) for j, entry in enumerate(row) if entry != 0]
+    below, above = max(max(i - j, 0) for i, j in places), max(max(j - i, 0) for i, j in places)
+    return (below, above) if size >= _MANY and 2 * below + above < size else None
 
 
 def _solver(program: StepProgram, derivatives: StepDerivatives) -> StepSolver:

@@ -193,7 +193,7 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     for point in random_points(program.residual, symbols, program.model, assignments=program.before):
         numbers = [point[symbol] for symbol in symbols]
         unknowns, arguments = np.array(numbers[:size], dtype=float), _step_arguments(point, program)
-        alone, beside, matrix = np.empty(size), np.empty(size), np.empty((size, size))
+        alone, beside, matrix = np.empty(size), np.empty(size), np.zeros((size, size))
         context.module.step_residual(unknowns, *arguments, alone)
         context.module.step_jacobian(unknowns, *arguments, beside, matrix)
         with mpmath.workdps(DIGITS):

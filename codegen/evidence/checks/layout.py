@@ -478,7 +478,7 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
     y = at(program.unknowns)
     yield from _run(module, "predict_step", base, unknowns=(size,))
     yield from _run(module, "step_residual", (y, *base), residual=(size,))
-    yield from _run(module, "step_jacobian", (y, *base), residual=(size,), jacobian=(size**2,))
+    yield from _run(module, "step_jacobian", (y, *base), True, residual=(size,), jacobian=(size**2,))
     yield from _run(module, "complete_step", (y, *base), interval=(whole,))
 
 

@@ -531,7 +531,7 @@ def residual(grid, unknowns, state, t=0.0):
 def jacobian(grid, unknowns, state, t=0.0):
     """Return the Jacobian (unknowns, unknowns) of `residual` with respect to the unknowns."""
     count, unknowns = grid.problem.unknowns, np.array(unknowns, dtype=float)
-    values, matrix = np.empty(count), np.empty((count, count))
+    values, matrix = np.empty(count), np.zeros((count, count))
     grid.problem.jacobian(unknowns, np.array(state, dtype=float), t, lengths(grid, t), grid.parameters, values, matrix)
     return matrix
 

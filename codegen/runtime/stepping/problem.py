@@ -34,13 +34,15 @@ class StepProblem:
     has_momenta : bool
         True if the second half of a state with an energy are momenta. A Lagrangian that is linear in the velocities has
         an energy, but no momenta.
+    bands : tuple of int, or None
+        Numbers of diagonals of the Jacobian under and over its main diagonal, if its other entries are zero.
     explicit : Kernel or None
         Fills the interval of an explicit scheme.
     all_steps : Kernel or None
         Makes all steps of an explicit scheme in one loop, with the step inlined; see `steps.follow_explicitly`.
     predict, residual, jacobian, complete : Kernel or None
-        For implicit schemes. They fill the initial guess of the unknowns, the residual, the residual and its Jacobian,
-        and the interval that follows from the unknowns.
+        For implicit schemes. They fill the initial guess of the unknowns, the residual, the residual and the entries of
+        its Jacobian that do not vanish, and the interval that follows from the unknowns.
     is_linear, is_constant : bool
         True if the equations of a step are linear, and if their matrix is the same for all steps.
     fractions : array (parts, lengths)
@@ -90,6 +92,7 @@ class StepProblem:
     rules: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     tables: Mapping[str, np.ndarray] = field(default_factory=dict)
     has_momenta: bool = True
+    bands: tuple[int, int] | None = None
 
     def __reduce__(self):
         """Pickle the problem as the name of its module; another process imports the module."""
@@ -111,6 +114,7 @@ class StepProblem:
             *(0 if kernel is None else kernel.address for kernel in kernels),
             self.state, self.stages, self.unknowns, int(not self.is_linear), int(self.is_constant),
             *self.fractions.shape, len(self.ranges), self.fractions.ctypes.data, self.ranges.ctypes.data,
+            *(self.bands or (self.unknowns, self.unknowns)),
         )  # fmt: skip
 
     def follow(self, start, steps, h, parameters, tolerance, most, every, path, before, spans=EQUAL):

@@ -12,7 +12,7 @@ import numpy as np
 from numba import carray, njit
 
 from codegen.runtime.addresses import ahead, call, call_value, data_of, integers_at, reals_at
-from codegen.runtime.arithmetic import factor_matrix, solve_factored
+from codegen.runtime.arithmetic import factor_band, solve_band
 from codegen.runtime.kernels import ONLY_COMPILED
 
 NON_FINITE, SINGULAR, NOT_CONVERGED, LEFT_TABLE = -1, -2, -3, -4  # outcomes of a failed step
@@ -32,7 +32,8 @@ class Scheme(NamedTuple):
     """The data of a `StepProblem` for compiled code, all as integers, so that passing them counts no references.
 
     The first seven fields are addresses of kernels, 0 for a missing kernel. Then follow numbers. `fractions` and
-    `ranges` are the addresses of the arrays (parts, lengths) and (inputs, 2) of the problem.
+    `ranges` are the addresses of the arrays (parts, lengths) and (inputs, 2) of the problem. `below` and `above` are
+    the numbers of diagonals of the Jacobian on both sides of its main diagonal.
     """
 
     explicit: int
@@ -52,6 +53,8 @@ class Scheme(NamedTuple):
     inputs: int
     fractions: int
     ranges: int
+    below: int
+    above: int
 
 
 class Work(NamedTuple):
@@ -129,7 +132,7 @@ def work_in(scheme, memory, h, parameters_at):
         call(scheme.jacobian, (unknowns, begin, 0.0, lengths, parameters_at, residual, work.jacobian))
         if count > 1:
             jacobian, factored = carray(reals_at(work.jacobian), (count, count)), carray(integers_at(pivots), (count,))
-            if factor_matrix(jacobian, factored) >= 0:
+            if factor_band(jacobian, factored, scheme.below, scheme.above) >= 0:
                 factored[0] = -1
     return work
 
@@ -246,6 +249,9 @@ def iterate(scheme, work, t, lengths_at, tolerance, most, parameters_at):
         if scheme.is_constant:
             call(scheme.residual, (*arguments, work.residual))
         else:
+            for i in range(count):
+                for j in range(count):
+                    jacobian[i, j] = 0.0
             call(scheme.jacobian, (*arguments, work.residual, work.jacobian))
         if scheme.is_iterated:
             total = 0.0
@@ -258,9 +264,9 @@ def iterate(scheme, work, t, lengths_at, tolerance, most, parameters_at):
                 return SINGULAR
             residual[0] /= jacobian[0, 0]
         else:
-            if pivots[0] < 0 if scheme.is_constant else factor_matrix(jacobian, pivots) >= 0:
+            if pivots[0] < 0 if scheme.is_constant else factor_band(jacobian, pivots, scheme.below, scheme.above) >= 0:
                 return SINGULAR
-            solve_factored(jacobian, pivots, residual)
+            solve_band(jacobian, pivots, residual, scheme.below, scheme.above)
         scale, correction = magnitude, 0.0
         for i in range(count):
             unknowns[i] -= residual[i]
