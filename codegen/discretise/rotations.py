@@ -106,7 +106,7 @@ def in_body_rates(model: Model, function: Expr, rates: Mapping[tuple[Symbol, ...
         moving = [velocity[q] for q in quaternion]
         length = squared_length(quaternion)
         # An author writes L in omega = numerator/|q|^2, and the numerator is a sum that sympy leaves as it is.
-        numerators = [(part * length) for part in angular_velocity(quaternion, moving)]
+        numerators = [part * length for part in angular_velocity(quaternion, moving)]
         function = function.xreplace({n: w * length for n, w in zip(numerators, omega, strict=True)})
         function = function.xreplace({Add(*(q * v for q, v in zip(quaternion, moving, strict=True))): S.Zero})
         turning = product(quaternion, (S.Zero, *omega))
@@ -192,8 +192,7 @@ def step_with_rotations(
     holonomic.require_no_inner_points(model, rule.nodes[1:-1], scheme.name)
     names, count = Names(model), len(model.coordinates)
     at_left, at_right = (dict(zip(model.coordinates, side, strict=False)) for side in (left, right))
-    momenta = (dict(zip(model.coordinates, side[count:], strict=True)) for side in (left, right))
-    p_left, p_right = momenta
+    p_left, p_right = (dict(zip(model.coordinates, side[count:], strict=True)) for side in (left, right))
     bodies = [_Attitude(quaternion, names) for quaternion in model.rotations]
     turning = {q for body in bodies for q in body.coordinates}
     straight = [i for i, q in enumerate(model.coordinates) if q not in turning]
@@ -201,7 +200,9 @@ def step_with_rotations(
     v = at_nodes(speeds, "_k")
     body_rates = {body.coordinates: body.rates for body in bodies}
     function = in_body_rates(model, model.function, body_rates)
-    force = dict(zip(model.coordinates, model.force, strict=True))
+    force = {
+        q: in_body_rates(model, f, body_rates) for q, f in zip(model.coordinates, model.force, strict=True)
+    }  # fmt: skip
     mu = [Matrix([0, 0, 0]) for _ in bodies]
     push = [S.Zero for _ in places]
     moments = {sign: [Matrix([0, 0, 0]) for _ in bodies] for sign in (1, -1)}

@@ -254,6 +254,20 @@ def test_torques_in_both_frames(frame):
     assert slopes([attitude_error(solver.solve(steps=n), exact) for n in steps], steps) == pytest.approx(2, abs=0.1)
 
 
+def test_damped_rotation_slows_down_exponentially():
+    """A sphere with the torque -k omega: the angle is omega_0 (1 - exp(-k t))/k."""
+    R, omega = rotation("R")
+    (k,) = parameters(k=0.4)
+    problem = Simulate(
+        lagrangian=omega.dot(omega) / 2, force={R: -k * omega}, duration=3, start={R: eye(3), omega: (0, 0, 1.5)}
+    )
+    solver, steps = codegen.compile(problem), [50, 100, 200]
+    exact = about([0, 0, 1], 1.5 * (1 - np.exp(-1.2)) / 0.4)
+    errors = [attitude_error(solver.solve(steps=n), exact) for n in steps]
+    assert slopes(errors, steps) == pytest.approx(2, abs=0.1)
+    assert errors[-1] < 1e-4
+
+
 def test_pose_of_a_thrown_body_follows_a_parabola():
     (x, R), (v, omega) = pose("B")
     problem = Simulate(
