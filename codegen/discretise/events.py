@@ -142,11 +142,11 @@ class Rates:
         return total
 
     def _normal_forces(self) -> list[Expr]:
-        """Return the forces C^T kappa of the holonomic constraints, at the left node."""
+        """Return the forces C^T kappa of holonomic and rolling constraints, at the left node."""
         model = self.model
-        if not model.holonomic:
+        if not self.constraint_rates:
             return self.normal_forces
-        slopes = [[self.node(slope) for slope in gradient(c, model.coordinates)] for c in model.holonomic]
+        slopes = [[self.node(slope) for slope in gradient(rate, model.rates)] for rate in self.constraint_rates]
         responses = [self.response(row) for row in slopes]
         matrix = sympy.Matrix([[Add(*map(sympy.Mul, a, b)) for b in responses] for a in slopes])
         kappa = solve_blocks(matrix, [-self.rate(rate) for rate in self.constraint_rates])

@@ -70,7 +70,7 @@ class Sphere:
 
     @property
     def is_attitude(self) -> bool:
-        """Whether the vector is the quaternion of an attitude."""
+        """True if the vector is the quaternion of an attitude."""
         return len(self.coordinates) == 4
 
     @property
@@ -123,10 +123,10 @@ def rotation(name: str) -> tuple[ImmutableMatrix, ImmutableMatrix]:
 
     Notes
     -----
-    Both are keys of `start`, `end` and `guess`: `R` has a matrix, a unit quaternion (w, x, y, z), or a pair of an axis
-    and an angle as its value; `omega` has three numbers. A quaternion and its negative are the same attitude, but a
-    motion ends at the one that is given: an angle of 3 pi/2 is not an angle of -pi/2. `force={R: torque}` has the
-    torque in the frame of the body; a torque in space is `R.T @ torque`.
+    Both are keys of `start` and `end`, and `R` of `guess`. `R` has a matrix, a unit quaternion (w, x, y, z), or a pair
+    of an axis and an angle as its value; `omega` has three numbers. A quaternion and its negative are the same
+    attitude, but a motion ends at the one that is given: an angle of 3 pi/2 is not an angle of -pi/2.
+    `force={R: torque}` has the torque in the frame of the body; a torque in space is `R.T @ torque`.
     """
     sphere = _sphere(name, [f"{name}_{part}" for part in "wxyz"])
     return sphere.matrix, sphere.angular_velocity
@@ -151,6 +151,7 @@ def pose(
     (v, omega) : tuple of ImmutableMatrix
         Velocity (3, 1) in the frame of space, and angular velocity (3, 1) in the frame of the body.
     """
+    _require_name(name)
     x, v = coordinates(f"{name}_1:4", unit=unit)
     R, omega = rotation(name)
     return (ImmutableMatrix(x), R), (ImmutableMatrix(v), omega)
@@ -167,7 +168,7 @@ def direction(name: str) -> tuple[ImmutableMatrix, ImmutableMatrix]:
     Returns
     -------
     n, dn : ImmutableMatrix (3, 1)
-        The vector and its velocity, which is perpendicular to it. Both are keys of `start`, `end` and `guess`.
+        The vector and its velocity, which is perpendicular to it. Both are keys of `start` and `end`, and n of `guess`.
     """
     sphere = _sphere(name, [f"{name}_{part}" for part in "xyz"])
     return ImmutableMatrix(sphere.coordinates), ImmutableMatrix(sphere.velocities)
@@ -190,8 +191,10 @@ def attitude(name: str) -> ImmutableMatrix:
 
     Notes
     -----
-    The midpoint rule and Gauss schemes conserve the length of the quaternion to rounding. R does not depend on it.
+    The midpoint rule and Gauss schemes conserve the length of the quaternion to rounding. R does not depend on it. The
+    motion ends at the quaternion of `end` or at its negative, which are the same attitude.
     """
+    _require_name(name)
     states = tuple(_StateOnSphere(f"{name}_{part}") for part in "wxyz")
     sphere = Sphere(name, states, ())
     for q in states:
@@ -200,6 +203,7 @@ def attitude(name: str) -> ImmutableMatrix:
 
 
 def _sphere(name: str, names: Sequence[str]) -> Sphere:
+    _require_name(name)
     pairs = [(_CoordinateOnSphere(each), Velocity(f"d{each}")) for each in names]
     for q, v in pairs:
         q.partner, v.partner = v, q
@@ -208,6 +212,11 @@ def _sphere(name: str, names: Sequence[str]) -> Sphere:
     for q in qs:
         q.sphere = sphere
     return sphere
+
+
+def _require_name(name: str) -> None:
+    if not isinstance(name, str) or not name.isidentifier():
+        raise SymbolError(f"{name!r} is not an identifier", "use letters, digits and underscores")
 
 
 def spheres_in(*expressions: Any) -> list[Sphere]:
@@ -235,7 +244,7 @@ def in_coordinates(problem: Any) -> dict[str, Any]:
         For a value that is no attitude, no vector of three numbers, or an angular velocity without an attitude.
     """
     reading, changed = _Reading(), dict[str, Any]()
-    for what in ("start", "end", "force", "dynamics", "guess", "bounds", "scale"):
+    for what in ("start", "end", "force", "dynamics", "guess", "bounds", "scale", "periodic", "history"):
         mapping = getattr(problem, what, None)
         if isinstance(mapping, Mapping) and any(isinstance(key, MatrixBase) for key in mapping):
             changed[what] = dict(reading.components(what, mapping))
@@ -245,17 +254,29 @@ def in_coordinates(problem: Any) -> dict[str, Any]:
     if arcs := reading.arcs(problem):
         changed["guess"] = {**arcs, **changed.get("guess", problem.guess)}
     if reading.conditions:
-        written = problem.end_conditions
-        changed["end_conditions"] = [
-            *(written.items() if isinstance(written, Mapping) else written), *reading.conditions
-        ]  # fmt: skip
+        changed["end_conditions"] = _with(problem.end_conditions, reading.conditions, "end of a rotation")
     constraints = getattr(problem, "constraint", ())
-    spheres = spheres_in(problem.lagrangian) if isinstance(constraints, (list, tuple)) else []
-    missing = [sphere for sphere in spheres if sphere.constraint not in constraints]
-    if missing:
-        changed["constraint"] = [*constraints, *(sphere.constraint for sphere in missing)]
-        changed["lagrangian"] = sympy.Add(problem.lagrangian, *(_radial_energy(problem.lagrangian, s) for s in missing))
+    spheres = spheres_in(problem.lagrangian)
+    for sphere in spheres:
+        if not sphere.velocities:
+            finding = f"lagrangian contains {sphere.name}, an attitude of first-order dynamics"
+            raise ExpressionError(finding, f'declare it with its angular velocity, by rotation("{sphere.name}")')
+    written = constraints.values() if isinstance(constraints, Mapping) else constraints
+    if isinstance(constraints, (list, tuple, Mapping)):
+        missing = [sphere for sphere in spheres if sphere.constraint not in [*written]]
+        if missing:
+            lengths = [sphere.constraint for sphere in missing]
+            changed["constraint"] = _with(constraints, lengths, "length of a quaternion")
+            terms = (_radial_energy(problem.lagrangian, sphere) for sphere in missing)
+            changed["lagrangian"] = sympy.Add(problem.lagrangian, *terms)
     return changed
+
+
+def _with(written: Any, more: Sequence[Expr], name: str) -> Any:
+    """Return relations with more of them: a list, or a mapping with names; other values as they are."""
+    if isinstance(written, Mapping):
+        return {**written, **{f"{name} {number}": each for number, each in enumerate(more, 1)}}
+    return [*written, *more] if isinstance(written, (list, tuple)) else written
 
 
 def _radial_energy(lagrangian: Expr, sphere: Sphere) -> Expr:
@@ -308,6 +329,10 @@ class _Reading:
             if what in ("bounds", "scale"):
                 remedy = "bound parts by path=[... <= ...]" if what == "bounds" else "give the scale of each symbol"
                 raise ExpressionError(f"{what} has the key {name}, which is no number", remedy)
+            if (sphere and what in ("periodic", "history")) or (spinning and what not in self.ends):
+                remedies = {"guess": "guess the attitude", "force": "give the torque as force={R: torque}"}
+                instead = remedies.get(what, "give the coordinates, or a list [R, omega]")
+                raise SymbolError(f"{what} has the key {name}", instead)
             if sphere is not None:
                 yield from zip(sphere.coordinates, self._of_attitude(what, sphere, value), strict=False)
             elif spinning is not None and what in self.ends:
@@ -406,12 +431,19 @@ def _spinning(key: Any) -> Sphere | None:
     return None
 
 
-def vector(value: Any, what: str, length: int = 3) -> tuple[Any, ...]:
+def vector(value: Any, what: str, length: int = 3) -> tuple[Expr, ...]:
     """Return the components of a vector; raise BoundaryError with the name `what` for other values."""
     parts = tuple(value) if isinstance(value, (list, tuple, np.ndarray, MatrixBase)) else ()
-    if len(parts) != length or not all(isinstance(part, (int, float, np.number, Expr)) for part in parts):
-        raise BoundaryError(f"{what} is {_short(value)}", f"give a vector of {length} numbers or expressions")
-    return parts
+    if len(parts) != length or not all(map(_is_number, parts)):
+        raise BoundaryError(f"{what} is {_short(value)}", f"give a vector of {length} real numbers or expressions")
+    return tuple(map(sympy.sympify, parts))
+
+
+def _is_number(value: Any) -> bool:
+    """Return True for a finite real number, or an expression that may be one."""
+    if isinstance(value, Expr):
+        return value.is_finite is not False and value.is_extended_real is not False
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
 def quaternion_of(value: Any, what: str) -> tuple[Any, ...]:
@@ -421,33 +453,31 @@ def quaternion_of(value: Any, what: str) -> tuple[Any, ...]:
     """
     if isinstance(value, MatrixBase) and value.shape == (3, 3):
         value = value.tolist()
-    if not isinstance(value, (list, tuple, np.ndarray, MatrixBase)):
+    is_list = isinstance(value, (list, tuple, np.ndarray))
+    if not is_list and not (isinstance(value, MatrixBase) and 1 in value.shape):
         raise BoundaryError(f"{what} is {_short(value)}", f"give {_ATTITUDE}")
     parts = list(value)
     if len(parts) == 2:
         return _about(vector(parts[0], f"the axis in {what}"), parts[1], what)
     if len(parts) == 4:
         quaternion = vector(parts, what, 4)
-        return _of_length_one(quaternion, what, f"the quaternion in {what}")
+        return _of_length_one(quaternion, f"the quaternion in {what}")
     if len(parts) == 3 and all(isinstance(row, (list, tuple, np.ndarray)) and len(row) == 3 for row in parts):
         return _of_matrix(parts, what)
     raise BoundaryError(f"{what} is {_short(value)}", f"give {_ATTITUDE}")
 
 
 def _about(axis: Sequence[Any], angle: Any, what: str) -> tuple[Any, ...]:
-    if isinstance(angle, (list, tuple, np.ndarray, MatrixBase)):
+    if not _is_number(angle):
         raise BoundaryError(f"the angle in {what} is {_short(angle)}", f"give {_ATTITUDE}")
-    length = sympy.sqrt(sympy.Add(*(sympy.sympify(part) ** 2 for part in axis)))
+    length = sympy.sqrt(sympy.Add(*(part**2 for part in axis)))
     if length == 0:
         raise BoundaryError(f"the axis in {what} has length zero", "give the direction of the axis")
-    half = (
-        sympy.nsimplify(angle, rational=True) / 2 if isinstance(angle, (float, np.number)) else sympy.sympify(angle) / 2
-    )
-    return (sympy.cos(half), *(sympy.sin(half) * sympy.sympify(part) / length for part in axis))
+    half = sympy.sympify(angle) / 2
+    return (sympy.cos(half), *(sympy.sin(half) * part / length for part in axis))
 
 
-def _of_length_one(quaternion: tuple[Any, ...], what: str, name: str) -> tuple[Any, ...]:
-    parts = tuple(map(sympy.sympify, quaternion))
+def _of_length_one(parts: tuple[Expr, ...], name: str) -> tuple[Expr, ...]:
     length = sympy.sqrt(sympy.Add(*(part**2 for part in parts)))
     if length.is_number and abs(float(length) - 1.0) > _NEARLY:
         raise BoundaryError(f"{name} has the length {float(length):.6g}", "give a quaternion of length one")
@@ -457,10 +487,10 @@ def _of_length_one(quaternion: tuple[Any, ...], what: str, name: str) -> tuple[A
 def _of_matrix(rows: Sequence[Any], what: str) -> tuple[Any, ...]:
     from scipy.spatial.transform import Rotation as Attitude
 
-    try:
-        numbers = np.array([[float(entry) for entry in row] for row in rows])
-    except TypeError:
-        raise BoundaryError(f"the matrix in {what} depends on parameters", "give an axis and an angle") from None
+    entries = [vector(row, f"a row of {what}") for row in rows]
+    if any(entry.free_symbols for row in entries for entry in row):
+        raise BoundaryError(f"the matrix in {what} depends on parameters", "give an axis and an angle")
+    numbers = np.array(entries, dtype=float)
     error = float(np.abs(numbers.T @ numbers - np.eye(3)).max())
     if not error <= _NEARLY:
         raise BoundaryError(
@@ -468,8 +498,8 @@ def _of_matrix(rows: Sequence[Any], what: str) -> tuple[Any, ...]:
         )
     if np.linalg.det(numbers) < 0.0:
         raise BoundaryError(f"{what} is a reflection, whose determinant is -1", f"give {_ATTITUDE}")
-    x, y, z, w = (float(part) for part in Attitude.from_matrix(numbers).as_quat(canonical=True))
-    return _of_length_one((w, x, y, z), what, what)
+    x, y, z, w = map(sympy.Float, Attitude.from_matrix(numbers).as_quat(canonical=True))
+    return _of_length_one((w, x, y, z), what)
 
 
 def _short(value: Any) -> str:

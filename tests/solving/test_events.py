@@ -588,3 +588,94 @@ def test_damage_of_a_gap_in_the_module_fails_the_checks(tmp_path: Path, written,
     module.write_text(text.replace(written, damaged))
     findings = checks.run(BALL, module=module, steps=20)
     assert failed in {finding.subject for finding in findings if not finding.passed}
+
+
+def blade(**options) -> Simulate:
+    """A blade that turns steadily on a horizontal plane: dx = sin(t) cos(t) with its start at rest on a slope."""
+    (x, y, phi), (dx, dy, dphi) = coordinates("x y phi")
+    return Simulate(
+        lagrangian=(dx**2 + dy**2 + dphi**2) / 2 + x,
+        rolling=[dx * sin(phi) - dy * cos(phi)],
+        start={x: 0, y: 0, phi: 0, dx: 0, dy: 0, dphi: 1},
+        duration=4,
+        steps=100,
+        **{name: make(x, y, dx, dy) for name, make in options.items()},
+    )
+
+
+def test_events_of_velocities_know_the_forces_of_rolling_constraints():
+    """The speed of the blade is sin(t), so that dx = sin(t) cos(t) vanishes at pi/2 and pi."""
+    result = codegen.solve(
+        blade(events=lambda x, y, dx, dy: {"turn": Event(dx, then="record")}), scheme="suzuki-4-of-midpoint"
+    )
+    assert result.status == "solved"
+    assert result.events.times("turn") == pytest.approx([np.pi / 2, np.pi], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"unilateral": lambda x, y, dx, dy: {"wall": 1 - y >= 0}},
+        {"events": lambda x, y, dx, dy: {"kick": Event(y - 0.5, then={dy: -dy})}},
+    ],
+    ids=["gap", "change"],
+)
+def test_impulses_beside_rolling_constraints_are_refused(options):
+    with pytest.raises(ExpressionError, match="beside a rolling constraint"):
+        codegen.solve(blade(**options))
+
+
+def test_events_of_velocities_know_the_forces_of_contact():
+    """A mass slides without friction in a bowl y = x^2/2, whose velocity vanishes once in each half of its period."""
+    (x, y), (dx, dy) = coordinates("x y")
+    problem = Simulate(
+        lagrangian=(dx**2 + dy**2) / 2 - y,
+        unilateral={"bowl": y - x**2 / 2 >= 0},
+        restitution=0,
+        start={x: 0.6, y: 0.18, dx: 0, dy: 0},
+        duration=8,
+        events={"turn": Event(dx, then="record")},
+        steps=800,
+    )
+
+    def field(t, state):
+        # (1 + x^2) x'' + x x'^2 + x = 0
+        return [state[1], -state[0] * (1 + state[1] ** 2) / (1 + state[0] ** 2)]
+
+    def still(t, state):
+        return state[1]
+
+    exact = solve_ivp(field, (0, 8), [0.6, 0], "DOP853", rtol=1e-12, atol=1e-13, events=still).t_events[0]
+    result = codegen.solve(problem)
+    assert result.status == "solved"
+    assert result.events.times("turn") == pytest.approx(exact[exact > 1e-6], abs=1e-4)
+
+
+def test_a_ball_at_rest_has_no_apex():
+    """One apex follows each impact until the ball rests; at rest its velocity is zero, which is no event."""
+    (x, y), (dx, dy) = coordinates("x y")
+    problem = Simulate(
+        lagrangian=(dx**2 + dy**2) / 2 - GRAVITY * y,
+        unilateral={"floor": y >= 0},
+        restitution=0.5,
+        start={x: 0, y: 1, dx: 0.5, dy: 0},
+        duration=3,
+        events={"apex": Event(dy, then="record")},
+        steps=300,
+    )
+    result = codegen.solve(problem)
+    impacts, apexes = result.events.times("floor", "impact"), result.events.times("apex")
+    assert 0 <= impacts.size - apexes.size <= 1
+    assert apexes[:5] == pytest.approx((impacts[:5] + impacts[1:6]) / 2, abs=1e-12)
+
+
+def test_a_pole_is_no_event():
+    (q,), (v,) = coordinates("q")
+    problem = Simulate(
+        lagrangian=v**2 / 2,
+        start={q: 0, v: 1},
+        duration=2,
+        events={"pole": Event(1 / (q - Rational(1, 2)), then="record"), "zero": Event(q - 1, then="record")},
+        steps=30,
+    )
+    assert codegen.solve(problem).events.names == ("zero",)

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, ellipk
-from sympy import Matrix, diag, eye, pi, sin, sqrt
+from sympy import I, Matrix, diag, eye, pi, sin, sqrt
 
 import codegen
 from codegen import (
     Control,
+    Event,
     Simulate,
     attitude,
     controls,
@@ -239,6 +240,23 @@ def test_event_of_an_attitude():
     assert result.t[-1] == pytest.approx(np.pi / 2, abs=1e-7)
 
 
+def test_event_of_a_rolling_ball():
+    """A ball with sideways spin on a slope rolls back: its velocity along the slope vanishes once, at v_0/(5/7 g)."""
+    (x, R), (v, omega) = pose("B")
+    slide = 3.0
+    problem = Simulate(
+        lagrangian=v.dot(v) / 2 + omega.dot(omega) / 5 - slide * x[0],
+        rolling=list(v - (R @ omega).cross(Matrix([0, 0, 1]))),
+        duration=2,
+        start={x: (0, 0, 1), v: (1, 0, 0), R: eye(3), omega: (0, 1, 0)},
+        events={"turn": Event(v[0], then="record")},
+        steps=100,
+    )
+    result = codegen.solve(problem)
+    assert result.status == "solved"
+    assert result.events.times("turn") == pytest.approx([7 / 5 / slide], abs=1e-9)
+
+
 @pytest.mark.parametrize("frame", ["body", "space"])
 def test_torques_in_both_frames(frame):
     R, omega = rotation("R")
@@ -444,13 +462,19 @@ def _simulate(start, lagrangian=None, **others):
     return Simulate(lagrangian=written, duration=1, start=start(R, omega), **others)
 
 
+def _bouncing():
+    R, omega = rotation("R")
+    start = {R: eye(3), omega: (0, 0, 1)}
+    return Simulate(lagrangian=omega.dot(omega) / 2, duration=1, start=start, unilateral=[R[0, 0] >= 0])
+
+
 REFUSED = {
     "a matrix that is no rotation": (
         lambda R, w: {R: diag(1, 1, 2), w: (0, 0, 0)}, BoundaryError, "start of R is no rotation: R.T @ R differs"),
     "a reflection": (lambda R, w: {R: diag(1, 1, -1), w: (0, 0, 0)}, BoundaryError, "start of R is a reflection"),
     "a long quaternion": (lambda R, w: {R: (1, 1, 0, 0), w: (0, 0, 0)}, BoundaryError, "has the length 1.41421"),
     "an axis of length zero": (lambda R, w: {R: ([0, 0, 0], 1), w: (0, 0, 0)}, BoundaryError, "axis in start of R has"),
-    "an axis in the plane": (lambda R, w: {R: ([0, 1], 1), w: (0, 0, 0)}, BoundaryError, "a vector of 3 numbers"),
+    "an axis in the plane": (lambda R, w: {R: ([0, 1], 1), w: (0, 0, 0)}, BoundaryError, "a vector of 3 real"),
     "an angle that is a vector": (lambda R, w: {R: ([0, 0, 1], [1]), w: (0, 0, 0)}, BoundaryError, "the angle in"),
     "three Euler angles": (lambda R, w: {R: (0.1, 0.2, 0.3), w: (0, 0, 0)}, BoundaryError, "an axis and an angle"),
     "one number": (lambda R, w: {R: 1, w: (0, 0, 0)}, BoundaryError, "start of R is 1; give a rotation matrix"),
@@ -461,6 +485,17 @@ REFUSED = {
     "a spin in the plane": (lambda R, w: {R: eye(3), w: (0, 1)}, BoundaryError, "the angular velocity of R is (0, 1)"),
     "a spin without an attitude": (lambda R, w: {w: (0, 0, 1)}, BoundaryError, "without the attitude; add R: ..."),
     "no spin": (lambda R, w: {R: eye(3)}, BoundaryError, "start lacks dR_w"),
+    "an angle that is not a number": (
+        lambda R, w: {R: ([0, 0, 1], float("nan")), w: (0, 0, 0)}, BoundaryError, "the angle in start of R is nan"),
+    "an angle as text": (
+        lambda R, w: {R: ([0, 0, 1], "pi/2"), w: (0, 0, 0)}, BoundaryError, "the angle in start of R is pi/2"),
+    "no angle": (lambda R, w: {R: ([0, 0, 1], None), w: (0, 0, 0)}, BoundaryError, "the angle in start of R is None"),
+    "a quaternion without a number": (
+        lambda R, w: {R: (float("nan"), 0, 0, 0), w: (0, 0, 0)}, BoundaryError, "a vector of 4 real numbers"),
+    "a matrix of text": (
+        lambda R, w: {R: [["a", 0, 0], [0, 1, 0], [0, 0, 1]], w: (0, 0, 0)}, BoundaryError, "a row of start of R is"),
+    "a complex axis": (lambda R, w: {R: ([0, 0, I], 1), w: (0, 0, 0)}, BoundaryError, "the axis in start of R is"),
+    "a matrix (2, 2)": (lambda R, w: {R: eye(2), w: (0, 0, 0)}, BoundaryError, "start of R is Matrix"),
     "another matrix": (lambda R, w: {R: eye(3), w: (0, 0, 0), R.T: eye(3)}, SymbolError, "was never declared"),
     "the double of the spin": (lambda R, w: {R: eye(3), 2 * w: (0, 0, 0)}, SymbolError, "was never declared"),
 }  # fmt: skip
@@ -489,14 +524,35 @@ def test_values_that_are_no_attitudes_are_refused(what):
         (lambda: slew(diag(2, 1, 1)), BoundaryError, "end of R is no rotation"),
         (lambda: slew(([0, 0, 1], 1), scale={rotation("R")[1]: 2}), ExpressionError, "scale has the key"),
         (lambda: rotation("2R"), SymbolError, "not an identifier"),
+        (lambda: rotation("R S"), SymbolError, "'R S' is not an identifier"),
+        (
+            lambda: _simulate(lambda R, w: {}, lambda R, w: w.dot(w) + attitude("A")[0, 0]),
+            ExpressionError,
+            "attitude of",
+        ),
+        (lambda: slew(([0, 0, 1], 1), guess={rotation("R")[1]: (0, 0, 1)}), SymbolError, "guess the attitude"),
+        (_bouncing, ExpressionError, "beside the rotation or direction R"),
         (lambda: direction(3), CodegenError, "not an identifier"),
     ],
-    ids=["degenerate", "bounds", "end", "scale", "name", "number"],
+    ids=["degenerate", "bounds", "end", "scale", "name", "names", "first order", "guess", "gap", "number"],
 )
 def test_other_mistakes_are_refused(make, error, text):
     with pytest.raises(error) as caught:
         codegen.solve(make())
     assert text in str(caught.value)
+
+
+@pytest.mark.fast
+def test_constraints_with_names_beside_a_rotation():
+    (x, R), (v, omega) = pose("B")
+    problem = Simulate(
+        lagrangian=v.dot(v) + omega.dot(omega),
+        constraint={"height": x[2]},
+        duration=1,
+        start={x: (0, 0, 0), v: (1, 0, 0), R: eye(3), omega: (0, 0, 0)},
+    )
+    assert next(iter(problem.constraint)) == "height"
+    assert len(problem.constraint) == 2
 
 
 @pytest.mark.fast

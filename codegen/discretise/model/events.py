@@ -16,6 +16,7 @@ from codegen.discretise.model.relations import MOVING, Entry, checked_mapping, e
 from codegen.errors import BoundaryError, ExpressionError
 from codegen.problem import perhaps
 from codegen.problem.problem import Event, Simulate
+from codegen.problem.rotations import spheres_in
 from codegen.problem.symbols import Coordinate, Parameter, Quantity, Time
 from codegen.runtime.record import EventAction
 from codegen.symbolic import checks as expressions
@@ -84,22 +85,24 @@ def require_fitting(problem: Simulate, form: str, entries: Sequence[Entry]) -> N
     """Raise an error for events and gaps that contradict the form of the problem or its other arguments."""
     if sum(entry.role == "unilateral" for entry in entries) > MOST_GAPS:
         raise ExpressionError(f"unilateral has more than {MOST_GAPS} gaps", "leave out gaps that stay open")
+    constraint, remedy = "", "use generalised coordinates in place of the constraint"
+    if spheres := spheres_in(problem.lagrangian):
+        constraint, remedy = f"the rotation or direction {spheres[0].name}", "leave it out"
+    elif problem.constraint:
+        constraint = "a holonomic constraint"
+    elif problem.rolling:
+        constraint, remedy = "a rolling constraint", "leave it out"
     for entry in entries:
-        if entry.role == "event change" and problem.constraint:
-            raise ExpressionError(
-                f"{entry.what} beside a holonomic constraint, which the new values may violate",
-                "use generalised coordinates in place of the constraint",
-            )
+        if entry.role == "event change" and constraint:
+            raise ExpressionError(f"{entry.what} beside {constraint}, which the new values may violate", remedy)
         if entry.role != "unilateral":
             continue
         if entry.equality:
             raise ExpressionError(f"{entry.what} is an equation", "write it in constraint, or as gap >= 0")
         if form == "dynamics":
             raise ExpressionError(f"{entry.what} beside dynamics", "give a Lagrangian or a Hamiltonian")
-        if problem.constraint:
-            raise ExpressionError(
-                f"{entry.what} beside a holonomic constraint", "use generalised coordinates in place of the constraint"
-            )
+        if constraint:
+            raise ExpressionError(f"{entry.what} beside {constraint}", remedy)
 
 
 def added(model: Model, problem: Simulate, entries: Sequence[Entry]) -> Model:

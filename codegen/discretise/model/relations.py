@@ -61,7 +61,7 @@ def require_declared(what: str, has: str, symbol: Expression) -> None:
     if what == "bounds" and quantities and symbol.free_symbols <= quantities:
         raise SymbolError(f"bounds has the key {symbol}, which is no symbol", f"write path=[{symbol} <= ...]")
     raise SymbolError(
-        f"{what} {has} {symbol!r}, which was never declared",
+        f"{what} {has} {short(repr(symbol))}, which was never declared",
         "use the symbols that coordinates(...) or control(...) returned",
     )
 

@@ -75,7 +75,7 @@ class Room(NamedTuple):
         Action, direction and row in `jumps` (events + gaps, 3) of each event.
     now, end, trial, pushed : int
         States (size,): at the start and the end of a part of a step, at trial lengths, and with impulses added.
-    values_now, values_end, values_trial : int
+    values_now, values_end, values_trial, values_pushed : int
         Value, rate and scale (events + gaps, 3) of each event in these states.
     sides : int
         The sign of each event before its next zero, 0 if unknown.
@@ -105,6 +105,7 @@ class Room(NamedTuple):
     values_now: int
     values_end: int
     values_trial: int
+    values_pushed: int
     sides: int
     scales: int
     largest: int
@@ -132,7 +133,7 @@ def room_for(watched, rules, rows):
     """Return work arrays with a log of `rows` events: their addresses, and the arrays by name."""
     count, gaps, size = watched.events + watched.gaps, watched.gaps, watched.size
     shapes = dict.fromkeys(("now", "end", "trial", "pushed"), (size,))
-    shapes |= dict.fromkeys(("values_now", "values_end", "values_trial"), (count, 3))
+    shapes |= dict.fromkeys(("values_now", "values_end", "values_trial", "values_pushed"), (count, 3))
     shapes |= {"sides": (count,), "scales": (count,), "largest": (2,), "jumps": (watched.changes, size)}
     shapes |= dict.fromkeys(("normals", "normals_end"), (gaps, watched.width))
     shapes |= dict.fromkeys(("matrix", "factors"), (gaps, gaps))
@@ -330,8 +331,12 @@ def keep_closed(watched, room, state_at, t, parameters_at):
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
-def watch(watched, room, state, t, parameters_at, values_at):
-    """Fill the values of all events and gaps at a state; the value of a closed gap is its contact force."""
+def watch(watched, room, state, t, length, parameters_at, values_at):
+    """Fill the values of all events and gaps at a state; the value of a closed gap is its contact force.
+
+    The kernel has no contact forces in the rates of events. They are added as a central difference over impulses of the
+    duration `length`, which is exact for events that are quadratic in the momenta.
+    """
     call(watched.values, (state, t, parameters_at, values_at))
     if watched.gaps:
         call(watched.normals, (state, t, parameters_at, room.normals))
@@ -343,6 +348,17 @@ def watch(watched, room, state, t, parameters_at, values_at):
     for a in range(count):
         row = watched.events + closed[a]
         values[3 * row], values[3 * row + 1] = forces[a], 0.0
+    half, pushed, normals = watched.size // 2, reals_at(room.pushed), reals_at(room.normals)
+    moved = reals_at(room.values_pushed)
+    for side in range(2 if watched.events else 0):
+        impulse = (1.0 - 2.0 * side) * length
+        copy(watched.size, state, room.pushed)
+        for a in range(count):
+            for i in range(half):
+                pushed[half + i] += impulse * forces[a] * normals[watched.width * closed[a] + 3 + i]
+        call(watched.values, (room.pushed, t, parameters_at, room.values_pushed))
+        for row in range(watched.events):
+            values[3 * row + 1] += moved[3 * row] / (2.0 * impulse)
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
@@ -358,7 +374,7 @@ def zero_of(scheme, work, watched, room, t, column, row, fa, b, fb, length, para
         outcome = move(scheme, work, watched, room, t, x, parameters_at, room.trial)
         if outcome < 0:
             return x, outcome
-        watch(watched, room, room.trial, t + x, parameters_at, room.values_trial)
+        watch(watched, room, room.trial, t + x, length, parameters_at, room.values_trial)
         fx = values[3 * row + column]
         if (fx > 0.0) == (fa > 0.0):
             c, fc = a, fa
@@ -403,7 +419,13 @@ def first_zero(scheme, work, watched, room, t, length, row, parameters_at):
         if column == 0:
             fa = side * max(side * fa, 1e-300)
         reached, outcome = zero_of(scheme, work, watched, room, t, column, row, fa, b, fb, length, parameters_at)
-        if outcome < 0 or column == 0:
+        if outcome < 0:
+            return reached, outcome
+        if column == 0:
+            # The sign also changes at a pole.
+            if not abs(reals_at(room.values_trial)[3 * row]) <= max(abs(now[0]), abs(end[0])):
+                reals_at(room.sides)[row] = np.sign(end[0])
+                return -1.0, 0
             return reached, outcome
         extremum = side * reals_at(room.values_trial)[3 * row]
         if extremum > (-level if is_gap else level):
@@ -542,7 +564,7 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
         quick[i] = 0
     while True:
         at, left = t + done, length - done
-        watch(watched, room, room.now, at, parameters_at, room.values_now)
+        watch(watched, room, room.now, at, length, parameters_at, room.values_now)
         grow_scales(watched, room, room.values_now)
         for j in range(watched.gaps):
             row = watched.events + j
@@ -553,12 +575,12 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
                 if outcome < 0:
                     return outcome, iterations
                 refresh(watched, room, at, length, parameters_at, -1)
-                watch(watched, room, room.now, at, parameters_at, room.values_now)
+                watch(watched, room, room.now, at, length, parameters_at, room.values_now)
         outcome = move(scheme, work, watched, room, at, left, parameters_at, room.end)
         if outcome < 0:
             return outcome, iterations
         iterations += outcome
-        watch(watched, room, room.end, at + left, parameters_at, room.values_end)
+        watch(watched, room, room.end, at + left, length, parameters_at, room.values_end)
         grow_scales(watched, room, room.values_end)
         nearest, which = np.inf, -1
         for row in range(count):
@@ -620,7 +642,7 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
 def refresh(watched, room, t, length, parameters_at, fired):
     """Set the signs of the event that `fired`, and of events whose values have changed by its effect."""
     after, before, scales = reals_at(room.values_trial), reals_at(room.values_end), reals_at(room.scales)
-    call(watched.values, (room.now, t, parameters_at, room.values_trial))
+    watch(watched, room, room.now, t, length, parameters_at, room.values_trial)
     call(watched.values, (room.end, t, parameters_at, room.values_end))
     for row in range(watched.events):
         if row == fired or abs(after[3 * row] - before[3 * row]) > ZERO * scales[row]:
@@ -648,13 +670,13 @@ def follow_watched(
             path[0, i] = now[i]
         for j in range(watched.gaps):
             reals_at(room.sides)[watched.events + j] = 1.0
-        watch(watched, room, room.now, 0.0, parameters_at, room.values_now)
+        watch(watched, room, room.now, 0.0, length, parameters_at, room.values_now)
         grow_scales(watched, room, room.values_now)
         if watched.gaps:
             outcome = settle(watched, room, progress, 0, 0.0, length, parameters_at, -1)
             if outcome < 0:
                 return outcome
-        call(watched.values, (room.now, 0.0, parameters_at, room.values_now))
+        watch(watched, room, room.now, 0.0, length, parameters_at, room.values_now)
         for row in range(watched.events):
             set_side(room, room.values_now, row, length)
     for k in range(progress[0], steps):
