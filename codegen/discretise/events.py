@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import sympy
 from sympy import Add, Expr, S, Symbol
@@ -114,8 +115,6 @@ class Rates:
                 model.function.diff(q) + f - Add(*(p.diff(r) * v for r, v in moving)) - p.diff(model.time)
                 for p, q, f in forces
             ]
-            self.normal_forces: list[Expr] = [S.Zero] * len(model.coordinates)
-            self.normal_forces = self._normal_forces()
 
     def node(self, expression: Expr) -> Expr:
         """Return an expression of the model in the symbols of the left node."""
@@ -123,6 +122,11 @@ class Rates:
 
     def rate(self, e: Expr) -> Expr:
         """Return the rate of a function, at the left node."""
+        is_moved = self.model.form == "lagrangian" and bool(e.free_symbols & {*self.model.rates})
+        return self._rate(e, self.normal_forces if is_moved else None)
+
+    def _rate(self, e: Expr, forces: Sequence[Expr] | None) -> Expr:
+        """Return the rate of a function under `forces` of constraints, at the left node."""
         model = self.model
         by_position = gradient(e, model.coordinates)
         total = e.diff(model.time)
@@ -137,19 +141,20 @@ class Rates:
         total = self.node(total + Add(*(s * v for s, v in zip(by_position, model.rates, strict=True))))
         if any(by_rate):
             response = self.response([self.node(s) for s in by_rate])
-            loads = zip(response, self.load, self.normal_forces, strict=True)
+            loads = zip(response, self.load, forces or [S.Zero] * len(response), strict=True)
             total += Add(*(y * (self.node(load) + force) for y, load, force in loads))
         return total
 
-    def _normal_forces(self) -> list[Expr]:
-        """Return the forces C^T kappa of holonomic and rolling constraints, at the left node."""
+    @cached_property
+    def normal_forces(self) -> list[Expr]:
+        """The forces C^T kappa of holonomic and rolling constraints, at the left node."""
         model = self.model
         if not self.constraint_rates:
-            return self.normal_forces
+            return [S.Zero] * len(model.coordinates)
         slopes = [[self.node(slope) for slope in gradient(rate, model.rates)] for rate in self.constraint_rates]
         responses = [self.response(row) for row in slopes]
         matrix = sympy.Matrix([[Add(*map(sympy.Mul, a, b)) for b in responses] for a in slopes])
-        kappa = solve_blocks(matrix, [-self.rate(rate) for rate in self.constraint_rates])
+        kappa = solve_blocks(matrix, [-self._rate(rate, None) for rate in self.constraint_rates])
         return [Add(*(k * row[i] for k, row in zip(kappa, slopes, strict=True))) for i in range(len(model.coordinates))]
 
     def response(self, impulse: Sequence[Expr]) -> tuple[Expr, ...]:
