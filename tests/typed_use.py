@@ -13,6 +13,7 @@ from codegen import (
     Connect,
     Control,
     Controller,
+    Event,
     Measurements,
     Pairwise,
     Phases,
@@ -48,7 +49,10 @@ def oscillator() -> Simulate:
     """A mass on a spring, by its Hamiltonian."""
     q, p = codegen.canonical_pair("q", "p", unit="m", momentum_unit="kg*m/s")
     k, m = codegen.parameters(k=(1.0, "N/m"), m=(1.0, "kg"))
-    return Simulate(hamiltonian=p**2 / (2 * m) + k * q**2 / 2, duration=1, start={q: 1, p: 0}, steps=20)
+    turn = Event(p, then="record", direction=-1)
+    return Simulate(
+        hamiltonian=p**2 / (2 * m) + k * q**2 / 2, duration=1, start={q: 1, p: 0}, events={"turn": turn}, steps=20
+    )
 
 
 def first_order() -> Control:

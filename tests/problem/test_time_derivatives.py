@@ -9,7 +9,19 @@ import sympy
 from malformed.templates import Malformed, optimal
 from refused_files import refusal
 
-from codegen import Control, body_number, canonical_pair, control, coordinate, free_parameter, parameter, state, time
+from codegen import (
+    Control,
+    attitude,
+    body_number,
+    canonical_pair,
+    control,
+    coordinate,
+    free_parameter,
+    parameter,
+    rotation,
+    state,
+    time,
+)
 from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import ExpressionError
 from codegen.problem import symbols
@@ -21,6 +33,7 @@ Q, DQ = coordinate("q")
 Z, P = canonical_pair("z", "p")
 X, U = state("x"), control("u")
 MASS = parameter("m", 2)
+TURNING, TURNED = (min(R.free_symbols, key=str) for R in (rotation("R")[0], attitude("A")))
 MOVING = {
     symbols.Coordinate: (Q, "use its velocity dq"),
     symbols.Velocity: (DQ, "dynamics={q: dq, dq: a}"),
@@ -29,6 +42,8 @@ MOVING = {
     symbols.ControlInput: (U, "declare the rate as the control and u as a state: dynamics={u: du, ...}"),
     symbols.Delayed: (Q.delayed(MASS), "use its velocity dq, and delay that"),
     symbols.EndValue: (X.of(1), "dynamics={x: ...}"),
+    type(TURNING): (TURNING, "use its velocity dR_w"),
+    type(TURNED): (TURNED, "the expression that dynamics={A_w: ...} gives"),
     ParticleQuantity: (particles("x y", "px py")[0].q[0], "without rates"),
 }
 AT_REST = {
@@ -40,13 +55,13 @@ AT_REST = {
 
 
 def kinds(parent=Quantity):
-    """Every class of declared symbols that is made."""
+    """Every class of declared symbols without classes under it."""
     for kind in parent.__subclasses__():
         yield from kinds(kind) if kind.__subclasses__() else [kind]
 
 
 def test_every_kind_of_symbol_is_tried():
-    assert {*MOVING, *AT_REST} == set(kinds())
+    assert {*MOVING, *AT_REST} == {*kinds(), symbols.Coordinate, symbols.State}
 
 
 @pytest.mark.parametrize(("symbol", "remedy"), MOVING.values(), ids=[kind.__name__ for kind in MOVING])
@@ -123,6 +138,7 @@ CONTROL = {
     "at": "{0.5: [Eq(q, RATE)]}",
     "waypoints": "[[Eq(q, RATE)]]",
     "constraint": "[q - RATE]",
+    "rolling": "[dq - RATE]",
     "periodic": "{q: RATE}",
     "history": "{q: RATE}",
     "observations": 'Measurements("m.csv", time="t", values={RATE: "x"}, sigma=1)',

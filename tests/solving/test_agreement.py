@@ -36,12 +36,12 @@ class Case:
 
 PLAIN = (
     "betts_10_7 delayed_oscillator double_integrator_effort four_bar hovercraft hypersensitive "
-    "linear_pendulum n_link_pendulum orbital_transfer orbital_transfer_hamiltonian spherical_pendulum"
+    "linear_pendulum n_link_pendulum orbital_transfer orbital_transfer_hamiltonian snakeboard spherical_pendulum"
 ).split()
 BOUNDED = (
     "acrobot bouncing_ball brachistochrone bryson_denham cart_pendulum cart_pole cart_pole_balance convoy crane "
-    "double_integrator drone_gates goddard_rocket low_thrust pendulum_swing_up quadrotor quadrotor_path robot_arm "
-    "two_link_arm two_stage_rocket van_der_pol"
+    "double_integrator drone_gates drone_in_space goddard_rocket low_thrust pendulum_swing_up quadrotor quadrotor_path "
+    "robot_arm two_link_arm two_stage_rocket van_der_pol"
 ).split()
 
 ELSEWHERE = {
