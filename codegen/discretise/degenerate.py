@@ -83,7 +83,7 @@ def first_order_form(model: Model, points: Points) -> Model:
         )
     if model.holonomic or model.rolling or model.gaps:
         argument = "constraint" if model.holonomic else "rolling" if model.rolling else "unilateral"
-        finding = f"{argument} beside a Lagrangian that is linear in the velocities"
+        finding = f"{argument} with a Lagrangian that is linear in the velocities"
         raise ExpressionError(finding, "use coordinates that need no constraint")
     for event in model.events:
         for v in model.rates:

@@ -213,7 +213,7 @@ def at_node(model: Model, rates: Rates) -> Found:
         if sympy.expand(hessian).has(*model.rates):
             listed = ", ".join(map(str, model.rates))
             raise ExpressionError(
-                f"unilateral {gap.name} beside a {model.form} that is not quadratic in {listed}",
+                f"unilateral {gap.name} with a {model.form} that is not quadratic in {listed}",
                 "leave the gap out, or write the impact as an event with its change",
             )
         velocities = model.rates if model.form == "lagrangian" else gradient(model.function, model.rates)

@@ -224,7 +224,7 @@ def _left_velocities(model: Model, interval: VariationalInterval) -> tuple[Expr,
     if model.holonomic or model.rolling:
         words = "holonomic" if model.holonomic else "rolling"
         raise BoundaryError(
-            f"a condition at an inner time depends on velocities, beside {words} constraints",
+            f"a condition at an inner time depends on velocities, with {words} constraints",
             "write it in coordinates, or as path condition",
         )
     at_left: dict[Symbol, Expr] = dict(zip(model.coordinates, at_nodes(model.coordinates, "_k"), strict=True))

@@ -360,7 +360,7 @@ def bad_problems():
         ),
         (linear(y * Abs(dx) - x**2, start=at_rest), {}, DegenerateError, "degenerate in dy"),
         (linear(-x * y, start=at_rest), {}, DegenerateError, "degenerate in dy"),
-        (linear(oscillator, constraint=[x - y]), {}, ExpressionError, "constraint beside a Lagrangian that is linear"),
+        (linear(oscillator, constraint=[x - y]), {}, ExpressionError, "constraint with a Lagrangian that is linear"),
         (linear(oscillator, force={x: -dx}), {}, ExpressionError, "force of x depends on dx, .* leave it out"),
         (linear(x**2 * dy / 2 - x, start={x: 0, y: 0}), {}, BoundaryError, "start does not determine dx, dy"),
         (linear(dense, start=dict.fromkeys(q, 1)), {}, SizeError, "couples 10 coordinates, from q0 to q9"),

@@ -479,14 +479,14 @@ REFUSED = {
     "a gap that is an equation": (
         lambda: ball(unilateral=lambda y, v, e: [Eq(y, 0)]), ExpressionError, "is an equation; write it in constraint",
     ),
-    "a gap of first-order dynamics": (growing, ExpressionError, "beside dynamics; give a Lagrangian or a Hamiltonian"),
+    "a gap of first-order dynamics": (growing, ExpressionError, "with dynamics; give a Lagrangian or a Hamiltonian"),
     "a gap beside a constraint": (
         lambda: ball(unilateral=floor, constraint=lambda y, v, e: [y - 1]), ExpressionError,
-        "beside a holonomic constraint; use generalised coordinates",
+        "with a holonomic constraint; use generalised coordinates",
     ),
     "an energy that is not quadratic": (
         lambda: ball(unilateral=floor, lagrangian=lambda y, v: v**4 / 4 + v**2 / 2 - y), ExpressionError,
-        "unilateral floor beside a lagrangian that is not quadratic in dy",
+        "unilateral floor with a lagrangian that is not quadratic in dy",
     ),
     "a constant event": (
         lambda: ball(events=lambda y, v, e: {"end": e - 1}), ExpressionError, "event 'end' is constant: e - 1",
@@ -621,7 +621,7 @@ def test_events_of_velocities_know_the_forces_of_rolling_constraints():
     ids=["gap", "change"],
 )
 def test_impulses_beside_rolling_constraints_are_refused(options):
-    with pytest.raises(ExpressionError, match="beside a rolling constraint"):
+    with pytest.raises(ExpressionError, match="with a rolling constraint"):
         codegen.solve(blade(**options))
 
 

@@ -512,7 +512,7 @@ REFUSED = {
     ),
     "a condition on velocities on the way": (
         given(Control, at=lambda x, y, phi, dx, dy, dphi, r: {0.5: [Eq(dx, 0.3)]}), {}, BoundaryError,
-        "depends on velocities, beside rolling constraints",
+        "depends on velocities, with rolling constraints",
     ),
     "a control scheme with inner points": (
         given(Control), {"scheme": "gauss-4"}, SchemeError, "use midpoint or trapezoidal",
@@ -537,7 +537,7 @@ def test_refusals_are_one_line_that_names_the_constraint(case):
 
 def test_rolling_needs_velocities_of_a_lagrangian_and_numbers():
     (x,) = codegen.states("x")
-    with pytest.raises(ExpressionError, match="rolling x = 0 beside dynamics; give a Lagrangian"):
+    with pytest.raises(ExpressionError, match="rolling x = 0 with dynamics; give a Lagrangian"):
         codegen.solve(Simulate(dynamics={x: -x}, rolling=[x], start={x: 1}, duration=1))
     particles = runpy.run_path(str(PROBLEMS / "lennard_jones.py"))["problem"]()
     (q,), (dq,) = coordinates("q")

@@ -531,7 +531,7 @@ def test_values_that_are_no_attitudes_are_refused(what):
             "attitude of",
         ),
         (lambda: slew(([0, 0, 1], 1), guess={rotation("R")[1]: (0, 0, 1)}), SymbolError, "guess the attitude"),
-        (_bouncing, ExpressionError, "beside the rotation or direction R"),
+        (_bouncing, ExpressionError, "with the rotation or direction R"),
         (lambda: direction(3), CodegenError, "not an identifier"),
     ],
     ids=["degenerate", "bounds", "end", "scale", "name", "names", "first order", "guess", "gap", "number"],

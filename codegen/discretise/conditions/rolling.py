@@ -66,7 +66,7 @@ class Rolling(ConditionKind):
     def require_fitting(self, entry: Entry, control: Control | Simulate, form: str) -> None:
         """Raise ExpressionError unless the entry is an equation of a Lagrangian system, affine in the velocities."""
         if form != "lagrangian":
-            raise ExpressionError(f"{entry.what} beside {form}", "give a Lagrangian, and the velocities of coordinates")
+            raise ExpressionError(f"{entry.what} with {form}", "give a Lagrangian, and the velocities of coordinates")
         if not entry.equality:
             raise ExpressionError(f"{entry.what} is an inequality", "give an equation")
         velocities = sorted((s for s in entry.expression.free_symbols if isinstance(s, Velocity)), key=str)

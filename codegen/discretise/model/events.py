@@ -94,15 +94,15 @@ def require_fitting(problem: Simulate, form: str, entries: Sequence[Entry]) -> N
         constraint, remedy = "a rolling constraint", "leave it out"
     for entry in entries:
         if entry.role == "event change" and constraint:
-            raise ExpressionError(f"{entry.what} beside {constraint}, which the new values may violate", remedy)
+            raise ExpressionError(f"{entry.what} with {constraint}, which the new values may violate", remedy)
         if entry.role != "unilateral":
             continue
         if entry.equality:
             raise ExpressionError(f"{entry.what} is an equation", "write it in constraint, or as gap >= 0")
         if form == "dynamics":
-            raise ExpressionError(f"{entry.what} beside dynamics", "give a Lagrangian or a Hamiltonian")
+            raise ExpressionError(f"{entry.what} with dynamics", "give a Lagrangian or a Hamiltonian")
         if constraint:
-            raise ExpressionError(f"{entry.what} beside {constraint}", remedy)
+            raise ExpressionError(f"{entry.what} with {constraint}", remedy)
 
 
 def added(model: Model, problem: Simulate, entries: Sequence[Entry]) -> Model:

@@ -37,7 +37,7 @@ def check_rotating_momenta(context: Context, program: StepProgram) -> Iterator[F
     """Compare the equations for momenta at both nodes with the derivatives of the discrete action."""
     model = legendre.lagrangian_form(context.model.with_free_ends)
     if any(model.force) or len(model.holonomic) > len(model.rotations):
-        reason = "forces and joints act beside the discrete action; `problem as written` compares the motion"
+        reason = "forces and joints are no part of the discrete action; `problem as written` compares the motion"
         yield does_not_apply("momentum matching", reason)
         return
     action = _Action(model, repeated(context.scheme)[1].discrete_lagrangian())
