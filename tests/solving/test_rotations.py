@@ -367,6 +367,26 @@ def test_opposite_directions_are_joined():
     assert result.cost == pytest.approx(6 * np.pi**2 / 8, rel=2e-3)
 
 
+def test_detour_of_a_guess_returns_to_a_great_circle():
+    """The guess leaves the plane of the optimum, where one coordinate vanishes but for rounding errors."""
+    n, dn = direction("n")
+    push = Matrix(controls("a b c"))
+    problem = Control(
+        lagrangian=dn.dot(dn) / 2,
+        force={n: push},
+        cost=push.dot(push) / 2,
+        duration=2,
+        start={n: (1, 0, 0), dn: (0, 0, 0)},
+        end={n: (0, 1, 0), dn: (0, 0, 0)},
+        guess={n: (1, 0, 1)},
+        steps=100,
+    )
+    result = codegen.solve(problem)
+    assert result.status == "solved"
+    assert result.cost == pytest.approx(6 * (np.pi / 2) ** 2 / 2**3, rel=1e-5)
+    assert np.abs(result.n_z).max() < 1e-9
+
+
 def test_reorientation_takes_the_published_time():
     """Published: 28.6304 (Bilimoria and Wie 1993; Fleming, Sekhavat and Ross 2010)."""
     result = codegen.solve(PROBLEMS / "published" / "reorientation.py", steps=400)

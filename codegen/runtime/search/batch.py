@@ -44,6 +44,7 @@ from codegen.runtime.search.shooting import kept_unknowns, like_unknowns, shooti
 from codegen.runtime.search.solve import (
     LARGE_CORRECTION,
     LOOSE,
+    NEGLIGIBLE,
     ROUNDED,
     ROUNDINGS,
     SLOW,
@@ -327,7 +328,8 @@ def are_other_factors(calls, common, h, parameters, unknowns, lower, upper, weig
     """Return True if scaling factors at a solution are much larger than those at the guess, see `optimise_from`."""
     begin, sizes, finer = (space.vectors[descent.TRIAL], space.factors[0], space.factors[1])
     for i in range(unknowns.size):
-        begin[i] = 0.0 if common.is_multiplier[i] else unknowns[i]
+        is_negligible = abs(unknowns[i]) < NEGLIGIBLE * sizes[common.kept[i]]
+        begin[i] = 0.0 if common.is_multiplier[i] or is_negligible else unknowns[i]
     finer_weight, is_scaled = factors_at(calls, common, h, parameters, begin, lower, upper, True, space, finer)
     for i in common.kept:
         force = finer_weight * finer[i] if is_scaled else 1.0

@@ -30,6 +30,7 @@ from codegen.runtime.search.termination import final_status, is_solved, unscaled
 # If the factors `forces` of the gradient at a solution exceed those at the guess by a larger ratio, the problem is
 # scaled again. The ratios are for equations and for primal unknowns. Factors are powers of a thousand or of a million.
 STEEPER, STEEPER_COST = 3e3, 3e6
+NEGLIGIBLE = 1e-8  # smaller solutions, relative to their factors at the guess, are errors around zero: no factors
 RESCALINGS = 10  # largest number of rescalings, so that two sets of factors cannot alternate for ever
 # With bounds, a search continues with the tolerance TIGHT if its own exceeds LOOSE, both relative to the scaled cost.
 LOOSE, TIGHT = 1e-7, 1e-9
@@ -111,7 +112,8 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
         if not searched.sizes.size or status != "solved" or iterations >= max_iterations:
             break
         begin = np.where(searched.is_multiplier, 0.0, unscaled_unknowns(searched, point.unknowns))
-        finer_scaled = scaled_shooting_grid(grid, begin, is_solution=True)
+        measured = np.where(np.abs(point.unknowns) < NEGLIGIBLE, 0.0, begin)
+        finer_scaled = scaled_shooting_grid(grid, measured, is_solution=True)
         finer = shooting_grid(finer_scaled)
         forces = finer.forces if finer.sizes.size else 1.0
         if not (forces > np.where(searched.is_multiplier, STEEPER, STEEPER_COST) * searched.forces).any():
