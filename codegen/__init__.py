@@ -27,6 +27,7 @@ _MODULES = {
     **dict.fromkeys(["Solver", "compile"], "codegen.solver"),
     **dict.fromkeys(["solve"], "codegen.solving.api"),
     **dict.fromkeys(["Solutions", "solve_many"], "codegen.batch.many"),
+    **dict.fromkeys(["Motions"], "codegen.batch.motions"),
     **dict.fromkeys(["sweep"], "codegen.batch.sweep"),
 }
 
@@ -37,6 +38,7 @@ __all__ = [
     "Controller",
     "Event",
     "Measurements",
+    "Motions",
     "Pairwise",
     "Phases",
     "Points",
@@ -78,6 +80,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from codegen.batch.many import Solutions, solve_many
+    from codegen.batch.motions import Motions
     from codegen.batch.sweep import sweep
     from codegen.errors import CodegenError
     from codegen.mpc.closed_loop import close_loop

@@ -179,6 +179,8 @@ def swept_and_controlled(solver: Solver) -> tuple[list[float], list[float]]:
     again = codegen.sweep(solver, {"m": [1.0, 2.0]}, workers=1)
     many: codegen.Solutions = codegen.solve_many(solver, {"m": [1.0, 2.0]}, threads=1)
     assert many.solved.all()
+    motions: codegen.Motions = codegen.solve_many(oscillator(), {"duration": [1.0, 2.0]}, threads=1)
+    assert motions.q.shape[0] == 2
     controller: Controller = solver.controller(steps=10)
     loop = codegen.close_loop(controller, lambda state, inputs, t, h: state, samples=2)
     assert loop.statuses.size

@@ -4,27 +4,29 @@ from __future__ import annotations
 
 import math
 import threading
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from codegen.batch.executors import team_size
+from codegen.batch.motions import UNUSABLE, Cases, Motions, empty_motions, follow_motions, require_motions
 from codegen.batch.optima import THREADS, Limits, Outcomes, optima, part_of, require_place
 from codegen.errors import ArgumentError, ExtraError, NumericsError, clause, one_line
+from codegen.problem.problem import Control, Phases, Simulate
 from codegen.runtime.search.batch import LONGEST_STATUS, SOLVED, is_ready
 from codegen.runtime.search.messages import solved_message
 from codegen.runtime.search.problem import ControlProblem
+from codegen.runtime.stepping.ensembles import are_motions_ready
 from codegen.solving import compiler, loading
-from codegen.solving.loading import ControlModule, Matrix, Vector, is_control
+from codegen.solving.loading import ControlModule, Matrix, Vector, is_control, is_simulation
 from codegen.solving.machine_code import processes
 from codegen.solving.progress import building, shown_from_call
 from codegen.solving.request import Request, overridable, require_options, with_values
@@ -36,16 +38,16 @@ from codegen.solving.results.sensitivities import rates_at, require_sensitive
 if TYPE_CHECKING:
     from xarray import Dataset
 
-UNUSABLE = "unusable"
-"""The status of a case with whose numbers no grid exists."""
 MOST_AT_ONCE, LEAST_PARTS = 2000, 8
 """Largest number of cases that a thread takes at a time; least number of such parts for each thread."""
-_OPTIONS = "arguments scheme method controls out sensitivities tolerance max_iterations time_limit scaling".split()
+_OPTIONS = (
+    "arguments scheme method controls out sensitivities tolerance max_iterations time_limit scaling every".split()
+)
 """Options of `codegen.solve` that apply to many cases."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solutions:
+class Solutions(Cases):
     """The optima of n cases; `solutions[i]` is the Result of case i.
 
     Attributes
@@ -85,16 +87,6 @@ class Solutions:
         """The explanation (n,) of each status, as of `codegen.solve`."""
         numbers = zip(self.residual.tolist(), self.stationarity.tolist(), strict=True)
         return np.array([self.messages.get(i) or solved_message(*pair) for i, pair in enumerate(numbers)], object)
-
-    @property
-    def solved(self) -> NDArray[np.bool_]:
-        """A mask (n,) of the solved cases."""
-        return np.asarray(self.status == SOLVED)
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """The number of cases of each status, the most frequent first."""
-        return dict(Counter(self.status.tolist()).most_common())
 
     @cached_property
     def free(self) -> dict[str, Vector]:
@@ -156,18 +148,8 @@ class Solutions:
             else component_names(self.module.metadata)
         )
 
-    def __len__(self) -> int:
-        return int(self.status.size)
-
-    def __iter__(self) -> Iterator[Result]:
-        return (self[i] for i in range(len(self)))
-
     def __getitem__(self, index: int) -> Result:
         """Return the Result of a case, whose equations are evaluated once more; raises IndexError beyond the end."""
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"case {index} of {len(self)}")
-        if self.status[index] == UNUSABLE:
-            raise NumericsError(clause(f"case {index}: {self.message[index]}"), "look at `status` before")
         module = with_values(self.module, self._values(index))
         tolerance = self.limits.tolerance or 1e-10
         run = Run(self.steps, tolerance=tolerance, scaling=self.limits.scaling)
@@ -176,10 +158,6 @@ class Solutions:
             tolerance, is_explained=True, generated=True,
         )  # fmt: skip
         return put_together(control_result(module, "newton", run, attempt), module.metadata)
-
-    def _values(self, index: int) -> dict[str, float]:
-        """Return the numbers of a case by name."""
-        return {name: float(values[index]) for name, values in self.parameters.items()}
 
     @cached_property
     def _motions(self) -> dict[str, NDArray[np.float64]]:
@@ -227,12 +205,13 @@ class Solutions:
         coordinates["t"] = (("case", "node"), self.t)
         return xarray.Dataset(data, coordinates, {"problem": self.module.metadata.problem, "steps": self.steps})
 
-    def __repr__(self) -> str:
-        counts = ", ".join(f"{count} {status}" for status, count in self.counts.items())
-        varied = ", ".join(self.parameters)
-        return f"Solutions of {len(self)} cases of {self.module.metadata.problem} ({varied}): {counts}"
 
-
+@overload
+def solve_many(problem: Simulate, parameters: Mapping[str, ArrayLike], **options: Any) -> Motions: ...
+@overload
+def solve_many(problem: Control | Phases, parameters: Mapping[str, ArrayLike], **options: Any) -> Solutions: ...
+@overload
+def solve_many(problem: Any, parameters: Mapping[str, ArrayLike], **options: Any) -> Any: ...
 def solve_many(
     problem: Any,
     parameters: Mapping[str, ArrayLike],
@@ -243,18 +222,18 @@ def solve_many(
     executor: str = THREADS,
     threads: int | None = None,
     **options: Any,
-) -> Solutions:
-    """Solve one optimal control problem for many values of its parameters at once, on threads or on a GPU.
+) -> Solutions | Motions:
+    """Solve one problem for many values of its parameters at once, on threads or on a GPU.
 
     Parameters
     ----------
-    problem : path, Control, Phases, Solver or module
-        The problem, as for `codegen.solve`.
+    problem : path, Control, Phases, Simulate, Solver or module
+        A problem of optimal control or a simulation, as for `codegen.solve`.
     parameters : dict of str to array (n,) or float
         The numbers of n cases: parameters, durations and prescribed ends by name, as for `codegen.solve`, such as
         {"m": masses, "start.x": positions}. A number is the same in all cases.
     steps : int
-        Number of intervals in each phase; by default the number in the problem.
+        Number of intervals in each phase, or of time steps; by default the number in the problem.
     guess : array (n, m) or (m,), or Solutions
         Unknowns of initial guesses; by default each case starts from the problem's own guess.
     warm : bool
@@ -266,18 +245,19 @@ def solve_many(
         Number of threads, by default the number of available processors. Results do not depend on it.
     **options
         `arguments`, `scheme`, `method`, `controls`, `out`, `sensitivities`, `tolerance`, `max_iterations`, `time_limit`
-        (of a case) and `scaling`, as for `codegen.solve`.
+        (of a case), `scaling` and `every` (of a simulation), as for `codegen.solve`.
 
     Returns
     -------
-    Solutions
-        Status, cost, unknowns and motions of all cases as arrays. The optima are those of `codegen.solve`. A case that
+    Solutions, or Motions of a simulation
+        Status, cost, unknowns and motions of all cases as arrays. The results are those of `codegen.solve`. A case that
         cannot be solved has another status than "solved", and raises nothing.
 
     Raises
     ------
     ArgumentError
-        For an unknown name or option, arrays of different lengths, and a problem that is no optimal control problem.
+        For an unknown name or option, arrays of different lengths, a simulation of particles or with events, and a
+        problem of connections.
     NumericsError
         For guesses of another shape.
     DeviceError
@@ -298,7 +278,21 @@ def solve_many(
     module = _module(request, building)
     columns = _columns(module, parameters)
     number = next((column.size for column in columns.values()), 1)
-    count = module.metadata.steps if steps is None else steps
+    arguments, count = given(overridable(module), columns), module.metadata.steps if steps is None else steps
+    ended, size = threading.Event(), number
+    if not is_on_device:
+        size = min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
+    if is_simulation(module):
+        if guess is not None or warm:
+            raise ArgumentError("a guess for a simulation", "leave it out")
+        require_motions(module, is_on_device)
+        motions = empty_motions(module, columns, arguments, count, request.every, number)
+        if not is_on_device and not are_motions_ready():
+            with building("Compiling what follows many motions, once"):
+                follow_motions(motions, slice(0, 1), False, lambda: True)
+        follow = partial(follow_motions, motions, is_on_device=is_on_device, is_wanted=lambda: not ended.is_set())
+        _in_threads(follow, number, size, workers, ended)
+        return motions
     if segments := segments_of(module.metadata):
         count = segments.steps(count) if steps is not None else count
     guesses = _guesses(module, count, guess, warm, number)
@@ -306,32 +300,35 @@ def solve_many(
         request.tolerance, request.max_iterations, math.inf if request.time_limit is None else request.time_limit,
         request.scaling, warm, is_on_device,
     )  # fmt: skip
-    arguments = given(overridable(module), columns)
-    solutions, ended = _empty(module, columns, count, limits, number), threading.Event()
-    size = number if is_on_device else min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
+    solutions = _empty(module, columns, count, limits, number)
 
-    def solve(first: int) -> int:
-        part = slice(first, min(number, first + size))
-        own = part_of(arguments, part)
-        cases = part.stop - first
-        for block in optima(module, count, own, cases, guesses[part], limits, lambda: not ended.is_set()):
+    def solve(part: slice) -> None:
+        own, first = part_of(arguments, part), part.start
+        for block in optima(module, count, own, part.stop - first, guesses[part], limits, lambda: not ended.is_set()):
             _put(solutions, first, block)
             first += len(block.optima.status)
-        return first
 
     if not is_on_device and not is_ready():
         with building("Compiling what solves many cases, once"):
             next(optima(module, count, arguments, 1, guesses[:1], limits, lambda: True))
+    _in_threads(solve, number, size, workers, ended)
+    return solutions
+
+
+def _in_threads(
+    solve: Callable[[slice], None], number: int, size: int, workers: int, ended: threading.Event
+) -> None:  # fmt: skip
+    """Call `solve` for slices of `size` of `number` cases in threads; set `ended` if one fails or is interrupted."""
+    parts = [slice(first, min(number, first + size)) for first in range(0, number, size)]
     with building("Solving") as line, threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         try:
-            for done in pool.map(solve, range(0, number, size)):
+            for part, _ in zip(parts, pool.map(solve, parts), strict=True):
                 if line is not None:
-                    line.update(f"Solving: {done} of {number} cases ...")
+                    line.update(f"Solving: {part.stop} of {number} cases ...")
         except BaseException:  # such as an interrupt
             ended.set()
             pool.shutdown(cancel_futures=True)
             raise
-    return solutions
 
 
 def given(keys: Mapping[str, tuple[str, str]], values: Mapping[str, Any]) -> dict[str, Any]:
@@ -347,7 +344,7 @@ def given(keys: Mapping[str, tuple[str, str]], values: Mapping[str, Any]) -> dic
 
 
 def _module(request: Request, working: Callable[[str], Any]) -> Any:
-    """Return the module of a request, built and compiled; raises ArgumentError unless its problem has controls."""
+    """Return the module of a request, built and compiled; raises ArgumentError for a problem of connections."""
     if request.is_built:
         module: Any = request.problem
         if isinstance(module, str | Path):
@@ -361,17 +358,17 @@ def _module(request: Request, working: Callable[[str], Any]) -> Any:
         module = loading.load(build.path)
         processes.require(build.path, module, build.written, working)
     request.driver_for(module)
-    if not is_control(module):
+    if not (is_control(module) or is_simulation(module)):
         finding = f"{module.metadata.problem} is a {module.metadata.task} problem"
         raise ArgumentError(clause(finding), "use codegen.sweep, which solves all kinds of problems")
     if request.sensitivities:
         require_sensitive(module)
-    if not isinstance(module.problem, ControlProblem):
+    if not (isinstance(module.problem, ControlProblem) or is_simulation(module)):
         raise ArgumentError("a standalone module solves one case at a time", "build it without --standalone")
     return module
 
 
-def _columns(module: ControlModule, parameters: Mapping[str, ArrayLike]) -> dict[str, Vector]:
+def _columns(module: Any, parameters: Mapping[str, ArrayLike]) -> dict[str, Vector]:
     """Return the values (n,) of each parameter for all cases; raises ArgumentError for unusable names or shapes."""
     if not isinstance(parameters, Mapping):
         raise ArgumentError(clause(f"parameters is {parameters!r}"), 'give arrays by name, as {"m": [1.0, 2.0]}')

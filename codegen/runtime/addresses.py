@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import cfunc, config, typeof, types
+from numba import cfunc, config, njit, typeof, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
@@ -237,3 +237,9 @@ def ahead(typingctx, pointer, count):
     """Return the pointer moved forward by `count` numbers."""
     signature = pointer(pointer, types.int64)
     return signature, lambda context, builder, _, values: builder.gep(values[0], [values[1]])
+
+
+@njit(error_model="numpy", forceinline=True)
+def moved(address, count):
+    """Return the address of the number that lies `count` numbers after the number at `address`."""
+    return address + 8 * count

@@ -166,7 +166,7 @@ def solve_band(matrix, pivots, right_hand_side, below, above):
     """Overwrite a right-hand side (n,) by the solution, with `matrix` and `pivots` from `factor_band`."""
     size = matrix.shape[0]
     for i in range(size):
-        pivot = pivots[i]
+        pivot = int(pivots[i])
         value = right_hand_side[pivot]
         right_hand_side[pivot] = right_hand_side[i]
         right_hand_side[i] = value

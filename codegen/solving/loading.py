@@ -170,6 +170,7 @@ class SimulateModule(Protocol):
     """The functions of a generated module for a simulation; a module for first-order dynamics has no `energy`."""
 
     metadata: Any
+    problem: Any
 
     solve: Callable[..., SimulateSolution]
     make_grid: Callable[..., StepGrid]

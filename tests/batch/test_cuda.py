@@ -27,6 +27,13 @@ KINDS = {
 }
 """Options of the build, steps, a parameter and its values: equations alone, a linear-quadratic problem, bounds, an
 explicit scheme with a free duration, phases, stages, stages with bounds, and several bodies."""
+MOTIONS = {
+    "pendulum": ({}, 12, 1, "start.p", [0.1, 0.2, 0.3]),
+    "pendulum.py": ({"scheme": "stormer-verlet"}, 60, 7, "start.p", [0.5, 1.4]),
+    "heavy_top": ({}, 6, 1, "m", [0.9, 1.1]),
+    "dzhanibekov": ({"scheme": "suzuki-4-of-midpoint"}, 4, 3, "duration", [1.0, 2.0, -1.0]),
+}
+"""Options of the build, steps, every, a parameter and its values: implicit and explicit steps, rotations, parts."""
 SCRIPT = """
 import json, sys
 import numpy as np
@@ -54,6 +61,16 @@ for path, options, steps, name, values in kinds:
     ]
     on_device.clear()
 
+for path, name, options, steps, every, parameter, values in json.loads(sys.argv[2]):
+    solver = codegen.compile(path, **options)
+    first, other = (
+        codegen.solve_many(solver, {parameter: values}, steps=steps, every=every, executor=executor)
+        for executor in ("threads", "cuda")
+    )
+    results[f"motions of {name}"] = [
+        first.status.tolist(), other.status.tolist(), first.iterations.tolist() == other.iterations.tolist(),
+        float(np.nanmax(np.abs(first.path - other.path))), float(np.nanmax(first.residual - other.residual)),
+    ]
 axes, options = {"r1": [5.6, 6.0, -6.0, 6.4], "m": [90.0, 110.0]}, {"steps": 6, "chunk": 3}
 one, other = (codegen.sweep(kinds[0][0], axes, executor=executor, **options) for executor in ("threads", "cuda"))
 results["sweep"] = [
@@ -72,9 +89,10 @@ print(json.dumps(results))
 def simulated():
     """The comparisons of all KINDS, from one process with numba's simulator."""
     kinds = [(str(PROBLEMS / f"{name}.py"), *of_kind) for name, of_kind in KINDS.items()]
+    motions = [(f"{PROBLEMS / name.removesuffix('.py')}.py", name, *of_kind) for name, of_kind in MOTIONS.items()]
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, json.dumps(kinds)], env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"},
-        capture_output=True, text=True, check=False,
+        [sys.executable, "-c", SCRIPT, json.dumps(kinds), json.dumps(motions)],
+        env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return {Path(path).stem: found for path, found in json.loads(done.stdout.splitlines()[-1]).items()}
@@ -88,6 +106,15 @@ def test_the_device_finds_the_optima_of_the_processor(simulated, name):
     assert unknowns <= 1e-7
     assert cost <= 1e-9
     assert len(on_device) == len(KINDS[name][3])
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_motions_on_the_device_have_the_bits_of_the_processor(simulated, name):
+    statuses, on_device, same_iterations, states, residuals = simulated[f"motions of {name}"]
+    expected = ["unusable" if value < 0.0 else "solved" for value in MOTIONS[name][4]]
+    assert statuses == on_device == expected
+    assert same_iterations
+    assert states == residuals == 0.0
 
 
 def test_most_cases_are_solved_on_the_device(simulated):

@@ -7,8 +7,13 @@ the cart-pole (N = 50, with bounds) and the planar quadrotor (N = 50), with rand
 grow by factors of ten up to a million, a hundred thousand and a hundred thousand times `--scale`. The first call
 compiles the kernel; it is timed by itself. `kernel` is the time of the search on the device, without Python and
 transfers. `on device` is the part of the cases that the device solved, and `largest difference` that of the costs,
-relative, in a sample that the processor solves as well. With the environment variable NUMBA_ENABLE_CUDASIM=1 the script
-runs in numba's simulator, with `--scale 1e-5`. No problem begins after `--seconds`.
+relative, in a sample that the processor solves as well.
+
+Ensembles of motions follow: Kepler's problem, Henon and Heiles's, and a chain of ten masses, a million times `--scale`
+each, with 1000 steps by midpoint and by Stormer and Verlet. The last states are stored and compared.
+
+With the environment variable NUMBA_ENABLE_CUDASIM=1 the script runs in numba's simulator, with `--scale 1e-5`. No
+problem begins after `--seconds`.
 """
 
 import os
@@ -17,11 +22,14 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 
 import argparse
 import sys
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+import sympy
 from rich.console import Console
 from rich.table import Table
 
@@ -37,12 +45,48 @@ PROBLEMS = {
     "quadrotor": (50, 100_000, {"m": (0.9, 1.1)}),
 }
 """Intervals, largest number of cases, and ranges of parameters."""
+MOTIONS = 1_000_000
+"""Largest number of motions, times `--scale`."""
 LEAST = 1000
 """Smallest number of cases, if the largest is larger."""
 COLUMNS = (
     "problem", "N", "cases", "seconds", "us a case", "kernel us", "GB", "on device", "solved", "us by 1 core",
     "us by all cores", "largest difference",
 )  # fmt: skip
+
+
+def kepler() -> codegen.Simulate:
+    """A planet at its perihelion; the masses differ."""
+    (x, y), (vx, vy) = codegen.coordinates("x y")
+    m = codegen.parameters(m=1)[0]
+    potential = -1 / sympy.sqrt(x**2 + y**2)
+    return codegen.Simulate(
+        lagrangian=m * (vx**2 + vy**2) / 2 - m * potential,
+        duration=20, start={x: 0.5, y: 0, vx: 0, vy: sympy.sqrt(3)}, steps=1000,
+    )  # fmt: skip
+
+
+def henon_heiles() -> codegen.Simulate:
+    """A star in a galaxy, Henon and Heiles (1964)."""
+    (x, y), (vx, vy) = codegen.coordinates("x y")
+    m = codegen.parameters(m=1)[0]
+    potential = (x**2 + y**2) / 2 + x**2 * y - y**3 / 3
+    return codegen.Simulate(
+        lagrangian=m * (vx**2 + vy**2) / 2 - potential, duration=100, start={x: 0, y: 0.1, vx: 0.4, vy: 0}, steps=1000
+    )
+
+
+def chain() -> codegen.Simulate:
+    """Ten masses between springs with a cubic force, Fermi, Pasta, Ulam and Tsingou (1955)."""
+    q, v = codegen.coordinates("q1:11")
+    m = codegen.parameters(m=1)[0]
+    stretches = [b - a for a, b in pairwise((0, *q, 0))]
+    potential = sum(s**2 / 2 + s**4 / 4 for s in stretches)
+    start = {x: sympy.sin(sympy.pi * i / 11).evalf() for i, x in enumerate(q, 1)}
+    return codegen.Simulate(
+        lagrangian=m * sum(rate**2 for rate in v) / 2 - potential, duration=100,
+        start=start | dict.fromkeys(v, 0), steps=1000,
+    )  # fmt: skip
 
 
 class Measured:
@@ -118,6 +162,34 @@ def main() -> None:
                 f"{1e6 * alone:.0f}", f"{1e6 * by_all:.0f}", f"{difference:.1e}",
             )  # fmt: skip
             number = largest if number < largest < 10 * number else 10 * number
+    console.print(table)
+    followed(options.scale, options.sample, rng, console)
+
+
+def followed(scale: float, sample: int, rng: np.random.Generator, console: Console) -> None:
+    """Measure and print the table of motions."""
+    table = Table("motions", "scheme", "cases", "compilation s", "seconds", "ns a step", "by 1 core", "difference")
+    number = max(4, int(scale * MOTIONS))
+    for make in (kepler, henon_heiles, chain):
+        for scheme in ("midpoint", "stormer-verlet"):
+            solver = codegen.compile(make(), scheme=scheme)
+            masses = rng.uniform(0.9, 1.1, number)
+            call = partial(codegen.solve_many, solver, every=1000)
+            first = perf_counter()
+            call({"m": masses[:64]}, executor="cuda")
+            start = perf_counter()
+            found = call({"m": masses}, executor="cuda")
+            seconds = perf_counter() - start
+            few = {"m": masses[:sample]}
+            call({"m": masses[:4]}, threads=1)
+            begin = perf_counter()
+            expected = call(few, threads=1)
+            alone = (perf_counter() - begin) / len(expected)
+            difference = np.abs(found.path[: len(expected)] - expected.path).max()
+            table.add_row(
+                make.__name__, scheme, str(number), f"{start - first:.1f}", f"{seconds:.2f}",
+                f"{1e6 * seconds / number:.3g}", f"{1e6 * alone:.3g}", f"{difference:.1e}",
+            )  # fmt: skip
     console.print(table)
 
 

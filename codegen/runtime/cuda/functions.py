@@ -9,6 +9,7 @@ expressions have another form on a device. The translation is made on the syntax
 - Functions of numpy for one number are those of the module math.
 - A loop over an array of the module is a loop over its indices.
 - Integer powers are products.
+- A call by the address in a field, `call(scheme.jacobian, ...)`, is a call of the device function of that name.
 
 Large functions are not inlined: otherwise the compiler needs minutes in place of seconds.
 
@@ -40,6 +41,10 @@ if IS_SIMULATED:
             step *= int(size)
         return np.lib.stride_tricks.as_strided(array, shape, strides)
 
+    def flat(array):
+        """Return a view of an array with one index, whose numbers have the distance of those in the last axis."""
+        return view(array, (array.size,))
+
     def ahead(array, count):
         """Return the array without its first `count` numbers."""
         return array[count:]
@@ -70,6 +75,18 @@ else:
             return _array(context, builder, kind, whole, whole.data, sizes, strides)
 
         return kind(array, shape), generate
+
+    @intrinsic
+    def flat(typingctx, array):
+        """Return a view of an array with one index, whose numbers have the distance of those in the last axis."""
+        kind = types.Array(array.dtype, 1, "A")
+
+        def generate(context, builder, signature, values):
+            whole = context.make_array(signature.args[0])(context, builder, values[0])
+            step = cgutils.unpack_tuple(builder, whole.strides)[-1]
+            return _array(context, builder, kind, whole, whole.data, [whole.nitems], [step])
+
+        return kind(array), generate
 
     @intrinsic
     def ahead(typingctx, array, count):
@@ -130,9 +147,11 @@ class Translation(ast.NodeTransformer):
         return node
 
     def visit_Call(self, node):
-        """Replace a new array by one in local memory, and the copy of an array of the module by the array."""
+        """Replace a new array by one in local memory, the copy of an array of the module, and a call by address."""
         self.generic_visit(node)
         called = ast.unparse(node.func)
+        if called == "call" and isinstance(node.args[0], ast.Attribute):
+            return ast.Call(ast.Name(f"call_{node.args[0].attr}", ast.Load()), node.args, [])
         if called in ("np.zeros", "np.empty"):
             shape = self.constant(node.args[0])
             made = ast.parse(f"{LOCAL_ARRAY}({shape!r}, float64_)", mode="eval").body

@@ -102,11 +102,11 @@ def stack_of(module, steps, arguments, k):
     names = {"math": OF_ARRAYS, "checked_grid": checked_grid}
     try:
         with np.errstate(all="ignore"):
-            whole = _with_names(module.make_grid, names)(steps, **_as_objects(arguments))
-            guesses = _with_names(problem.initial_guess, names)(whole)
+            whole = with_names(module.make_grid, names)(steps, **as_objects(arguments))
+            guesses = with_names(problem.initial_guess, names)(whole)
             bounds = None
             if problem.variable_bounds is not None:
-                bounds = _with_names(problem.variable_bounds, names)(whole)
+                bounds = with_names(problem.variable_bounds, names)(whole)
         is_usable = (whole.h > 0.0) & np.isfinite(whole.h) & np.isfinite(whole.parameters).all(axis=(0, 1))
         if not is_usable.any():
             return None
@@ -115,7 +115,7 @@ def stack_of(module, steps, arguments, k):
         return None
     lower, upper = (np.empty((k, 0)),) * 2 if bounds is None else (side.T for side in bounds)
     stack = Stack(grid, is_usable, whole.h, np.moveaxis(whole.parameters, -1, 0), guesses.T, lower, upper)
-    samples = _samples(arguments, np.flatnonzero(is_usable))
+    samples = samples_of(arguments, np.flatnonzero(is_usable))
     return stack if all(_agrees(module, steps, arguments, stack, case) for case in samples) else None
 
 
@@ -127,15 +127,15 @@ def case_of(arguments, case):
     }
 
 
-def _as_objects(arguments):
+def as_objects(arguments):
     """Return arguments with arrays of Python's numbers."""
     return {
-        name: _as_objects(values) if isinstance(values, dict) else values.astype(object)
+        name: as_objects(values) if isinstance(values, dict) else values.astype(object)
         for name, values in arguments.items()
     }
 
 
-def _samples(arguments, usable):
+def samples_of(arguments, usable):
     """Return indices of usable cases with the least and the greatest values of each argument, and of the ends."""
     indices = {int(usable[0]), int(usable[-1])}
     for values in arguments.values():
@@ -160,7 +160,7 @@ def _agrees(module, steps, arguments, stack, case):
     return all(np.allclose(one, other, rtol=AGREES, atol=0.0) for one, other in pairs)
 
 
-def _with_names(function, names):
+def with_names(function, names):
     """Return a copy of a function of a module with other global names, also in the module's functions that it calls."""
     space = dict(function.__globals__)
     for name, value in function.__globals__.items():

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import carray, njit
 
-from codegen.runtime.addresses import ahead, call, call_value, data_of, integers_at, reals_at
+from codegen.runtime.addresses import ahead, call, call_value, data_of, integers_at, moved, reals_at
 from codegen.runtime.arithmetic import factor_band, solve_band
 from codegen.runtime.kernels import ONLY_COMPILED
 
@@ -78,6 +78,8 @@ class Work(NamedTuple):
         Lengths (lengths,) of a part of a step that is shortened for a continuation.
     reached, earlier : int
         The unknowns that solve the equations for the last two lengths of a continuation.
+    defects : int
+        Residuals (stages + state,) of the equations of the scheme.
     """
 
     lengths: int
@@ -94,6 +96,7 @@ class Work(NamedTuple):
     shorter: int
     reached: int
     earlier: int
+    defects: int
 
 
 def memory_for(scheme):
@@ -112,18 +115,19 @@ def work_in(scheme, memory, h, parameters_at):
     """
     count, size = scheme.unknowns, scheme.state
     lengths = memory.ctypes.data
-    now = lengths + 8 * scheme.parts * scheme.lengths
-    begin = now + 8 * size
-    interval = begin + 8 * size
-    seen = interval + 8 * (scheme.stages + size)
-    unknowns = seen + 16 * scheme.inputs
-    row = 8 * count
-    residual, sizes, last, pivots = unknowns + row, unknowns + 2 * row, unknowns + 3 * row, unknowns + 4 * row
-    jacobian_at = unknowns + 5 * row
-    reached = jacobian_at + row * count
+    now = moved(lengths, scheme.parts * scheme.lengths)
+    begin = moved(now, size)
+    interval = moved(begin, size)
+    seen = moved(interval, scheme.stages + size)
+    unknowns = moved(seen, 2 * scheme.inputs)
+    residual, sizes = moved(unknowns, count), moved(unknowns, 2 * count)
+    last, pivots = moved(unknowns, 3 * count), moved(unknowns, 4 * count)
+    jacobian_at = moved(unknowns, 5 * count)
+    reached = moved(jacobian_at, count * count)
+    shorter = moved(reached, 2 * count)
     work = Work(
-        lengths, now, begin, interval, seen, unknowns, residual, jacobian_at, pivots, sizes, last,
-        reached + 2 * row, reached, reached + row,
+        lengths, now, begin, interval, seen, unknowns, residual, jacobian_at, pivots, sizes, last, shorter, reached,
+        moved(reached, count), moved(shorter, scheme.lengths),
     )  # fmt: skip
     for i in range(memory.size):
         memory[i] = 0.0
@@ -155,10 +159,10 @@ def advance(scheme, work, t, tolerance, most, parameters_at):
     iterations of a part.
     """
     state, iterations = carray(reals_at(work.begin), (scheme.state,)), 0
-    after = carray(reals_at(work.interval + 8 * scheme.stages), (scheme.state,))
+    after = carray(reals_at(moved(work.interval, scheme.stages)), (scheme.state,))
     lengths = carray(reals_at(work.lengths), (scheme.parts, scheme.lengths))
     for part in range(scheme.parts):
-        lengths_at = work.lengths + 8 * part * scheme.lengths
+        lengths_at = moved(work.lengths, part * scheme.lengths)
         if scheme.unknowns == 0:
             call(scheme.explicit, (work.begin, t, lengths_at, parameters_at, work.interval))
         else:
@@ -466,9 +470,10 @@ def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, t
     not stored. They are computed again from the state before the step.
     """
     size, stages, parameters_at, largest = scheme.state, scheme.stages, parameters.ctypes.data, 0.0
-    work, residual = work_in(scheme, memory, h, parameters_at), np.empty(scheme.stages + scheme.state)
+    work = work_in(scheme, memory, h, parameters_at)
     state, interval = carray(reals_at(work.begin), (size,)), carray(reals_at(work.interval), (stages + size,))
-    lengths, residual_at = carray(reals_at(work.lengths), (scheme.parts, scheme.lengths)), residual.ctypes.data
+    lengths = carray(reals_at(work.lengths), (scheme.parts, scheme.lengths))
+    residual = carray(reals_at(work.defects), (stages + size,))
     for row in range(1, rows):
         k = min(row * every, steps) - 1
         t = k * h
@@ -478,7 +483,7 @@ def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, t
         for i in range(size):
             state[i] = before[row - 1, i]
         for part in range(scheme.parts):
-            lengths_at, is_last = work.lengths + 8 * part * scheme.lengths, part == scheme.parts - 1
+            lengths_at, is_last = moved(work.lengths, part * scheme.lengths), part == scheme.parts - 1
             if stages > 0 or not is_last:
                 if scheme.unknowns == 0:
                     call(scheme.explicit, (work.begin, t, lengths_at, parameters_at, work.interval))
@@ -487,7 +492,7 @@ def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, t
             if is_last:
                 for i in range(size):
                     interval[stages + i] = path[row, i]
-            call(scheme.equations, (work.begin, work.interval, t, lengths_at, parameters_at, residual_at))
+            call(scheme.equations, (work.begin, work.interval, t, lengths_at, parameters_at, work.defects))
             for i in range(stages + size):
                 if not abs(residual[i]) < np.inf:
                     return np.inf

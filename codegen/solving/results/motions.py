@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from codegen.errors import PointsError
 from codegen.runtime.record import EventAction, Record, SimulationRecord
@@ -28,6 +29,8 @@ UNITS = 1e4
 """Ratio of the perturbations, which measure the effect of rounding errors, to the rounding errors."""
 PENETRATION = 1e-9
 """Largest penetration of a gap, relative to the state and the inverse of the time step."""
+ROUNDING = 1e3 * float(np.finfo(float).eps)
+"""Residual from rounding errors, relative to the state and the inverse of the time step."""
 TOLERANCE = 1e-12
 """Default tolerance of the arrival of particles."""
 
@@ -40,9 +43,9 @@ def simulate_result(
     `seconds` is the time of the fastest run. Residuals below the level of rounding errors are accepted. Variational
     schemes divide rounding errors by the time step h.
     """
-    step = attempt.t[-1] / max(attempt.steps, 1)
-    scale = max(1.0, max_norm(attempt.q), max_norm(attempt.p)) * max(1.0, 1.0 / step if step > 0.0 else 1.0)
-    residual, rounding = attempt.residual, (1e3 * float(np.finfo(float).eps) * scale)
+    residual, step = attempt.residual, attempt.t[-1] / max(attempt.steps, 1)
+    rounding = float(rounding_of(np.hstack([attempt.q, attempt.p]), step))
+    scale = rounding / ROUNDING
     if attempt.events is None and run.every == 1 and attempt.t.size > 1:
         residual = module.path_residual(module.make_grid(run.steps), np.hstack([attempt.q, attempt.p]))
         if residual > max(attempt.tolerance, rounding):
@@ -116,6 +119,15 @@ def simulate_outline(module: SimulateModule, driver: str, run: Run, attempt: Sim
 def simulate_numbers(metadata: Record, run: Run) -> int:
     """Return the number of stored floating-point numbers: states, positions, momenta, times and energies."""
     return (run.steps // run.every + 1) * (4 * len(metadata.coordinates) + 2)
+
+
+def rounding_of(path: NDArray[np.float64], step: ArrayLike) -> NDArray[np.float64]:
+    """Return the residual (..,) that rounding errors explain at once, along paths (.., M, states) with steps (..,)."""
+    largest = np.maximum(1.0, np.nanmax(np.abs(path), axis=(-2, -1), initial=0.0))
+    with np.errstate(divide="ignore"):
+        inverse = np.where(np.asarray(step) > 0.0, 1.0 / np.asarray(step), 1.0)
+    level: NDArray[np.float64] = ROUNDING * largest * np.maximum(1.0, inverse)
+    return level
 
 
 def rounding_level(module: SimulateModule, steps: int, q: Matrix, p: Matrix) -> float:
