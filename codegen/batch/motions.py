@@ -30,7 +30,7 @@ from codegen.runtime.stepping.motion import describe
 from codegen.runtime.stepping.problem import StepProblem
 from codegen.runtime.stepping.steps import LEFT_TABLE
 from codegen.solving.drivers.newton import TOLERANCE, simulate
-from codegen.solving.loading import Matrix, SimulateModule, Vector
+from codegen.solving.loading import Matrix, SimulateModule, Vector, is_of_particles
 from codegen.solving.request import with_values
 from codegen.solving.results.motions import rounding_of, simulate_result
 from codegen.solving.results.result import Result, Run, component_names
@@ -108,6 +108,10 @@ class Motions(Cases):
         Number of steps. Every `every`-th state is stored, and the first and the last.
     module : module
         The generated module.
+    messages : dict of int to str
+        The messages of cases that are not solved.
+    numbers : tuple
+        Lengths of a step, parameters and initial states of all cases.
     """
 
     status: NDArray[np.str_]
@@ -184,10 +188,12 @@ class Motions(Cases):
 
 def require_motions(module: Any, is_on_device: bool) -> None:
     """Raise an error for a module whose motions are not followed many at a time."""
-    if not isinstance(module.problem, StepProblem):
+    if is_of_particles(module):
         raise ArgumentError(
             clause(f"{module.metadata.problem} is a simulation of particles"), "use codegen.sweep, which solves all"
         )
+    if not isinstance(module.problem, StepProblem):
+        raise ArgumentError("a standalone module solves one case at a time", "build it without --standalone")
     if module.problem.events is not None:
         raise ArgumentError(
             clause(f"the motions of {module.metadata.problem} have events"), "use codegen.sweep, which solves all"

@@ -28,8 +28,8 @@ KINDS = {
 """Options of the build, steps, a parameter and its values: equations alone, a linear-quadratic problem, bounds, an
 explicit scheme with a free duration, phases, stages, stages with bounds, and several bodies."""
 MOTIONS = {
-    "pendulum": ({}, 12, 1, "start.p", [0.1, 0.2, 0.3]),
-    "pendulum.py": ({"scheme": "stormer-verlet"}, 60, 7, "start.p", [0.5, 1.4]),
+    "pendulum": ({}, 60, 1, "start.p", [0.1, 0.2, 0.3]),
+    "pendulum.py": ({"scheme": "stormer-verlet"}, 120, 7, "start.p", [0.5, 1.4]),
     "heavy_top": ({}, 6, 1, "m", [0.9, 1.1]),
     "dzhanibekov": ({"scheme": "suzuki-4-of-midpoint"}, 4, 3, "duration", [1.0, 2.0, -1.0]),
 }

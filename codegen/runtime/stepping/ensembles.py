@@ -116,18 +116,12 @@ def _of_formulas(module, steps, arguments, k):
         with np.errstate(all="ignore"):
             h, parameters, start = with_names(module.make_grid, names)(steps, **as_objects(arguments))
             h, parameters, start = (np.array(numbers, dtype=float) for numbers in (h, parameters, start))
-            is_usable = (
-                (h > 0.0) & np.isfinite(h) & np.isfinite(parameters).all(axis=0) & np.isfinite(start).all(axis=0)
-            )
+            is_usable = (h > 0.0) & np.isfinite(np.vstack([h[None], parameters, start])).all(axis=0)
             for case in samples_of(arguments, np.flatnonzero(is_usable)) if is_usable.any() else ():
                 own = module.make_grid(steps, **case_of(arguments, case))
-                for one, other in (
-                    (own.h, h[case]),
-                    (own.parameters, parameters[:, case]),
-                    (own.start, start[:, case]),
-                ):
-                    if not np.allclose(one, other, rtol=AGREES, atol=0.0):
-                        return None
+                pairs = (own.h, h[case]), (own.parameters, parameters[:, case]), (own.start, start[:, case])
+                if not all(np.allclose(one, other, rtol=AGREES, atol=0.0) for one, other in pairs):
+                    return None
     except NUMBERS_ONLY:
         return None
     return Ensemble(is_usable, h, np.ascontiguousarray(parameters.T), np.ascontiguousarray(start.T), np.empty((0, 2)))
