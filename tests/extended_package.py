@@ -205,7 +205,7 @@ REGISTRIES = {
             "CONDITIONS: tuple[ConditionKind, ...] = (Standstill(), Balance(),",
         ),
     ],
-    "cli/__init__.py": [("COMMANDS = (", 'COMMANDS = ("orders", ')],
+    "cli/__init__.py": [("COMMANDS = {", 'COMMANDS = {"orders": "orders", ')],
     "problem/problem.py": [
         ("    periodic: ", "    standstill: Sequence[Any] = ()\n    periodic: "),
         ("    periodic: ", "    balance: Sequence[Any] = ()\n    periodic: "),
