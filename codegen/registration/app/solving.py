@@ -212,14 +212,7 @@ def _places(start: float, stop: float, count: int, block: int) -> Array:
 
 def _weights(coarse: Array, fine: Array) -> Array:
     """Return the matrix, shape (fine, coarse), of linear interpolation from coarse to fine points in their range."""
-    if coarse[0] == coarse[-1]:
-        return np.full((len(fine), len(coarse)), 1.0 / len(coarse))
-    k = np.clip(np.searchsorted(coarse, fine, side="right") - 1, 0, len(coarse) - 2)
-    share = (fine - coarse[k]) / (coarse[k + 1] - coarse[k])
-    weights = np.zeros((len(fine), len(coarse)))
-    rows = np.arange(len(fine))
-    weights[rows, k], weights[rows, k + 1] = 1.0 - share, share
-    return weights
+    return np.array([np.interp(fine, coarse, unit) for unit in np.eye(len(coarse))]).T
 
 
 def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.uint8]:
