@@ -205,7 +205,7 @@ REGISTRIES = {
             "CONDITIONS: tuple[ConditionKind, ...] = (Standstill(), Balance(),",
         ),
     ],
-    "cli/__init__.py": [("COMMANDS = (", 'COMMANDS = ("orders", ')],
+    "cli/__init__.py": [("COMMANDS = {", 'COMMANDS = {"orders": "orders", ')],
     "problem/problem.py": [
         ("    periodic: ", "    standstill: Sequence[Any] = ()\n    periodic: "),
         ("    periodic: ", "    balance: Sequence[Any] = ()\n    periodic: "),
@@ -225,6 +225,13 @@ A field of the model is named there, and its share is added up with the others.
 """
 
 
+PROBLEM = '''"""A problem of the stress cases."""
+from codegen.evidence.stress.problems import {name}
+
+
+def problem():
+    return {name}()
+'''
 COMMANDS = """
 import json, os, sys
 import codegen.cli.solve, codegen.emit.verify, codegen.evidence.checks, codegen.solving.outcome
@@ -256,7 +263,10 @@ class Extended:
                 assert f"\n{old}" in text, (name, old)
                 text = text.replace(f"\n{old}", f"\n{new}", 1)
             path.write_text(text, encoding="utf-8")
-        self.problems = folder / "codegen/evidence/stress/problems"
+        self.problems = folder / "problems"
+        self.problems.mkdir()
+        for name in ("oscillator", "linear_regulator"):
+            (self.problems / f"{name}.py").write_text(PROBLEM.format(name=name), encoding="utf-8")
 
         paths = {"PYTHONPATH": str(self.folder), "CODEGEN_CACHE_DIR": str(self.folder / "cache")}
         self.environment = {**os.environ, **paths, "NUMBA_DISABLE_JIT": "1", "COLUMNS": "200"}

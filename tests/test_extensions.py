@@ -57,7 +57,7 @@ names = [name for names in schemes.METHODS.values() for name in names]
 assert len({colour_of(name) for name in names}) == len(set(names))
 assert systems.limit(schemes.METHODS["hamiltonian"]["radau-3"]) == float("inf")
 cases = [case for case in families.all_cases() if case.setup.scheme == "radau-3"]
-print(sorted({case.setup.file.stem for case in cases}), len(cases))
+print(sorted({case.setup.problem for case in cases}), len(cases))
 """
         done = extended.python("-c", code)
         assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""The command line: one file and one row of COMMANDS for each command.
+"""The command line: one function and one row of COMMANDS for each command.
 
 The exit status is 0 for success, 1 if a solve or a check failed, and 2 for wrong input. Errors are one line on stderr.
 Commands import slow packages in their functions, so that `codegen --help` is instant.
@@ -13,27 +13,29 @@ import typer
 
 from codegen.terminal import OneLineErrors
 
-HELP_WIDTH = 120
-"""Largest width of help texts in columns; otherwise they have the width of the terminal."""
+HELP_WIDTH = 120  # the largest width of help texts in columns; otherwise they have the width of the terminal
 main = typer.Typer(
     cls=OneLineErrors,
     help="Derive, emit and solve discrete mechanics: problems in sympy become self-contained numba solvers.",
     context_settings={"max_content_width": HELP_WIDTH},
     rich_markup_mode=None,  # plain help does not import rich
 )
-COMMANDS = (
-    "new", "build", "solve", "sweep", "check", "show", "analyse", "report", "stress", "warp", "distances", "app",
-)  # fmt: skip
-"""Names of commands in the order of the help text.
+COMMANDS = {
+    "new": "problems", "build": "problems", "solve": "solve", "sweep": "sweep", "check": "evidence", "show": "problems",
+    "analyse": "evidence", "report": "evidence", "stress": "evidence", "warp": "registration",
+    "distances": "registration", "app": "registration",
+}  # fmt: skip
+"""The commands in the order of the help text, and their files.
 
-The file of a command has a function with the same name, and examples in EXAMPLES.
+The file of a command has a function with the name of the command, and examples in EXAMPLES.
 """
 
-for name in COMMANDS:
-    module = import_module(f"codegen.cli.{name}")
+for name, file in COMMANDS.items():
+    module = import_module(f"codegen.cli.{file}")
+    lines = getattr(module, "EXAMPLES", {}).get(name, ())
     # In an epilog \b keeps the line breaks of the paragraph.
-    examples = "\n".join(("\b\nExamples:", *(f"  {line}" for line in getattr(module, "EXAMPLES", ()))))
-    main.command(epilog=examples if hasattr(module, "EXAMPLES") else None)(getattr(module, name))
+    examples = "\n".join(("\b\nExamples:", *(f"  {line}" for line in lines)))
+    main.command(epilog=examples if lines else None)(getattr(module, name))
 
 
 @main.callback(invoke_without_command=True)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
+
+from codegen.errors import ArgumentError
+
+Value = TypeVar("Value")
 
 
 def positive(text: str | int) -> int:
@@ -16,6 +21,16 @@ def positive(text: str | int) -> int:
     if not (text.isascii() and text.isdigit() and len(text) < 13 and int(text) > 0):
         raise typer.BadParameter(f"{text!r} is not a positive integer")
     return int(text)
+
+
+def once(option: str, pairs: Iterable[tuple[str, Value]]) -> dict[str, Value]:
+    """Return the pairs (name, value) of an option as a dict; raises ArgumentError for a repeated name."""
+    values: dict[str, Value] = {}
+    for name, value in pairs:
+        if name in values:
+            raise ArgumentError(f"{option} gives {name} twice", "give it once")
+        values[name] = value
+    return values
 
 
 class Controls(StrEnum):
@@ -59,8 +74,7 @@ Out = Annotated[Path | None, typer.Option(help="Folder for the module. [default:
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")]
 
 
-PAGE = "Statuses and errors"
-"""Title of the page about statuses, `docs/guide/statuses.md` in the sources."""
+PAGE = "Statuses and errors"  # the title of the page about statuses, `docs/guide/statuses.md` in the sources
 
 
 def on_statuses(*statuses: str) -> str:

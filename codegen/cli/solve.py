@@ -12,25 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from codegen.cli.options import (
-    Controls,
-    ControlSites,
-    Every,
-    Json,
-    Log,
-    Method,
-    Out,
-    PictureStyle,
-    PictureStyles,
-    Plot,
-    Problem,
-    Repeat,
-    Scheme,
-    Set,
-    Steps,
-    on_statuses,
-    positive,
-)
+from codegen.cli import options
 from codegen.errors import ArgumentError, one_line
 from codegen.files import replacing
 from codegen.terminal import console, following, working
@@ -44,34 +26,36 @@ if TYPE_CHECKING:
     from codegen.solving.results.result import Result
 
 
-EXAMPLES = (
-    "codegen solve problems/cart_pole.py --steps 100 --plot cart_pole.png",
-    "codegen solve problems/pendulum.py --scheme stormer-verlet --parameter duration=20 --json",
-)
+EXAMPLES = {
+    "solve": (
+        "codegen solve problems/cart_pole.py --steps 100 --plot cart_pole.png",
+        "codegen solve problems/pendulum.py --scheme stormer-verlet --parameter duration=20 --json",
+    )
+}
 PLOTS = (".png", ".pdf", ".svg")
 ANIMATIONS = (".gif", ".mp4")
 
 
 def solve(
-    problem: Problem,
-    set_: Set = [],  # noqa: B006
-    scheme: Scheme = None,
-    method: Method = None,
-    controls: ControlSites = Controls.INTERVAL,
+    problem: options.Problem,
+    set_: options.Set = [],  # noqa: B006
+    scheme: options.Scheme = None,
+    method: options.Method = None,
+    controls: options.ControlSites = options.Controls.INTERVAL,
     driver: Annotated[
         str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")
     ] = "newton",
-    steps: Steps = None,
-    every: Every = 1,
-    repeat: Repeat = 1,
-    json: Json = False,
-    log: Log = False,
+    steps: options.Steps = None,
+    every: options.Every = 1,
+    repeat: options.Repeat = 1,
+    json: options.Json = False,
+    log: options.Log = False,
     tolerance: Annotated[
         float | None,
         typer.Option(metavar="E", help="Largest error of an equation (newton, ipopt), or of an adaptive step."),
     ] = None,
     max_iterations: Annotated[
-        int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of an optimiser.")
+        int | None, typer.Option(parser=options.positive, metavar="N", help="Most iterations of an optimiser.")
     ] = None,
     time_limit: Annotated[
         float | None, typer.Option(metavar="S", help="Most seconds of a search (newton, ipopt).")
@@ -101,11 +85,11 @@ def solve(
     sensitivities: Annotated[
         bool, typer.Option("--sensitivities", help="Derivatives by parameters, boundary values and a given duration.")
     ] = False,
-    plot: Plot = None,
-    style: PictureStyle = PictureStyles.PAGE,
+    plot: options.Plot = None,
+    style: options.PictureStyle = options.PictureStyles.PAGE,
     animate: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")] = None,
     save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")] = None,
-    out: Out = None,
+    out: options.Out = None,
 ) -> None:
     """Solve a problem; build its module first if necessary."""
     from codegen.problem.sources import parse_arguments
@@ -157,22 +141,19 @@ def solve(
         if result.sensitivity is not None and not result.sensitivity.reason:
             console().print(output.sensitivities_table(record["sensitivities"]))
     if not result.solved:
-        typer.echo(one_line(f"codegen: {result.message}") + on_statuses(result.status), err=True)
+        typer.echo(one_line(f"codegen: {result.message}") + options.on_statuses(result.status), err=True)
         raise typer.Exit(1)
 
 
 def _pairs(items: Sequence[str], option: str, what: str, example: str) -> dict[str, str]:
     """Return items NAME=text as a dict; other or repeated items raise ArgumentError with the form NAME=`what`."""
-    pairs: dict[str, str] = {}
+    pairs = []
     for item in items:
-        name, equals, text = item.partition("=")
-        name = name.strip()
-        if not (name and equals and text):
+        name, _, text = item.partition("=")
+        if not (name.strip() and text):
             raise ArgumentError(f"{option} {item!r} is not of the form NAME={what}", f"write {option} {example}")
-        if name in pairs:
-            raise ArgumentError(f"{option} gives {name} twice", "give it once")
-        pairs[name] = text.strip()
-    return pairs
+        pairs.append((name.strip(), text.strip()))
+    return options.once(option, pairs)
 
 
 @dataclass(frozen=True)

@@ -2,42 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import typer
 
-from codegen.cli.options import (
-    Controls,
-    ControlSites,
-    Every,
-    Json,
-    Method,
-    PictureStyle,
-    PictureStyles,
-    Plot,
-    Problem,
-    Scheme,
-    Set,
-    Steps,
-    on_statuses,
-    positive,
-)
+from codegen.cli import options
 from codegen.errors import ArgumentError
 from codegen.terminal import console, progress, working
 
-Value = TypeVar("Value")
-
-
-EXAMPLES = (
-    "codegen sweep problems/orbital_transfer.py --vary r1=5.5:6.5:101 --out sweep.zarr --plot sweep.png",
-    'codegen sweep problems/cart_pole.py --sample "m1=normal(1, 0.02)" --cases 500 --out sweep.nc',
-)
+EXAMPLES = {
+    "sweep": (
+        "codegen sweep problems/orbital_transfer.py --vary r1=5.5:6.5:101 --out sweep.zarr --plot sweep.png",
+        'codegen sweep problems/cart_pole.py --sample "m1=normal(1, 0.02)" --cases 500 --out sweep.nc',
+    )
+}
 
 
 def sweep(
-    problem: Problem,
+    problem: options.Problem,
     vary: Annotated[
         list[str], typer.Option(metavar="NAME=VALUES", help="first:last:count or a,b,c; all combinations are cases.")
     ] = [],  # noqa: B006
@@ -73,7 +56,7 @@ def sweep(
     ] = "",
     workers: Annotated[
         int | None,
-        typer.Option(parser=positive, metavar="N", help="Threads or processes. [default: all processors]"),
+        typer.Option(parser=options.positive, metavar="N", help="Threads or processes. [default: all processors]"),
     ] = None,
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to start one.")
@@ -86,31 +69,33 @@ def sweep(
     ] = False,
     chunk: Annotated[
         int | None,
-        typer.Option(parser=positive, metavar="N", help="Cases written together. [default: about a second of work]"),
+        typer.Option(
+            parser=options.positive, metavar="N", help="Cases written together. [default: about a second of work]"
+        ),
     ] = None,
-    set_: Set = [],  # noqa: B006
-    scheme: Scheme = None,
-    method: Method = None,
-    controls: ControlSites = Controls.INTERVAL,
+    set_: options.Set = [],  # noqa: B006
+    scheme: options.Scheme = None,
+    method: options.Method = None,
+    controls: options.ControlSites = options.Controls.INTERVAL,
     driver: Annotated[str, typer.Option(help="As for codegen solve.")] = "newton",
-    steps: Steps = None,
-    every: Every = 1,
+    steps: options.Steps = None,
+    every: options.Every = 1,
     tolerance: Annotated[float | None, typer.Option(metavar="E", help="Largest error of an equation.")] = None,
     max_iterations: Annotated[
-        int | None, typer.Option(parser=positive, metavar="N", help="Iteration limit of a solve.")
+        int | None, typer.Option(parser=options.positive, metavar="N", help="Iteration limit of a solve.")
     ] = None,
     time_limit: Annotated[float | None, typer.Option(metavar="S", help="Time limit of a solve in seconds.")] = None,
     scaling: Annotated[str, typer.Option(help="auto or none, as for codegen solve (newton).")] = "auto",
     sensitivities: Annotated[
         bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of arrays by --keep.")
     ] = False,
-    plot: Plot = None,
-    style: PictureStyle = PictureStyles.PAGE,
+    plot: options.Plot = None,
+    style: options.PictureStyle = options.PictureStyles.PAGE,
     pareto: Annotated[
         str | None,
         typer.Option(metavar="A,B", help="Draw the Pareto front of two numbers of each case; -A: larger is better."),
     ] = None,
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Solve a problem for many values of its parameters, in parallel."""
     from codegen.batch.cases import assigned, axis_of
@@ -133,9 +118,9 @@ def sweep(
     names = () if keep.strip() == "none" else tuple(name.strip() for name in keep.split(","))
     request = sweep_request(
         problem,
-        _once("--vary", [axis_of(item) for item in vary]),
+        options.once("--vary", [axis_of(item) for item in vary]),
         zipped=[[name.strip() for name in group.split(",")] for group in zip_],
-        samples=_once("--sample", [assigned("--sample", item, '"m=normal(100, 5)"') for item in sample]),
+        samples=options.once("--sample", [assigned("--sample", item, '"m=normal(100, 5)"') for item in sample]),
         cases=int(cases) if cases is not None and cases.isascii() and cases.isdigit() and len(cases) < 13 else cases,
         sampling=sampling, seed=seed, out=out, resume=resume, keep=names if keep else None, workers=workers,
         warm_starts=warm_starts, chunk=chunk, cluster=cluster, executor=executor, driver=driver,
@@ -179,15 +164,5 @@ def sweep(
     if tally.failed:
         failed = f"{tally.cases - tally.solved} of {counted(tally.cases, 'case')}"
         message = f"codegen: {failed} failed; see status and message in {outcome.out}"
-        typer.echo(message + on_statuses(*tally.failed), err=True)
+        typer.echo(message + options.on_statuses(*tally.failed), err=True)
         raise typer.Exit(1)
-
-
-def _once(option: str, pairs: Sequence[tuple[str, Value]]) -> dict[str, Value]:
-    """Return the pairs (name, value) of an option as a dict; raises ArgumentError for a repeated name."""
-    values: dict[str, Value] = {}
-    for name, value in pairs:
-        if name in values:
-            raise ArgumentError(f"{option} gives {name} twice", "give it once")
-        values[name] = value
-    return values

@@ -158,10 +158,8 @@ def better(one: Point, other: Point, feasible: float) -> Point:
     return other if violations[1] == violations[0] and other.cost < one.cost else one
 
 
-MOST = 0.75
-"""Quantile of the measured times that is expected; longer times are outliers of a busy machine."""
-MARGIN = 1.05
-"""Safety factor: an iteration begins only if this multiple of its expected time remains."""
+MOST = 0.75  # quantile of the measured times that is expected; longer times are outliers of a busy machine
+MARGIN = 1.05  # safety factor: an iteration begins only if this multiple of its expected time remains
 RATE = 0.02
 """Relative change of an expectation by a measurement: it rises by RATE * MOST, or falls by RATE * (1 - MOST)."""
 IN_TURN = 4

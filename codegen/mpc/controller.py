@@ -15,20 +15,8 @@ from time import perf_counter
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError
+from codegen.mpc import interface
 from codegen.mpc.acceptance import BestIterate, Pace, better, holds
-from codegen.mpc.interface import (
-    WHOLE,
-    Arguments,
-    Grids,
-    Moving,
-    Options,
-    Values,
-    interface_of,
-    module_of,
-    number,
-    shift_by,
-    vector,
-)
 from codegen.mpc.motion import Delay, Motion
 from codegen.runtime.search.cascade import factor_nearby, minimise
 from codegen.runtime.search.messages import describe, reached
@@ -98,7 +86,7 @@ WARM_UPS, NUDGE = 20, 1e-4
 class Ahead:
     """The prepared part of a step: run-time values, the shifted plan (n,), and True if the KKT matrix is factored."""
 
-    given: Arguments
+    given: interface.Arguments
     guess: Vector
     is_factored: bool
 
@@ -177,31 +165,31 @@ class Controller:
         arguments: Mapping[str, object] | None = None,
         scheme: str | None = None,
         method: str | None = None,
-        parameters: Mapping[str, Moving] | None = None,
+        parameters: Mapping[str, interface.Moving] | None = None,
         tolerance: float = 1e-8,
         newton_steps: int | None = None,
         deadline: float | None = None,
         scaling: str = "auto",
         delay: int = 0,
     ) -> None:
-        self.options = Options(steps, horizon, sample, tolerance, newton_steps, deadline, scaling, delay)
-        self.module: ControlModule = module_of(problem, arguments or {}, scheme, method)
-        self._interface = interface_of(self.module)
+        self.options = interface.Options(steps, horizon, sample, tolerance, newton_steps, deadline, scaling, delay)
+        self.module: ControlModule = interface.module_of(problem, arguments or {}, scheme, method)
+        self._interface = interface.interface_of(self.module)
         self.states, self.inputs = self._interface.states, self._interface.inputs
         self.steps = int(self.module.metadata.steps) if steps is None else steps
         of_solves = {} if horizon is None else {"duration": horizon}
-        self._values = Values(self._interface, parameters or {}, of_solves)
-        self._grids = Grids(self.module, self._interface, self.steps)
+        self._values = interface.Values(self._interface, parameters or {}, of_solves)
+        self._grids = interface.Grids(self.module, self._interface, self.steps)
         grid = self._grids.at(self._values.given(0.0))
         self.horizon = grid.steps * grid.h
         self.sample = grid.h if sample is None else sample
         # The sampling time in intervals, rounded if it is nearly a whole number.
         intervals = self.sample * self.steps / self.horizon
-        if intervals > self.steps * (1.0 + WHOLE):
+        if intervals > self.steps * (1.0 + interface.WHOLE):
             finding = f"the sampling time {self.sample:g} is longer than the horizon {self.horizon:g}"
             raise NumericsError(finding, "give a shorter sample, or a longer horizon")
-        intervals = float(round(intervals)) if abs(intervals - round(intervals)) <= WHOLE else intervals
-        self._shift = shift_by(self.module, grid, intervals)
+        intervals = float(round(intervals)) if abs(intervals - round(intervals)) <= interface.WHOLE else intervals
+        self._shift = interface.shift_by(self.module, grid, intervals)
         self.delay = delay
         self._delay: Delay | None = None
         if delay:
@@ -251,8 +239,8 @@ class Controller:
         """
         deadline, clock = self.options.deadline, self._clock
         begin = clock()
-        measured = vector(state, self.states, "the state", is_finite=False)
-        t = number(t, "the time")
+        measured = interface.vector(state, self.states, "the state", is_finite=False)
+        t = interface.number(t, "the time")
         pairs = zip(self.states, measured.tolist(), strict=True)
         invalid = ", ".join(f"{name} is {value}" for name, value in pairs if not math.isfinite(value))
         with self._lock:
@@ -321,7 +309,7 @@ class Controller:
         NumericsError, ArgumentError
             As `step`, for unusable run-time values.
         """
-        t = number(t, "the time")
+        t = interface.number(t, "the time")
         with self._lock:
             self._ahead = None
             if self._plan is None:

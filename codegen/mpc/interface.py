@@ -36,8 +36,7 @@ from codegen.solving.results.result import component_names
 WHOLE = 1e-9
 """Largest difference, in intervals, of a sampling time from a whole number of intervals, up to which it is rounded."""
 
-Arguments: TypeAlias = dict[str, Any]
-"""Arguments of the functions of a generated module, by name."""
+Arguments: TypeAlias = dict[str, Any]  # arguments of the functions of a generated module, by name
 
 
 @dataclass(frozen=True)
@@ -197,8 +196,7 @@ class Options:
             raise ArgumentError(f"scaling is {self.scaling!r}", f"use one of {', '.join(SCALINGS)}")
 
 
-Moving: TypeAlias = float | Callable[[float], float]
-"""A run-time value: a number, or a function of time."""
+Moving: TypeAlias = float | Callable[[float], float]  # a run-time value: a number, or a function of time
 
 
 class Values:

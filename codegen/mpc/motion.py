@@ -47,8 +47,7 @@ def velocities_of(momenta: Callable[[Vector], Vector], wanted: Vector, guess: Ve
     return v
 
 
-NEWTON_STEPS, CLOSE = 20, 1e-10
-"""Largest number of Newton steps on an interval, and the relative size of the last step."""
+NEWTON_STEPS, CLOSE = 20, 1e-10  # largest number of Newton steps on an interval, and the relative size of the last step
 
 
 class Motion:

@@ -16,27 +16,8 @@ from codegen.registration.register import LeaveOneOut, leave_one_out, register
 from codegen.registration.warp import WarpReport, displacement_field, warp, warp_reported, write_field
 
 __all__ = [
-    "Alignment",
-    "AlignmentChoice",
-    "Certificate",
-    "Frame",
-    "LandmarkPairs",
-    "LeaveOneOut",
-    "Outliers",
-    "Registration",
-    "SigmaEstimate",
-    "WarpReport",
-    "align",
-    "certify",
-    "choose_sigma",
-    "chosen_alignment",
-    "displacement_field",
-    "estimate_sigma",
-    "find_outliers",
-    "flipped",
-    "leave_one_out",
-    "register",
-    "warp",
-    "warp_reported",
-    "write_field",
-]
+    "Alignment", "AlignmentChoice", "Certificate", "Frame", "LandmarkPairs", "LeaveOneOut", "Outliers",
+    "Registration", "SigmaEstimate", "WarpReport", "align", "certify", "choose_sigma", "chosen_alignment",
+    "displacement_field", "estimate_sigma", "find_outliers", "flipped", "leave_one_out", "register", "warp",
+    "warp_reported", "write_field",
+]  # fmt: skip

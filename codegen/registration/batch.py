@@ -21,19 +21,7 @@ from codegen.batch.executors import Progress, Team, Working, connected, silent
 from codegen.batch.executors.chunks import LOST, SOLVED, Done, Tally, journal_of, new_journal, read_journal
 from codegen.errors import ArgumentError
 from codegen.files import remove_leftovers, rendered, write_text
-from codegen.registration.batch_pairs import (
-    COLUMNS,
-    BatchWork,
-    Line,
-    Pair,
-    Places,
-    SharedFile,
-    Tried,
-    options_digest,
-    read_summary,
-    tally_of,
-    write_summary,
-)
+from codegen.registration import batch_pairs
 from codegen.registration.job import Job, Options, run
 from codegen.registration.pair_report import Outcome, Record, facts, number
 from codegen.registration.solver import registration_module
@@ -42,14 +30,11 @@ from codegen.registration.volumes import is_volume
 if TYPE_CHECKING:
     from rich.table import Table
 
-MOST_OF_A_CHUNK = 64
-"""Largest number of pairs in a chunk."""
+MOST_OF_A_CHUNK = 64  # largest number of pairs in a chunk
 TRIALS = 3
 """Largest number of pairs that are tried, one by one, until a pair is solved. Its time determines the chunk size."""
-SHARES = 4
-"""Smallest number of chunks for each worker, so that all workers end at about the same time."""
-BATCH = "batch"
-"""The key in the header of a journal under which the digest of the options is stored."""
+SHARES = 4  # smallest number of chunks for each worker, so that all workers end at about the same time
+BATCH = "batch"  # the key in the header of a journal under which the digest of the options is stored
 ANOTHER = "leave --resume out to do all pairs anew, or give the options that it was begun with"
 
 NAME = "index.html"
@@ -70,7 +55,7 @@ class BatchRequest:
 
     jobs: Sequence[Job]
     options: Options
-    places: Places
+    places: batch_pairs.Places
     summary: Path
     workers: int = 1
     cluster: Any = None
@@ -81,12 +66,12 @@ class BatchRequest:
 class Batch:
     """The result of a batch: a summary line for every pair, the number of skipped pairs, and the notes of workers."""
 
-    lines: tuple[Line, ...]
+    lines: tuple[batch_pairs.Line, ...]
     unchanged: int
     notes: tuple[str, ...] = ()
 
     @property
-    def failed(self) -> tuple[Line, ...]:
+    def failed(self) -> tuple[batch_pairs.Line, ...]:
         """The lines of pairs that were not solved."""
         return tuple(line for line in self.lines if line["status"] != SOLVED)
 
@@ -104,7 +89,7 @@ def outcome_of(
     dimension. Raises CodegenError for a wrong request, before anything is written. Problems of every pair are raised,
     too: an unusable scheme, a refused write, or a worker that does not see the files.
     """
-    digest, before = options_digest(request.options), read_summary(request.summary)
+    digest, before = batch_pairs.options_digest(request.options), batch_pairs.read_summary(request.summary)
     path = journal_of(request.summary)
     if request.resume:
         if any(line["options"] != digest for line in before):
@@ -122,14 +107,16 @@ def outcome_of(
         except ArgumentError:  # no journal, or one with other options or of another version
             journal = new_journal(path, {BATCH: digest})
         noted = [
-            {name: str(record[name]) for name in COLUMNS} for record in journal.records if set(record) == set(COLUMNS)
+            {name: str(record[name]) for name in batch_pairs.COLUMNS}
+            for record in journal.records
+            if set(record) == set(batch_pairs.COLUMNS)
         ]
         jobs = [job.absolute() for job in request.jobs]
         earlier = {line["out"]: line for line in (*before, *noted)}
-        pairs = [Pair(number, job, earlier.get(str(job.out), {})) for number, job in enumerate(jobs)]
-        tried: dict[int, Tried] = {}
+        pairs = [batch_pairs.Pair(number, job, earlier.get(str(job.out), {})) for number, job in enumerate(jobs)]
+        tried: dict[int, batch_pairs.Tried] = {}
 
-        def lines() -> list[Line]:
+        def lines() -> list[batch_pairs.Line]:
             """Return the new or else the earlier line of every pair; pairs without a line are left out."""
             return [line for p in pairs if (line := tried[p.number].line if p.number in tried else p.earlier)]
 
@@ -148,8 +135,8 @@ def outcome_of(
         try:
             # First one pair, then chunks of pairs, and at last the pairs of lost chunks one by one.
             threads = os.cpu_count() or 1 if team.workers == 1 and cluster is None else 1
-            shared = SharedFile.of(path)
-            work = BatchWork(pairs, request.options, 1, threads, shared, dimensions, run_one=run_one)
+            shared = batch_pairs.SharedFile.of(path)
+            work = batch_pairs.BatchWork(pairs, request.options, 1, threads, shared, dimensions, run_one=run_one)
             first, local = 0, replace(team, workers=1, cluster=None, progress=silent)
             with working("Registering a first pair"):
                 while first < min(TRIALS, len(pairs)) and not seconds_of_solved():
@@ -161,11 +148,11 @@ def outcome_of(
             for is_again in (False, True):
                 left = [pair for pair in rest if pair.number not in tried]
                 part = replace(work, pairs=left, size=1 if is_again else size)
-                before_them = tally_of(entry.line for entry in tried.values())
+                before_them = batch_pairs.tally_of(entry.line for entry in tried.values())
                 team.do(part, part.chunks, len(pairs), before_them, keep, ("Warping", "pairs"))
             remove_leftovers(path for job in jobs for path in job.written)
         finally:
-            write_summary(request.summary, lines())
+            batch_pairs.write_summary(request.summary, lines())
             path.unlink(missing_ok=True)  # the summary has all lines of the journal
         remove_leftovers([request.summary, path])
     unchanged = sum(not entry.is_new for entry in tried.values())

@@ -43,8 +43,7 @@ COLUMNS = (
 """Columns of the summary. The last three hold digests: of options and version, of all inputs, and of each output."""
 _DIGITS = 32
 
-Line = dict[str, str]
-"""One line of the summary: a text for each name in COLUMNS."""
+Line = dict[str, str]  # one line of the summary: a text for each name in COLUMNS
 
 
 @dataclass(frozen=True)

@@ -46,28 +46,18 @@ from codegen.registration.warp import PORTION, Positions
 
 Array = NDArray[np.float64]
 
-SPACING = 8
-"""Pixels between evaluations of det J if det J is proved to be positive."""
+SPACING = 8  # pixels between evaluations of det J if det J is proved to be positive
 NEAR, EXTREMES, REACH = 2, 24, {2: SPACING, 3: 4}
 """Half-width, in pixels, of squares around landmarks; number of lowest and highest det J; half-width around each."""
 MOST_STEPS, NODES = 64, 200_000
 """Most steps that `in_provable_steps` tries, and the number of nodes that a proof in space may always use."""
-CHEAPER = 4
-"""Fewest pixels of the image per node of the grid of a proof, so that a proof is cheaper than all pixels."""
-SENT = {2: 129, 3: 25}
-"""Most pixels along each axis whose round trip is evaluated, by dimension."""
-
-CURVED = 9.0
-"""Bound of the second derivative of the Green's function in the plane far from its singularity."""
-FIRST, LAST = 32, 512
-"""Nodes per radius of the disc, on the coarsest and on the finest grid."""
-HOPELESS = 16.0
-"""The largest bound of a step after which the proof is tried on a grid of half the spacing."""
-
-COARSEST_CELLS, FINEST_CELLS = 8, 512
-"""Coarsest cells, and finest cells, per radius of the ball."""
-AT_ONCE = 1 << 16
-"""Pairs of a cell and a landmark that are evaluated together, few enough for the cache of a processor."""
+CHEAPER = 4  # fewest pixels of the image per node of the grid of a proof, so that a proof is cheaper than all pixels
+SENT = {2: 129, 3: 25}  # most pixels along each axis whose round trip is evaluated, by dimension
+CURVED = 9.0  # bound of the second derivative of the Green's function in the plane far from its singularity
+FIRST, LAST = 32, 512  # nodes per radius of the disc, on the coarsest and on the finest grid
+HOPELESS = 16.0  # the largest bound of a step after which the proof is tried on a grid of half the spacing
+COARSEST_CELLS, FINEST_CELLS = 8, 512  # coarsest cells, and finest cells, per radius of the ball
+AT_ONCE = 1 << 16  # pairs of a cell and a landmark that are evaluated together, few enough for the cache of a processor
 CLOSE = (8.0, 4.0, 2.0, 1.5, 1.2)
 """Largest accepted ratios of the bound of a cell to the largest gradient, which are tried in turn."""
 

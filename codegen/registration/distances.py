@@ -31,10 +31,8 @@ from codegen.registration.register import register
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 
 COLUMNS = ("specimen", "x", "y")
-SIDE = 1000
-"""The side, in pixels, of the square that contains all specimens, so that all pairs have the same disc."""
-EXTENT = 0.45
-"""The distance of the outermost landmark from the middle of the square, relative to its side."""
+SIDE = 1000  # the side, in pixels, of the square that contains all specimens, so that all pairs have the same disc
+EXTENT = 0.45  # the distance of the outermost landmark from the middle of the square, relative to its side
 ROUNDS, SETTLED = 50, 1e-10  # most iterations of the mean shape, and its largest change after convergence
 
 Array = NDArray[np.float64]
@@ -140,10 +138,8 @@ def pairs_of(count: int) -> list[tuple[int, int]]:
 
 
 FAILED = "not converged"
-FEWEST = 3
-"""Fewest specimens that are shown as points in two dimensions."""
-MOST = 16
-"""Most pairs of specimens in a chunk of work."""
+FEWEST = 3  # fewest specimens that are shown as points in two dimensions
+MOST = 16  # most pairs of specimens in a chunk of work
 
 
 @dataclass(frozen=True, eq=False)

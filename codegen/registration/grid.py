@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from codegen.errors import LandmarkError
 from codegen.registration.pairs import PointArray
 
-COSINES = 1e-3
-"""Tolerance of the orthogonality of axes, because of rounding in files."""
+COSINES = 1e-3  # tolerance of the orthogonality of axes, because of rounding in files
 
 
 @dataclass(frozen=True)
@@ -120,8 +119,7 @@ class Grid:
             yield part, self.to_places(np.stack(indices[::-1], axis=1).astype(float))
 
 
-Extent: TypeAlias = Sequence[int] | Grid
-"""The shape (height, width, ...) of a picture in pixels, or any grid."""
+Extent: TypeAlias = Sequence[int] | Grid  # the shape (height, width, ...) of a picture in pixels, or any grid
 
 
 def grid_of(extent: Extent) -> Grid:

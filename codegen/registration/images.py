@@ -41,10 +41,8 @@ KINDS = {"PNG": (".png",), "JPEG": (".jpg", ".jpeg"), "TIFF": (".tif", ".tiff")}
 VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr")
 """Suffixes of files that `codegen.registration.volumes` reads."""
 SAMPLES = frozenset(np.dtype(name) for name in ("u1", "u2", "i2", "u4", "i4", "f4", "f8"))
-LONGEST = 1000.0
-"""Largest plausible ratio of the longer to the shorter side of a pixel."""
-MOST_UNIT = 12
-"""Largest number of characters of the name of a unit."""
+LONGEST = 1000.0  # largest plausible ratio of the longer to the shorter side of a pixel
+MOST_UNIT = 12  # largest number of characters of the name of a unit
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")

@@ -55,8 +55,7 @@ from codegen.registration.warp import (
 )
 from codegen.solving.results import output
 
-LARGE = 1 << 22
-"""Number of pixels above which, by default, positions are interpolated from a coarse grid."""
+LARGE = 1 << 22  # number of pixels above which, by default, positions are interpolated from a coarse grid
 
 Progress = Callable[[str], None]
 _DIRECTIONS = ("moving to fixed", "fixed to moving")

@@ -37,20 +37,15 @@ from codegen.registration.pairs import LandmarkPairs
 
 RIDGES = np.logspace(-14.0, 2.0, 321)
 """Ridges that cross-validation compares, as fractions of the largest eigenvalue of the covariance."""
-LEAST_FREE = 0.02
-"""Least degrees of freedom per coordinate for which cross-validation determines the errors."""
-EXACT = 1e-13
-"""The least ridge, as a fraction of the largest eigenvalue: the rounding error of an eigenvalue of zero."""
-LEAST = 0.8
-"""The least expected residual, in units of sigma, because few landmarks do not determine a smaller value."""
-CANDIDATES: tuple[Kind, ...] = ("similarity", "affine", "none")
-"""Alignments that are compared, in order of preference."""
+LEAST_FREE = 0.02  # least degrees of freedom per coordinate for which cross-validation determines the errors
+EXACT = 1e-13  # the least ridge, as a fraction of the largest eigenvalue: the rounding error of an eigenvalue of zero
+LEAST = 0.8  # the least expected residual, in units of sigma, because few landmarks do not determine a smaller value
+CANDIDATES: tuple[Kind, ...] = ("similarity", "affine", "none")  # alignments that are compared, in order of preference
 FEWEST = 4
 """Fewest landmarks for the comparison, because after one is left out the others must determine each candidate."""
 MOST = 500
 """Most landmarks in the comparison; a random sample represents more, because time grows with their number cubed."""
-CLEARLY = 0.98
-"""The ratio of errors below which another candidate is preferred to the first one."""
+CLEARLY = 0.98  # the ratio of errors below which another candidate is preferred to the first one
 
 Array = NDArray[np.float64]
 

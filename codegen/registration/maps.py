@@ -23,14 +23,10 @@ from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
 from codegen.registration.solver import Flow
 
-TOLERANCE = 0.01
-"""Largest error of the time discretisation, in pixels, for the automatic number of steps."""
-ROUND_TRIP = 1e-8
-"""Largest error, in pixels, of a point after the map and its inverse."""
-MISSED = 1e-4
-"""Largest residual, in pixels, of landmarks that count as met exactly."""
-PROBED = {2: 17, 3: 9}
-"""Points along each axis of the coarse grid on which maps are compared, by dimension."""
+TOLERANCE = 0.01  # largest error of the time discretisation, in pixels, for the automatic number of steps
+ROUND_TRIP = 1e-8  # largest error, in pixels, of a point after the map and its inverse
+MISSED = 1e-4  # largest residual, in pixels, of landmarks that count as met exactly
+PROBED = {2: 17, 3: 9}  # points along each axis of the coarse grid on which maps are compared, by dimension
 FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 4, 32, 256
 
 
@@ -276,8 +272,7 @@ def solved(
         coarse, steps = fine, 2 * steps
 
 
-SQUARE = 1e-6
-"""Largest relative difference between the sides of a square pixel, because files round the sides."""
+SQUARE = 1e-6  # largest relative difference between the sides of a square pixel, because files round the sides
 
 
 def square_grid(extent: Extent, spacing: Spacing | None) -> Grid:

@@ -30,8 +30,7 @@ from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.solver import DEFAULT_SCHEME, Flow, FlowCase, FlowModule, FlowSolution, registration_module
 from codegen.solving.drivers.shared import quiet_single_thread
 
-ONE = 1e-4
-"""Largest distance, in pixels in each image, between two pairs that are carried as one point."""
+ONE = 1e-4  # largest distance, in pixels in each image, between two pairs that are carried as one point
 
 
 def groups_of(moving: NDArray[np.float64], fixed: NDArray[np.float64], pixel: float = 1.0) -> NDArray[np.intp]:
@@ -52,13 +51,11 @@ def groups_of(moving: NDArray[np.float64], fixed: NDArray[np.float64], pixel: fl
 
 FEWEST, MOST = 4, 1000
 """Fewest and most landmarks for which a better order is searched; with more, the search takes too long."""
-MOST_TURNED = 200
-"""Most landmarks for which rotations are tried."""
+MOST_TURNED = 200  # most landmarks for which rotations are tried
 BETTER = 0.25
 """The ratio of squared distances, other partners to given partners, below which other partners fit much better."""
 ROUNDS = 20  # most iterations of closest points
-NAMED = 5
-"""Most landmarks in a message."""
+NAMED = 5  # most landmarks in a message
 
 
 def partners(pairs: LandmarkPairs) -> NDArray[np.intp] | None:
@@ -129,13 +126,10 @@ def _squared_distances(pairs: LandmarkPairs, order: NDArray[np.intp]) -> float:
         return np.inf
 
 
-TRUSTED = 0.5
-"""The least weight of landmarks that determine the alignment."""
-FAR = 1.5
-"""The ratio of misses to the prediction of the linear theory above which other initial momenta are tried."""
+TRUSTED = 0.5  # the least weight of landmarks that determine the alignment
+FAR = 1.5  # the ratio of misses to the prediction of the linear theory above which other initial momenta are tried
 IN_ORDER = "give landmarks of both images in the same order"
-PATIENCE = 20
-"""Most iterations of shooting from one initial guess of the momenta."""
+PATIENCE = 20  # most iterations of shooting from one initial guess of the momenta
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,8 +35,7 @@ from codegen.registration.pairs import LandmarkPairs
 
 Loss: TypeAlias = Literal["linear", "huber", "cauchy", "tukey"]
 LOSSES: tuple[Loss, ...] = ("linear", "huber", "cauchy", "tukey")
-LEAST = 1e-6
-"""The least weight of a landmark, so that every landmark has a determined position in the flow."""
+LEAST = 1e-6  # the least weight of a landmark, so that every landmark has a determined position in the flow
 
 
 def typical_distance(dimension: int, share: float = 0.5) -> float:
@@ -72,19 +71,14 @@ def scale_of(loss: Loss, distances: NDArray[np.float64], dimension: int = 2) -> 
     return float(np.median(distances) / typical_distance(dimension))
 
 
-OUTLIERS_FEWEST = 8
-"""Fewest landmarks among which outliers are searched."""
-FAR = 4.0
-"""Least error of an outlier, in units of its standard deviation: one landmark in 3000 exceeds it by chance."""
-LEAST_ERROR = 0.5
-"""The least standard deviation that is assumed for an error, in pixels."""
+OUTLIERS_FEWEST = 8  # fewest landmarks among which outliers are searched
+FAR = 4.0  # least error of an outlier, in units of its standard deviation: one landmark in 3000 exceeds it by chance
+LEAST_ERROR = 0.5  # the least standard deviation that is assumed for an error, in pixels
 MOST_AT_ONCE = 0.1
 """The largest share of landmarks that become outliers in one round: the landmarks with the largest errors."""
-MOST = 1.0 / 3.0
-"""The largest share of outliers; above it landmarks contradict each other, and no outlier is named."""
+MOST = 1.0 / 3.0  # the largest share of outliers; above it landmarks contradict each other, and no outlier is named
 ROUNDS = 30
-TAIL = 0.8
-"""The quantile of errors that raises the scale of errors if large errors are frequent."""
+TAIL = 0.8  # the quantile of errors that raises the scale of errors if large errors are frequent
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +168,7 @@ RATIOS = np.logspace(-8.0, 2.0, 401)
 """Variances of errors that are compared, in units of the largest eigenvalue of the covariance of the field."""
 BLOCK = 500
 """Most landmarks in a block; more landmarks are halved repeatedly into blocks, which are treated as independent."""
-NOTHING = 1e-9
-"""Displacements below this fraction of the radius of the landmarks are rounding errors."""
+NOTHING = 1e-9  # displacements below this fraction of the radius of the landmarks are rounding errors
 
 Array = NDArray[np.float64]
 
@@ -248,14 +241,10 @@ def _blocks(places: Array) -> list[NDArray[np.intp]]:
     return blocks
 
 
-FEWEST = 4
-"""Fewest landmarks whose errors can be estimated."""
-FEW = 15
-"""Fewest landmarks for an estimate without a warning of its uncertainty."""
-UNSURE = 1.5
-"""The factor by which a bound of the 68 percent interval may differ from its middle without a warning."""
-LARGE = 0.1
-"""Errors above this fraction of the spread of the landmarks are implausible."""
+FEWEST = 4  # fewest landmarks whose errors can be estimated
+FEW = 15  # fewest landmarks for an estimate without a warning of its uncertainty
+UNSURE = 1.5  # the factor by which a bound of the 68 percent interval may differ from its middle without a warning
+LARGE = 0.1  # errors above this fraction of the spread of the landmarks are implausible
 
 
 @dataclass(frozen=True)

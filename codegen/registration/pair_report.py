@@ -39,19 +39,13 @@ from codegen.registration.register import MOST_LEFT_OUT, LeaveOneOut, out_of_pla
 from codegen.registration.volumes import Volume
 from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, RED
 
-LONGEST = 560
-"""Largest number of pixels of the longer side of an image on the page; larger images are subsampled."""
+LONGEST = 560  # largest number of pixels of the longer side of an image on the page; larger images are subsampled
 INCHES, DPI = 4.6, 125
-CELLS, FIELDS = 24, 8
-"""Number of cells along the longer side: of the deformed grid, and of the checkerboard."""
-LINE_POINTS = 241
-"""Number of points on a line of the deformed grid."""
-COARSE = 80
-"""Number of points along each side of the coarse grid that masks pixels from outside the source image."""
-MOST_NAMES = 60
-"""Largest number of landmarks whose names are shown in a picture."""
-MOST_ROWS = 2_000
-"""Largest number of landmarks in the table; an additional row counts the others."""
+CELLS, FIELDS = 24, 8  # number of cells along the longer side: of the deformed grid, and of the checkerboard
+LINE_POINTS = 241  # number of points on a line of the deformed grid
+COARSE = 80  # number of points along each side of the coarse grid that masks pixels from outside the source image
+MOST_NAMES = 60  # largest number of landmarks whose names are shown in a picture
+MOST_ROWS = 2_000  # largest number of landmarks in the table; an additional row counts the others
 _RESIDUALS = (
     "Residual: how far a moving landmark arrives from the fixed one. Left out: how far it would arrive if the other "
     "landmarks alone made the map."
@@ -386,12 +380,9 @@ def _grey(values: Array) -> Array:
     return values @ np.array([0.299, 0.587, 0.114]) if values.ndim == 3 else values
 
 
-SLICE_LONGEST = 240
-"""Largest number of voxels shown along each side of a slice."""
-SLICE_COARSE = 72
-"""Largest number of points along each side of a slice at which det J is evaluated."""
-NEAR = 3.0
-"""Largest distance, in voxels, of the landmarks that are marked on a slice."""
+SLICE_LONGEST = 240  # largest number of voxels shown along each side of a slice
+SLICE_COARSE = 72  # largest number of points along each side of a slice at which det J is evaluated
+NEAR = 3.0  # largest distance, in voxels, of the landmarks that are marked on a slice
 NAMES = ("sagittal", "coronal", "axial")
 SLICE_DPI = 110
 

@@ -31,20 +31,14 @@ from codegen.registration.noise import Loss, Outliers, choose_sigma, outliers_of
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.solver import DEFAULT_SCHEME
 
-MOST_SOLVES = 20
-"""Most solves in the search for the strength of roughness."""
-CLOSE = 0.05
-"""Relative tolerance of the root mean square residual."""
-STALLED = 4
-"""Solves without progress after which the search ends."""
-EASIER = 16.0
-"""The factor by which the strength is raised if the solver finds no solution."""
+MOST_SOLVES = 20  # most solves in the search for the strength of roughness
+CLOSE = 0.05  # relative tolerance of the root mean square residual
+STALLED = 4  # solves without progress after which the search ends
+EASIER = 16.0  # the factor by which the strength is raised if the solver finds no solution
 ALIGNED = 1e4
 """The largest ridge, as a multiple of the largest eigenvalue of the covariance; the map is nearly the alignment."""
-ENOUGH = 0.1
-"""Largest error of a map, in pixels, that is small enough for predictions of landmarks."""
-MOST_LEFT_OUT = 100
-"""Most landmarks for which leave-one-out is affordable, because each landmark takes a registration."""
+ENOUGH = 0.1  # largest error of a map, in pixels, that is small enough for predictions of landmarks
+MOST_LEFT_OUT = 100  # most landmarks for which leave-one-out is affordable, because each landmark takes a registration
 OUTLIER = 3.5
 """Modified z-score above which an error is outlying: Iglewicz and Hoaglin (1993), How to detect and handle outliers."""
 

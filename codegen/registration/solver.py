@@ -33,8 +33,7 @@ from codegen.registration.pairs import PointArray
 from codegen.solving.loading import Case, ConnectModule, GeneratedModule, is_connect, load
 
 _THREADS: ContextVar[int] = ContextVar("threads", default=os.cpu_count() or 1)
-THREADED = 400_000
-"""Number of evaluations of the Green's function above which several threads are used."""
+THREADED = 400_000  # number of evaluations of the Green's function above which several threads are used
 
 
 class FlowCase(Case, Protocol):

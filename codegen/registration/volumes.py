@@ -54,14 +54,12 @@ from codegen.registration.warp import (
 
 Array: TypeAlias = NDArray[np.float64]
 
-ITK = "SimpleITK", "which reads and writes volumes,"
-"""Name and purpose of the library, as arguments of `library`."""
+ITK = "SimpleITK", "which reads and writes volumes,"  # name and purpose of the library, as arguments of `library`
 TIFF = (".tif", ".tiff")
 WRITTEN = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
 _UNCOMPRESSED = (".nii", ".mhd")
 MOST_VOXELS = 1 << 30
-THINNEST = 2
-"""Fewest samples of a volume along each axis."""
+THINNEST = 2  # fewest samples of a volume along each axis
 _IMAGEJ = frozenset(np.dtype(name) for name in ("u1", "u2", "f4"))
 """Sample types of TIFF stacks that ImageJ reads; only such stacks are written with their spacing."""
 _UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -70,16 +68,13 @@ _STDERR = threading.Lock()
 
 BOUND = 5e-4
 """Largest error of a position, in finest spacings: half of the promised 0.001 voxels, because fields are rounded."""
-LARGEST = 16
-"""Largest distance between nodes, in finest spacings."""
-FEWEST = 6
-"""Fewest intervals between nodes along an axis, so that every second node determines a cubic spline."""
+LARGEST = 16  # largest distance between nodes, in finest spacings
+FEWEST = 6  # fewest intervals between nodes along an axis, so that every second node determines a cubic spline
 CHEAP = 12
 """Exactly mapped voxels per node above which half the node distance, with eight times as many nodes, is cheaper."""
 CHECKED, NODES_PORTION = 256, 32
 """Cells at whose centres the spline is compared with the map, and the number of cells that are evaluated together."""
-BLOCKS_PORTION = 1 << 19
-"""Voxels whose positions are in memory at the same time."""
+BLOCKS_PORTION = 1 << 19  # voxels whose positions are in memory at the same time
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,20 +52,15 @@ Interpolation: TypeAlias = Literal["nearest", "linear", "cubic"]
 Array: TypeAlias = NDArray[np.float64]
 
 ORDERS: dict[str, int] = {"nearest": 0, "linear": 1, "cubic": 3}
-BOUND = 0.01
-"""Largest error, in pixels, of positions from a coarse grid."""
-LARGEST, SMALLEST = 32, 2
-"""Most and fewest pixels between nodes."""
+BOUND = 0.01  # largest error, in pixels, of positions from a coarse grid
+LARGEST, SMALLEST = 32, 2  # most and fewest pixels between nodes
 HALVING = 4.0
 """The least factor by which half the spacing reduces the error of a cubic spline; see the module's docstring."""
 SINGULAR = 4.0
 """The factor by which the error bound is smaller in cells with a landmark, where the error varies within a cell."""
-PORTION = 1 << 20
-"""Pixels that are mapped at once: a multiple of the block size of the flow."""
-CHECKED = 256
-"""Cells at whose centres the spline is compared with the map."""
-BAND_ROWS = 64
-"""Rows of the result that one thread fills at a time."""
+PORTION = 1 << 20  # pixels that are mapped at once: a multiple of the block size of the flow
+CHECKED = 256  # cells at whose centres the spline is compared with the map
+BAND_ROWS = 64  # rows of the result that one thread fills at a time
 SPLINE_PADDING = 12
 """Pixels of padding at each edge before a spline is fitted, as in scipy.ndimage for this boundary mode."""
 
@@ -75,8 +70,7 @@ _NIFTI_VECTOR = "vector"  # the intent whose components ITK takes without a chan
 _META_HEADER, _META_SAMPLES, _META_KEY = ".mhd", ".raw", "ElementDataFile"
 _SAMPLE_KEYS = {_META_HEADER: ("=", (_META_KEY,)), ".nhdr": (":", ("data file", "datafile"))}
 """The separator of keys and values, and the keys that name the file of samples, by suffix of the header."""
-_MOST_HEADER = 1 << 16
-"""Bytes of a header file that are searched for keys."""
+_MOST_HEADER = 1 << 16  # bytes of a header file that are searched for keys
 
 
 @dataclass(frozen=True, eq=False)

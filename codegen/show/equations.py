@@ -116,8 +116,7 @@ def delay_blocks(model: Model) -> Iterator[Block]:
         yield Block("Method of steps", (), ((text, text + r"\\"),))
 
 
-_SHORTEN_LIMIT = 120
-"""Largest number of operations of an expression that is simplified."""
+_SHORTEN_LIMIT = 120  # largest number of operations of an expression that is simplified
 _FLAT_BONUS = 1.6
 
 _EULER_LAGRANGE = (

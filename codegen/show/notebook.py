@@ -90,8 +90,7 @@ def _name(symbol: sympy.Symbol) -> str:
     return in_latex(symbol.name)
 
 
-_IN_A_ROW = 4
-"""Number of quantities in a row of the list of units."""
+_IN_A_ROW = 4  # number of quantities in a row of the list of units
 
 
 def latex(problem: Problem | Phases) -> str:

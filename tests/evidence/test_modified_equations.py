@@ -23,7 +23,7 @@ from codegen.discretise.schemes.low_order import alpha
 from codegen.errors import ExpressionError
 from codegen.evidence.analysis import modified_equations as subject
 from codegen.evidence.analysis.modified_equations import flow_series, modified_equations
-from codegen.evidence.checks.one_step import generic_model, generic_model_without_forces
+from codegen.evidence.checks.one_step import generic_model, without_forces
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 
@@ -159,7 +159,7 @@ def test_symplectic_euler_on_an_oscillator_keeps_its_quadratic_form():
 def test_order_symmetry_and_symplecticity_are_those_that_the_scheme_states(method, name):
     scheme = schemes.find(name, method)
     power = min(scheme.order + 1, 4)
-    result = modified_equations(generic_model_without_forces(), scheme, power)
+    result = modified_equations(without_forces(generic_model()), scheme, power)
     for k, field in enumerate(result.field[1:], start=1):
         if k < scheme.order or (scheme.symmetric and k % 2):
             assert set(field) == {0}, k

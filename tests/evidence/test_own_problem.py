@@ -11,9 +11,8 @@ from interpreted import without_compilation
 from codegen.discretise.schemes import METHODS, find
 from codegen.discretise.schemes.base import FIRST_ORDER
 from codegen.emit.naming import Choices
-from codegen.evidence.stress.cases import Case, Measurement, Setup, Truth, classify
+from codegen.evidence.stress.cases import PROBLEMS, Case, Measurement, Setup, Truth, classify
 from codegen.evidence.stress.measure import measure
-from codegen.evidence.stress.motions import PROBLEMS
 from codegen.evidence.stress.own import exact_motion, largest_stable, motion_cases, stable_rate, verdict
 from codegen.evidence.stress.systems import is_runge_kutta, limit_along, stability_function
 from codegen.solving.compiler import generate
@@ -34,7 +33,7 @@ def problem():
     q, p = canonical_pair("q", "p")
     return Simulate(hamiltonian=(p**2 + 1600*q**2)/2, start={q: 1, p: 0}, duration=4, steps=400)
 '''
-OSCILLATOR = PROBLEMS / "oscillator.py"
+OSCILLATOR = PROBLEMS  # its first problem
 CASE = Case("own", "own", Setup(OSCILLATOR), "accurate", "a test", truth=Truth(), limit=True, drift=1.0)
 
 

@@ -95,7 +95,7 @@ def inline(monkeypatch):
     def workers():
         yield Inline()
 
-    monkeypatch.setattr(building, "load", load)
+    monkeypatch.setattr("codegen.solving.loading.load", load)
     monkeypatch.setattr(compilation, "parts_of", lambda module: [])  # nor are linear systems
     monkeypatch.setattr(gallery, "workers", workers)
 

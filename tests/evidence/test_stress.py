@@ -17,8 +17,8 @@ from codegen.evidence.stress import page, pool
 from codegen.evidence.stress.cases import DEFECTS, EXPECTATIONS, OUTCOMES, classify
 from codegen.evidence.stress.families import FAMILIES, QUICK, quick_cases
 from codegen.evidence.stress.measure import REFERENCES
-from codegen.evidence.stress.motions import PROBLEMS as OWN_PROBLEMS
 from codegen.evidence.stress.motions import SYMPLECTIC_EULER, VERLET, promised
+from codegen.evidence.stress.problems import PROBLEMS as OWN_PROBLEMS
 from codegen.solving.tasks import TASKS
 
 # ---- The registry ----
@@ -42,9 +42,9 @@ def test_cases_expect_honest_outcomes_and_name_what_exists(family):
 
 
 def test_problems_are_written_for_the_package_alone():
-    used = {case.setup.file for case in every_case()}
-    assert used == set(OWN_PROBLEMS.glob("*.py"))
-    assert {name for name, _ in QUICK} <= {path.stem for path in used}
+    used = {case.setup.problem for case in every_case()}
+    assert used == set(OWN_PROBLEMS)
+    assert {name for name, _ in QUICK} <= used
     assert 0 < len(quick_cases()) < len(every_case())
 
 

@@ -163,7 +163,7 @@ def test_what_was_killed_is_gone_on_with_from_the_journal(folder, tmp_path, monk
     jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
     summary = tmp_path / "summary.csv"
     with monkeypatch.context() as patched:
-        patched.setattr("codegen.registration.batch.write_summary", lambda path, lines: None)
+        patched.setattr("codegen.registration.batch_pairs.write_summary", lambda path, lines: None)
         patched.setattr("pathlib.Path.unlink", lambda path, missing_ok=False: None)
         with pytest.raises(KeyboardInterrupt):
             # The interrupted pair is the last: a later one may be finished by another thread, and is then kept too.

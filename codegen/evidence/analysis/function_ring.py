@@ -24,8 +24,7 @@ from codegen.discretise.interval import STEP
 from codegen.errors import ExpressionError
 from codegen.symbolic import checks as expressions
 
-Element: TypeAlias = Any
-"""A polynomial of the ring (sympy's PolyElement)."""
+Element: TypeAlias = Any  # a polynomial of the ring (sympy's PolyElement)
 Key: TypeAlias = tuple[Any, ...]
 """The kind of a function, and its elements and numbers, for example ("root", base, degree)."""
 _DIGITS = 60
@@ -256,8 +255,7 @@ def weights(basis: sympy.Matrix, row: Sequence[Expr]) -> list[Expr]:
     return list(normal.LUsolve(basis.T * sympy.Matrix(row)))
 
 
-_SLOTS = 60
-"""Largest number of generators while the functions of a problem are collected."""
+_SLOTS = 60  # largest number of generators while the functions of a problem are collected
 _KINKED = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Piecewise, sympy.Heaviside)
 _X = Dummy("x", real=True)
 

@@ -282,8 +282,7 @@ def _defects(ring: FunctionRing, field: Sequence[Element], power: int) -> list[D
     return defects
 
 
-_GATHER_LIMIT = 300
-"""Largest number of operations of an expression to which trigonometric simplification is applied."""
+_GATHER_LIMIT = 300  # largest number of operations of an expression to which trigonometric simplification is applied
 
 
 @dataclass(frozen=True)
@@ -535,10 +534,8 @@ class _Variational(_Step):
         return FlowSeries(ring, flow, evaluate(self.form.action))
 
 
-_FACTOR_LIMIT = 400
-"""Largest number of operations of an expression that is factored."""
-_WRITING_LIMIT = 1200
-"""Largest number of operations of an expression that is written out."""
+_FACTOR_LIMIT = 400  # largest number of operations of an expression that is factored
+_WRITING_LIMIT = 1200  # largest number of operations of an expression that is written out
 _HIGH = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LOW = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 

@@ -46,8 +46,7 @@ from codegen.solving.loading import Grid, Vector
 from codegen.symbolic import checks as expressions
 
 _STEPS = 2
-_GRID = (0.375, 0.625)
-"""Lengths of the intervals as fractions of the duration, or of a phase."""
+_GRID = (0.375, 0.625)  # lengths of the intervals as fractions of the duration, or of a phase
 _AMOUNT = 0.05  # relative distance of the point from the guess
 _SOLVED = 1e-8  # residual of the Newton step relative to its terms
 _SHIFTS = (1.0, 1e3, 1e6)  # of the diagonal of the Hessian, in this order

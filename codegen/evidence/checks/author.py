@@ -29,8 +29,7 @@ from codegen.symbolic.functions import NUMPY
 Array: TypeAlias = NDArray[np.float64]
 Values: TypeAlias = Mapping[sympy.Symbol, Any]
 
-_LEAST_STEPS = 16
-"""Least number of intervals of a phase on the coarsest grid."""
+_LEAST_STEPS = 16  # least number of intervals of a phase on the coarsest grid
 _NEWTON_STEPS = 30
 
 
@@ -109,8 +108,7 @@ class Motion:
     slopes: Values
 
 
-Path: TypeAlias = Callable[[Array], Motion]
-"""A motion of a phase as a function of an array of times."""
+Path: TypeAlias = Callable[[Array], Motion]  # a motion of a phase as a function of an array of times
 
 
 class Author:
@@ -175,19 +173,14 @@ class Author:
             values = {s: drawn.get(self._argument(s), float(s.value)) for s in self.parameters}
             try:
                 self.module.make_grid(self.levels[0], **drawn)
-                numbers = [
-                    value_at(end, {**values, **self._free_values(values), self.body: 0}) for end in self._prescribed
-                ]
+                constants = {**values, **self._free_values(values), self.body: 0}
+                parts = ((p.duration, *p.start.values(), *getattr(p, "end", {}).values()) for p in self.phases)
+                numbers = [value_at(value, constants) for part in parts for value in part]
             except Exception:  # values outside the domain of a formula
                 continue
             if np.isfinite(np.array(numbers, dtype=complex)).all() and np.isrealobj(np.array(numbers)):
                 return drawn
         return defaults
-
-    @property
-    def _prescribed(self) -> list[Any]:
-        parts = [[p.duration, *p.start.values(), *getattr(p, "end", {}).values()] for p in self.phases]
-        return [value for part in parts for value in part]
 
     @property
     def body(self) -> sympy.Symbol:

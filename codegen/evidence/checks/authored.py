@@ -84,18 +84,13 @@ from codegen.runtime.record import Kind, Method, Sites
 from codegen.solving.request import parameter_arguments
 
 NAME = "problem as written"
-_SEEDS = (1, 2)
-"""One random motion for each seed."""
+_SEEDS = (1, 2)  # one random motion for each seed
 _AMPLITUDES = (0.25, 0.1, 0.03, 0.01)
 """Sizes of the random part of a motion, relative to its quantities, which are tried until all expressions are real."""
-_ROUNDINGS = 4.0
-"""Rounding error of the change in a step, in units in the last place of the state."""
-_SCALES = (1.0, 1e-2, 1e-4, 1e-6)
-"""Lengths of the steps whose limit is taken, relative to the problem's own."""
-_MOST_NAMES = 8
-"""Largest number of names in the text of a finding that passed."""
-_NEAR = 1e-7
-"""Distance of coordinates at which two particles count as coincident."""
+_ROUNDINGS = 4.0  # rounding error of the change in a step, in units in the last place of the state
+_SCALES = (1.0, 1e-2, 1e-4, 1e-6)  # lengths of the steps whose limit is taken, relative to the problem's own
+_MOST_NAMES = 8  # largest number of names in the text of a finding that passed
+_NEAR = 1e-7  # distance of coordinates at which two particles count as coincident
 
 
 def check_authored(context: Context) -> Iterator[Finding]:
@@ -250,16 +245,13 @@ def _end_items(author: Author, where: str) -> Iterator[Item]:
 def _boundary_value(grid: Any, author: Author, key: str, body: int, expected: float) -> float:
     """Return the parameter of a module that holds a prescribed velocity, such as "start dx"."""
     where, name = key.split()
+    marked = next(str(other) for other in getattr(author.record, where) if plain(other) == name)
     changed = author.module.make_grid(
         **({"grid": np.diff(grid.nodes) / grid.steps} if author.record.inner_times else {"steps": author.levels[0]}),
-        **author.arguments, **{where: {_marked(author, where, name): expected + 1.0}},
+        **author.arguments, **{where: {marked: expected + 1.0}},
     )  # fmt: skip
     (columns,) = np.nonzero(changed.parameters[body] != grid.parameters[body])
     return float(grid.parameters[body, columns[0]]) if columns.size else expected
-
-
-def _marked(author: Author, where: str, name: str) -> str:
-    return next(str(other) for other in getattr(author.record, where) if plain(other) == name)
 
 
 def _bound_items(author: Author) -> Iterator[Item]:
@@ -279,7 +271,7 @@ def _bound_items(author: Author) -> Iterator[Item]:
                         continue
                     if isinstance(symbol, symbols.Velocity):
                         continue
-                    if symbol in author.controls and symbol not in _present(phase):
+                    if symbol in author.controls and symbol not in quantities_in(phase):
                         continue
                     row = number * size + size // 2 + 1
                     for side, expected in enumerate(author.limits(phase, symbol, body)):
@@ -315,10 +307,6 @@ def _free_bounds(author: Author, symbol: Any, lower: float, upper: float) -> Ite
             expected = found if found == 0.0 else expected
         if math.isfinite(expected) or math.isfinite(found):
             yield number_item(f"{('lower', 'upper')[side]} bound of {symbol}", expected, found)
-
-
-def _present(phase: Any) -> set[Any]:
-    return set(quantities_in(phase))
 
 
 def _measured_along(author: Author, seed: int) -> list[tuple[str, Item]]:

@@ -42,8 +42,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 _LEAST_STEPS = 8
-DOES_NOT_APPLY = "does not apply"
-"""The outcome of a check that does not apply to a problem."""
+DOES_NOT_APPLY = "does not apply"  # the outcome of a check that does not apply to a problem
 
 
 @dataclass(frozen=True)
@@ -253,8 +252,7 @@ Numbers: TypeAlias = list[mpmath.mpf]
 Function: TypeAlias = Callable[..., Numbers]
 
 DIGITS = 120
-NOTHING = mpmath.mpf(10) ** -30
-"""A difference below this fraction of the largest entry counts as zero."""
+NOTHING = mpmath.mpf(10) ** -30  # a difference below this fraction of the largest entry counts as zero
 _INCREMENT = mpmath.mpf(10) ** -40
 _SEED = 20240229
 _ATTEMPTS = 200

@@ -116,8 +116,7 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
     yield from check_couplings(context, program)
 
 
-_SHORTER = (1.0, 0.1, 0.01, 1e-3)
-"""Fractions of a step length to try in this order, until the step has a solution."""
+_SHORTER = (1.0, 0.1, 0.01, 1e-3)  # fractions of a step length to try in this order, until the step has a solution
 
 
 def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
@@ -185,7 +184,6 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     yield closed.finding("one step", "the scheme's equations")
     if not program.unknowns:
         return
-    base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     symbols = [*program.unknowns, *base]
     functions = [function_of(symbols, [value], program.before) for value in program.residual]
     size = len(program.unknowns)
@@ -303,8 +301,7 @@ def check_couplings(context: Context, program: ControlProgram) -> Iterator[Findi
 
 
 Pair = tuple[int, int]
-_MEASURED = 0.4
-"""The value of all symbols of a measurement at points near the initial guess."""
+_MEASURED = 0.4  # the value of all symbols of a measurement at points near the initial guess
 
 
 def check_sparsity(context: Context) -> Iterator[Finding]:

@@ -20,14 +20,10 @@ from codegen.identifiers import plain
 from codegen.problem import symbols
 from codegen.runtime.record import Kind, Method
 
-LIMIT = 1e-6
-"""Largest difference of a limit, relative to the sum of the moduli of the author's terms."""
-UNSURE = 3e-4
-"""Largest error of an extrapolated limit, in the same unit, at which the limit counts as measured."""
-ROUNDING = 1e-11
-"""Largest relative difference of two numbers."""
-PANELS, POINTS = 64, 8
-"""Panels of the reference quadrature, and Gauss-Legendre points of a panel."""
+LIMIT = 1e-6  # largest difference of a limit, relative to the sum of the moduli of the author's terms
+UNSURE = 3e-4  # largest error of an extrapolated limit, in the same unit, at which the limit counts as measured
+ROUNDING = 1e-11  # largest relative difference of two numbers
+PANELS, POINTS = 64, 8  # panels of the reference quadrature, and Gauss-Legendre points of a panel
 _STAGE_STEPS = 6
 
 

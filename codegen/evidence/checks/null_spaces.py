@@ -237,10 +237,8 @@ def check_null_controls(context: Context) -> Iterator[Finding]:
 
 
 _NAME = "path between nodes"
-_NOTHING = 1e-6
-"""A violation below this number counts as zero."""
-_FALLS = 0.75
-"""Largest ratio of the violations on halved and on original intervals that counts as a decrease."""
+_NOTHING = 1e-6  # a violation below this number counts as zero
+_FALLS = 0.75  # largest ratio of the violations on halved and on original intervals that counts as a decrease
 
 
 def check_path_modes(context: Context) -> Iterator[Finding]:

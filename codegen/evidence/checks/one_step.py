@@ -158,14 +158,8 @@ def generic_model() -> Model:
     )
 
 
-def generic_model_without_forces() -> Model:
-    """Return the generic model without its forces."""
-    return without_forces(generic_model())
-
-
 _DIGITS = 50
-PRESERVED = 1e-35
-"""A defect below this number is a rounding error of 50-digit arithmetic."""
+PRESERVED = 1e-35  # a defect below this number is a rounding error of 50-digit arithmetic
 _VIOLATED = 1e-20
 _LARGEST_SYSTEM = 8
 _ATTEMPTS = 6
@@ -186,7 +180,7 @@ def check_symplecticity(context: Context) -> Iterator[Finding]:
         )
         return
     if not scheme.symplectic:
-        generic = generic_model_without_forces()
+        generic = without_forces(generic_model())
         defect = defect_at_random_points(generic, step_equations(generic, scheme))
         detail = f"not claimed, and violated by a generic system: |S^T J S - J| = {defect:.2g}"
         if not defect > _VIOLATED:
@@ -379,8 +373,7 @@ _STATE = (Rational(3, 5), Rational(4, 7))
 _INSTANT = Rational(1, 3)
 _ORDER_DIGITS = 60
 _DIVISIONS = (200, 400)
-_EXACT = 0.1
-"""Allowed difference between the measured order and the order of the scheme."""
+_EXACT = 0.1  # allowed difference between the measured order and the order of the scheme
 
 
 def check_consistency(context: Context) -> Iterator[Finding]:

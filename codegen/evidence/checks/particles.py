@@ -179,8 +179,7 @@ def _symplectic(model: PairwiseModel, module: ModuleType, state: Array, scheme: 
 _POINTS = 24
 _CLOSE = tuple(10.0**-k for k in (1, 2, 4, 8, 12, 16, 30, 100, 150))
 """Distances of two points. One point is at the origin, so that the distances are exact."""
-_RIM = tuple(10.0**-k for k in (1, 2, 4, 6, 8))
-"""Distances from the boundary of the unit ball, relative to its radius."""
+_RIM = tuple(10.0**-k for k in (1, 2, 4, 6, 8))  # distances from the boundary of the unit ball, relative to its radius
 
 
 def _kernel_findings(model: PairwiseModel, module: ModuleType) -> Iterator[Finding]:

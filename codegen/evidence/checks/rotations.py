@@ -25,11 +25,8 @@ from codegen.problem.rotations import conjugate, product
 
 _INCREMENT = mpmath.mpf(10) ** -40
 _POINTS = 3
-_LENGTH, _TIME = mpmath.mpf("0.1"), mpmath.mpf("0.3")
-"""The step length h and the time at the left node."""
-
-Node = Mapping[Symbol, Any]
-"""The numbers of all coordinates at a node."""
+_LENGTH, _TIME = mpmath.mpf("0.1"), mpmath.mpf("0.3")  # the step length h and the time at the left node
+Node = Mapping[Symbol, Any]  # the numbers of all coordinates at a node
 Quaternion = tuple[Symbol, ...]
 
 
@@ -82,12 +79,6 @@ def _turn(quaternion: Quaternion, left: Node, right: Node) -> list[Any]:
     """Return b, tan(angle/4) times the axis of the rotation from the left to the right node."""
     c = product(conjugate([left[q] for q in quaternion]), [right[q] for q in quaternion])
     return [part / (1 + c[0]) for part in c[1:]]
-
-
-def _moved(side: Node, quaternion: Quaternion, axis: int, angle: Any) -> Node:
-    """Return a node with an attitude that is turned about an axis of the body by a small angle."""
-    change = [mpmath.mpf(i == axis) * angle / 2 for i in range(3)]
-    return {**side, **dict(zip(quaternion, _unit(product([side[q] for q in quaternion], (1, *change))), strict=True))}
 
 
 def _slope(function: Callable[[Any], Any]) -> Any:
@@ -150,5 +141,8 @@ class _Action:
         return self.of(*(moved if i == end else node for i, node in enumerate(nodes)))
 
     def _turned(self, nodes: tuple[Node, Node], end: int, quaternion: Quaternion, axis: int, angle: Any) -> Any:
-        moved = _moved(nodes[end], quaternion, axis, angle)
+        """Return the discrete Lagrangian after a small turn of one end about an axis of the body."""
+        change = [mpmath.mpf(i == axis) * angle / 2 for i in range(3)]
+        turned = _unit(product([nodes[end][q] for q in quaternion], (1, *change)))
+        moved = {**nodes[end], **dict(zip(quaternion, turned, strict=True))}
         return self.of(*(moved if i == end else node for i, node in enumerate(nodes)))

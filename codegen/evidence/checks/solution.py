@@ -233,13 +233,10 @@ def check_inner_times(context: Context) -> Iterator[Finding]:
     yield Finding("inner times", "times", not wrong, wrong[0] if wrong else f"in order, as given: t = {listed}")
 
 
-_LEAST_STEPS = 48
-"""Least number of intervals of the coarser motion, in all segments together."""
-_ORDER_ALLOWED = 0.5
-"""Allowed deficit of the observed order, because the controls of both motions differ."""
+_LEAST_STEPS = 48  # least number of intervals of the coarser motion, in all segments together
+_ORDER_ALLOWED = 0.5  # allowed deficit of the observed order, because the controls of both motions differ
 _ROUND_OFF = 1e-10  # distance below which no order can be observed
-_OF_STAGES = 2
-"""The expected order if the control on an interval is a polynomial through its values at stages."""
+_OF_STAGES = 2  # the expected order if the control on an interval is a polynomial through its values at stages
 
 
 def check_delays(context: Context) -> Iterator[Finding]:
@@ -329,8 +326,7 @@ _COST_ALLOWED = 0.15  # deficit of the observed order
 _COST_ROUNDING = 1e-9  # relative error below which no order can be observed
 _LARGEST = 10_000  # intervals
 _TOLERANCE = 1e-9
-_SECONDS = 30.0
-"""Processor time for the optimum of the continuous problem."""
+_SECONDS = 30.0  # processor time for the optimum of the continuous problem
 
 
 def check_optimum(context: Context) -> Iterator[Finding]:
@@ -389,8 +385,7 @@ _NOTHING = (1e-9, 1e-8, 1e-7)
 _ACTIVE, _FAST = 1.0, 1e12
 """A bound with multiplier z is active if z / distance exceeds the first number. The ratio of an inactive bound has the
 size of the tolerance. The second number limits the ratio, which would be infinite at the bound."""
-_REGULAR = 1e13
-"""Largest condition number of a matrix that counts as regular."""
+_REGULAR = 1e13  # largest condition number of a matrix that counts as regular
 
 
 def check_second_order(context: Context) -> Iterator[Finding]:
@@ -470,14 +465,11 @@ def is_determined(module: ModuleType, grid: Grid, unknowns: Vector, diagonal: Ve
     return bool(onenormest(matrix) * onenormest(inverse) < _REGULAR)
 
 
-_LENGTHS = (1e-2, 1e-3, 1e-4)
-"""Increments of the central differences, relative to the quantities."""
+_LENGTHS = (1e-2, 1e-3, 1e-4)  # increments of the central differences, relative to the quantities
 _SENSITIVITY_ALLOWED, _ROUGH = 1e-6, 1e-5
 """Allowed error of sensitivities, and largest error of a useful reference, both relative to the largest entry."""
-_KINK = 1e-3
-"""Relative difference of the left and right derivatives from which a kink is assumed."""
-_FLOOR = 1e-3
-"""Derivatives below this fraction of the largest value are compared as if they were that large."""
+_KINK = 1e-3  # relative difference of the left and right derivatives from which a kink is assumed
+_FLOOR = 1e-3  # derivatives below this fraction of the largest value are compared as if they were that large
 _KINDS = ("cost", "q", "u", "multipliers")
 _TOLERANCES = (1e-12, 1e-10)
 

@@ -19,24 +19,14 @@ from typing import TYPE_CHECKING
 from codegen.errors import CodegenError
 from codegen.evidence.report.store import Case, Store, Values
 from codegen.evidence.stress.pool import end_with_parent
-from codegen.solving.loading import (
-    ControlModule,
-    GeneratedModule,
-    SimulateModule,
-    few_steps,
-    is_control,
-    is_simulation,
-    load,
-    machine_code_counts,
-)
+from codegen.solving import loading
 
 if TYPE_CHECKING:
     from codegen.discretise.schemes import Scheme
 
 WORKERS = 2
 _PLACES = {"interval": "", "stages": ", controls at stages", "linear": ", linear controls", "nodal": ", nodal controls"}
-MODULES, SURVEYS = "modules", "surveys"
-"""The sections of the store with the properties of modules and of problem files."""
+MODULES, SURVEYS = "modules", "surveys"  # the sections of the store with the properties of modules and of problem files
 
 
 @dataclass(frozen=True)
@@ -85,24 +75,24 @@ class Workshop:
         self.folder, self.store = folder, store
         self._paths: dict[Variant, Path] = {}
 
-    def module(self, variant: Variant) -> GeneratedModule:
+    def module(self, variant: Variant) -> loading.GeneratedModule:
         """Return the module of a variant; raise CodegenError if the variant cannot be built."""
         if variant not in self._paths:
             values = self.store.get(MODULES, variant.case)
             path = self.folder / values["file"] if values is not None and values.get("file") else None
             self._paths[variant] = path if path is not None and path.is_file() else _derived(variant, self.folder)
-        return load(self._paths[variant])
+        return loading.load(self._paths[variant])
 
-    def control(self, variant: Variant) -> ControlModule:
+    def control(self, variant: Variant) -> loading.ControlModule:
         """Return the module of an optimal control problem."""
         module = self.module(variant)
-        assert is_control(module)
+        assert loading.is_control(module)
         return module
 
-    def simulation(self, variant: Variant) -> SimulateModule:
+    def simulation(self, variant: Variant) -> loading.SimulateModule:
         """Return the module of a simulation."""
         module = self.module(variant)
-        assert is_simulation(module)
+        assert loading.is_simulation(module)
         return module
 
     def built(self, variants: Iterable[Variant]) -> list[Variant]:
@@ -215,17 +205,17 @@ def build_one(variant: Variant, folder: Path) -> Values:
     except CodegenError as error:
         return {"status": "refused", "message": str(error)}
     derived, busy_derived = time.perf_counter(), time.process_time()
-    module = load(path)
+    module = loading.load(path)
     loaded = time.perf_counter()
-    if is_simulation(module):
-        api.solve(module, steps=few_steps(module, 2))
+    if loading.is_simulation(module):
+        api.solve(module, steps=loading.few_steps(module, 2))
     else:
         compile_all(module)
     compiled, busy_compiled = time.perf_counter(), time.process_time()
-    if is_control(module):
-        steps = few_steps(module, min(10, module.metadata.steps))
+    if loading.is_control(module):
+        steps = loading.few_steps(module, min(10, module.metadata.steps))
         api.solve(module, steps=steps)  # compiles what scipy's optimisers call
-    is_new = bool(machine_code_counts(module)[0])  # else the machine code was read from disk
+    is_new = bool(loading.machine_code_counts(module)[0])  # else the machine code was read from disk
     # Processor seconds of the derivation of each form, while sympy's caches contain the problem.
     times = {}
     for name, general in (("plain", False), ("general", True)) if variant.general else ():

@@ -20,8 +20,7 @@ from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, R
 
 TARGETS = (1e-3, 1e-6, 1e-9)
 MOST_CURVES = 8
-CLEAR = 3.0
-"""The least ratio of an error to the error of the reference; smaller errors are not told from zero."""
+CLEAR = 3.0  # the least ratio of an error to the error of the reference; smaller errors are not told from zero
 CHEAPEST = (
     "The cheapest schemes. Times and numbers of steps are interpolated between grids, so that finer grids have no "
     "larger error, up to where rounding or the tolerance of the solver prevails."
@@ -29,8 +28,7 @@ CHEAPEST = (
 _COLOURS = (BLUE, RED, GREEN, AMBER, PINK, SKY, "#54278F", DARK)
 _WIDTH, _LEFT, _GUTTER, _WIDEST, _HEIGHT = 11.3, 0.62, 1.65, 3.6, 3.1
 """Sizes in inches: width of figures, room for the labels of an axis and of curves, width and height of panels."""
-_GAP = 0.055
-"""The least distance of labels as a fraction of the height of a panel."""
+_GAP = 0.055  # the least distance of labels as a fraction of the height of a panel
 
 
 @dataclass(frozen=True)
@@ -140,7 +138,8 @@ def figures(ladders: Sequence[Ladder], quantities: Mapping[str, float], deciding
     fastest = [rows[0][0] for q in quantities for target in TARGETS if (rows := ranking(ladders, q, target))]
     following = [row[0] for target in (TARGETS[1], *TARGETS) for row in ranking(ladders, deciding, target)]
     peers = [ladder for ladder in ladders if ladder.is_peer]
-    chosen = _unique([default, *peers, *fastest, *following, *ladders])[:MOST_CURVES]
+    by_label = {ladder.label: ladder for ladder in (default, *peers, *fastest, *following, *ladders)}
+    chosen = list(by_label.values())[:MOST_CURVES]
     others = sorted((ladder for ladder in ladders if ladder not in chosen), key=lambda ladder: ladder.order)
     caption = (
         "Error against processor time of one solve: the fastest schemes for each error in the table, and the default. "
@@ -154,10 +153,6 @@ def figures(ladders: Sequence[Ladder], quantities: Mapping[str, float], deciding
         caption = f"Other schemes, {text}; grey: the default, {default.label}."
         pictures.append(Picture(caption, svg(_panels, part, quantities, default)))
     return pictures
-
-
-def _unique(ladders: Sequence[Ladder]) -> list[Ladder]:
-    return list({ladder.label: ladder for ladder in ladders}.values())
 
 
 def _panels(ladders: Sequence[Ladder], quantities: Mapping[str, float], grey: Ladder | None) -> Figure:

@@ -28,13 +28,11 @@ STORED, BLOCKS = 2000, 50
 """The number of stored states of a long motion, and the number of time blocks over which they are averaged."""
 SIGNIFICANT, BY_ROUNDING = 3.0, 10.0
 """The least significant t value of a slope, and the least ratio of its rise to the random walk by rounding errors."""
-GROWN = 2.0
-"""The error has grown if its range exceeds GROWN times its range in the problem's own duration."""
+GROWN = 2.0  # the error has grown if its range exceeds GROWN times its range in the problem's own duration
 _OFFSETS = np.array([-5, -4, -3, -2, -1, 1, 2, 3, 4, 5])
 _WEIGHTS = np.array([-2, 25, -150, 600, -2100, 2100, -600, 150, -25, 2]) / 2520.0
 _DISTANCE = 0.02
-_MOST_FREEDOM = 8
-"""The largest number of components (q, p) of a state for which the derivative of a step is computed."""
+_MOST_FREEDOM = 8  # the largest number of components (q, p) of a state for which the derivative of a step is computed
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:

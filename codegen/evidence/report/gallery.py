@@ -248,8 +248,7 @@ ERROR_FACTOR, LEAST_ERROR = 2.0, 1e-11
 """An error is worse if it grew by more than this factor, and is larger than rounding errors can explain."""
 TIME_FACTOR, LEAST_SECONDS = 2.0, 2e-3
 """A time is worse if it grew by more than this factor, and is longer than a busy machine can explain."""
-ORDER_LOSS = 0.3
-"""An order is worse if it fell by more than this value."""
+ORDER_LOSS = 0.3  # an order is worse if it fell by more than this value
 MORE_ITERATIONS, MORE_LINES = 1.1, 1.1
 """Iterations and lines are worse if they grew by more than these factors; one more iteration is accepted."""
 _LOAD = "load of the machine when the page was made"

@@ -308,8 +308,7 @@ def fastest_cases(settings: Settings, store: Store) -> Iterator[Case]:
 # ---- Routes of solution ----
 
 ROUTES_SECTION = "sweeps"
-DRAWN = 20
-"""The number of steps of the paths that figures show."""
+DRAWN = 20  # the number of steps of the paths that figures show
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,7 @@ COLOURS = {
 STEPPING = "stepping, newton"
 """The label of the stepping route, which solves for the initial momenta by the generated Newton's method."""
 
-Rows = list[tuple[int, Values]]
-"""Numbers of steps or of landmarks, each with the measured values."""
+Rows = list[tuple[int, Values]]  # numbers of steps or of landmarks, each with the measured values
 
 
 def reference_cost(store: Store, count: int) -> float | None:

@@ -9,10 +9,8 @@ from codegen.evidence.report.landmark_motion import LOOSE, TIGHT, Minimisation
 from codegen.evidence.report.page import Picture, Section, Table, listed, number, seconds, slope, svg
 from codegen.evidence.report.store import Settings, Store
 
-_THESIS = Minimisation("nodes", "curved", LOOSE)
-"""The variant of the minimisation that the thesis uses."""
-_JUMP = 5.0
-"""A jump is a growth of the error by this factor from one N to the next, while the iterations decrease."""
+_THESIS = Minimisation("nodes", "curved", LOOSE)  # the variant of the minimisation that the thesis uses
+_JUMP = 5.0  # a jump is a growth of the error by this factor from one N to the next, while the iterations decrease
 
 
 def question_sections(settings: Settings, store: Store) -> list[Section]:

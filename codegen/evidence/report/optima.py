@@ -25,6 +25,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -71,12 +72,9 @@ MOST_STEPS = 20_000
 """The first grid is derived from the problem's own number of steps, or from this number if it is smaller."""
 LEAST_STEPS, ROUNDING = 5, 1e-12
 """The least number of intervals of a grid, and the error of states and controls below which no finer grid follows."""
-MOST_TRIED = 4
-"""The number of schemes that are tried for the reference."""
-STRANGE = 2.0
-"""Iterations are strange if they exceed this multiple of those of the median scheme on the same grid."""
-OTHER_OPTIMUM = 0.1
-"""The relative error of the cost on the finest grid above which a remark names possible reasons."""
+MOST_TRIED = 4  # the number of schemes that are tried for the reference
+STRANGE = 2.0  # iterations are strange if they exceed this multiple of those of the median scheme on the same grid
+OTHER_OPTIMUM = 0.1  # the relative error of the cost on the finest grid above which a remark names possible reasons
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
@@ -88,7 +86,8 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     # Controls at stages converge with the order of the scheme. Among equal orders the problem's own scheme comes first.
     default = next(iter(modules))
     trusted = sorted(modules, key=lambda v: (-order_of_optima(modules[v]), v != default))
-    first = _first_steps(modules[default])
+    # Mesh sequences and drivers begin with a quarter of the problem's own number of intervals.
+    first = max(LEAST_STEPS, min(MOST_STEPS, modules[default].metadata.steps) // 4)
     if modules[default].metadata.phases == 1:
         candidates = [(v.label, modules[v]) for v in trusted[:MOST_TRIED]]
         yield Case(references, "motion", partial(reference.refined, candidates, first, extent.reference_seconds))
@@ -117,7 +116,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
             if (store.get(section_of(problem, "drivers"), driver) or {})["status"] != "refused":
                 runs[f"driver {driver}"] = timing.solver(module, first, driver)
     yield from timing.cases(problem, runs, store, extent.time_budget)
-    if extent.peers and peers.is_installed() and trajectory is not None:
+    if extent.peers and find_spec("casadi") is not None and trajectory is not None:
         grids = [row["steps"] for row in default.rows(store, optima)]
         peer = partial(_peer, problem, module, grids, motion, extent)
         yield Case(section_of(problem, "peers"), peers.NAME, peer)
@@ -135,11 +134,6 @@ def _peer(problem: Path, module: ControlModule, grids: Sequence[int], motion: Va
     with workers() as pool:
         job = pool.submit(peers.measured, problem, guesses, motion, extent.limit, extent.time_budget)
         return job.result()
-
-
-def _first_steps(module: ControlModule) -> int:
-    """Return the number of intervals of mesh sequences and drivers: a quarter of the problem's own number."""
-    return max(LEAST_STEPS, min(MOST_STEPS, module.metadata.steps) // 4)
 
 
 def solved(
@@ -226,8 +220,7 @@ def _reference(store: Store, problem: Path, trusted: Sequence[Variant], exact: f
 
 # ---- Limits of costs ----
 
-FAR = 0.2
-"""Costs with a larger relative difference belong to unrelated optima."""
+FAR = 0.2  # costs with a larger relative difference belong to unrelated optima
 
 
 @dataclass(frozen=True)
@@ -298,14 +291,11 @@ MOST_INTERVALS = 1_500_000
 FINEST_SMOOTH, FINEST_SWITCHING, FINE = 1024, 128, 2000
 """The largest ratio of the last grid to the first, for smooth optima and for optima whose bounds become active. In the
 second case the last grid has at least FINE intervals."""
-COLD = 16
-"""If coarse grids have no optimum, the first grid may be finer than requested by up to this factor."""
-PARTS = 6
-"""The number of grids per doubling for optima whose bounds become active or inactive."""
+COLD = 16  # if coarse grids have no optimum, the first grid may be finer than requested by up to this factor
+PARTS = 6  # the number of grids per doubling for optima whose bounds become active or inactive
 ENOUGH, ACCURATE = 0.005, 1e-10
 """The largest difference of settled local orders, and the relative error below which a limit is accurate."""
-NO_MORE = 1e-11
-"""Rounding errors are near if the relative differences of costs are below this value."""
+NO_MORE = 1e-11  # rounding errors are near if the relative differences of costs are below this value
 
 
 @dataclass
@@ -425,10 +415,8 @@ def all_grids(values: Values) -> tuple[list[int], list[float]]:
 
 ELSEWHERE = 1e-3
 """Limits that differ by more than this fraction plus ten times their errors belong to different local optima."""
-EXACT = 1e-9
-"""No order is measured if no relative error exceeds this value."""
-OCTAVES = 16
-"""The largest ratio of numbers of intervals in a fit."""
+EXACT = 1e-9  # no order is measured if no relative error exceeds this value
+OCTAVES = 16  # the largest ratio of numbers of intervals in a fit
 
 
 @dataclass(frozen=True)
@@ -494,8 +482,7 @@ _ERRORS = (
     "Errors are relative to the largest value of each component: of states and momenta the largest at the nodes, of "
     "controls the root mean square at stages, at nodes, or at midpoints of intervals with a constant control."
 )
-LARGE_RESIDUAL = 10.0
-"""The residual of the initial guess above which it is named as a reason for many iterations."""
+LARGE_RESIDUAL = 10.0  # the residual of the initial guess above which it is named as a reason for many iterations
 _SWITCHING = (
     "This optimum is not smooth: bounds of {names} become active or inactive within the motion. The interval in which "
     "that happens holds one mean value of the control, which moves the state by a multiple of h² that depends on the "
@@ -597,11 +584,8 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     by_speed = sorted(ladders, key=lambda ladder: compare.speed(ladder, deciding))
     times = tuple((ladder.label, *compare.reach_columns(ladder, list(quantities))) for ladder in by_speed)
     head = tuple(f"{name} to {power_of_ten(target)}" for name in quantities for target in compare.TARGETS)
-    tables = (
-        [Table("Processor time of one solve to an error, fastest first.", ("scheme", *head), times)]
-        if quantities
-        else []
-    )
+    caption = "Processor time of one solve to an error, fastest first."
+    tables = [Table(caption, ("scheme", *head), times)] if quantities else []
     strange = _strange_table(store, problem)
     tables += [] if strange is None else [strange]
     everything = Section(f"{problem.stem}: all schemes", (timing.RULE,), tuple(tables), tuple(pictures[1:]))
@@ -687,8 +671,5 @@ def _strange_table(store: Store, problem: Path) -> Table | None:
             )
         rows.append((name, str(values["iterations"]), "; ".join(reasons) or "the log of the search shows no reason"))
     caption = f"Solves with more than {STRANGE:g} times the iterations of the median scheme on the same grid."
-    return (
-        Table(caption, ("scheme", "iterations", "what the log of the search shows"), tuple(rows), "words")
-        if rows
-        else None
-    )
+    head = ("scheme", "iterations", "what the log of the search shows")
+    return Table(caption, head, tuple(rows), "words") if rows else None

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.stats import linregress
 
 from codegen.evidence.report.page import number, slope
 from codegen.evidence.report.store import Values
@@ -23,12 +24,9 @@ ABOVE, ABOVE_REFERENCE = 100.0, 30.0
 """A point counts if its error exceeds the plateau of rounding and the reference's error by these factors."""
 LEAST_FIT, ABOVE_REFERENCE_FIT = 8, 5.0
 """The least number of grids in a fit to irregular errors, and their least ratio to the reference's error."""
-SHRINKING = 0.75
-"""Rounding errors dominate if an error exceeds this multiple of the error with half as many steps."""
-SMALL = 1e-6
-"""The relative error above which rounding errors cannot dominate."""
-LARGE = 0.5
-"""The relative error from which on a motion is unlike the exact motion and shows no order."""
+SHRINKING = 0.75  # rounding errors dominate if an error exceeds this multiple of the error with half as many steps
+SMALL = 1e-6  # the relative error above which rounding errors cannot dominate
+LARGE = 0.5  # the relative error from which on a motion is unlike the exact motion and shows no order
 SETTLED, SETTLED_HIGH, HIGH = 0.03, 0.15, 5.0
 """Local orders have settled if they differ by at most the first value, or by the second if they are above HIGH."""
 TOLERANCE, TOLERANCE_HIGH = 0.1, 0.3
@@ -94,11 +92,10 @@ def fitted_order(steps: Sequence[int], errors: Sequence[float], floor: float = 0
     kept = [(n, error) for n, error in zip(steps, errors, strict=True) if error > ABOVE_REFERENCE_FIT * floor]
     if len(kept) < LEAST_FIT:
         return None
-    x, y = (np.log([pair[i] for pair in kept]) for i in (0, 1))
-    value, at_one = np.polyfit(x, y, 1)
-    residuals = y - value * x - at_one
-    error = math.sqrt(float(residuals @ residuals) / (len(kept) - 2) / float(np.sum((x - x.mean()) ** 2)))
-    return Order(-float(value), float(np.ptp(residuals)), kept[0][0], kept[-1][0], 2.0 * error)
+    x, y = np.log(kept).T
+    fit = linregress(x, y)
+    residuals = y - fit.slope * x - fit.intercept
+    return Order(-float(fit.slope), float(np.ptp(residuals)), kept[0][0], kept[-1][0], 2.0 * float(fit.stderr))
 
 
 def verdict(order: Order | None, expected: int) -> str:

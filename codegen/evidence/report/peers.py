@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from importlib.util import find_spec
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -37,11 +36,6 @@ OPTIONS = {
 _ABSENT = ("path", "integrals", "inner_conditions", "start_conditions", "end_conditions", "holonomic", "rolling",
            "periodic", "joined", "delays", "free_parameters", "phases", "measurements")  # fmt: skip
 """Features of a model that the program has not."""
-
-
-def is_installed() -> bool:
-    """Return True if CasADi can be imported."""
-    return find_spec("casadi") is not None
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ COARSEST, MOST_INTERVALS, ENOUGH = 20, 5120, 1e-12
 """The least and the largest number of intervals of a reference, and the estimated error below which it is accurate."""
 TOLERANCE = 1e-12
 _STORED = ("duration", "nodes", "states", "times", "controls")
-SAMPLES = 1001
-"""The number of equidistant times at which two references are compared."""
+SAMPLES = 1001  # the number of equidistant times at which two references are compared
 
 
 @dataclass(frozen=True)

@@ -22,19 +22,8 @@ from scipy.integrate import solve_ivp
 
 from codegen.errors import CodegenError
 from codegen.evidence.report import comparison as compare
-from codegen.evidence.report import timing
+from codegen.evidence.report import orders, timing
 from codegen.evidence.report.building import Variant, Workshop
-from codegen.evidence.report.orders import (
-    ABOVE_REFERENCE,
-    LEAST_RANGE,
-    SETTLED,
-    SETTLED_HIGH,
-    Measured,
-    is_exhausted,
-    measured_order,
-    order_text,
-    verdict,
-)
 from codegen.evidence.report.page import Section, Table, listed, number, power_of_ten
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.runtime.record import Form
@@ -43,10 +32,8 @@ from codegen.solving.loading import Matrix, SimulateModule, Vector
 
 TIGHT, LOOSE = 3e-14, 1e-13
 """The relative tolerances of the reference, and of a second run that shows the error of the reference."""
-CHECKPOINTS = 20
-"""The number of intervals between the times at which trajectories are compared."""
-BELOW = 3
-"""The number of halvings from the problem's own number of steps to the coarsest grid."""
+CHECKPOINTS = 20  # the number of intervals between the times at which trajectories are compared
+BELOW = 3  # the number of halvings from the problem's own number of steps to the coarsest grid
 ORDER_CHECKPOINTS = 4
 """The number of intervals between the times of errors for orders; their root mean square is smooth in h."""
 SPANS = (2.0, 4.0, 8.0, 1.0)
@@ -95,7 +82,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
             errors.append(values.get("trajectory"))
             if values.get("status") == "solved":
                 runs[name] = timing.solver(module, steps[-1], every=steps[-1] // CHECKPOINTS)
-            if (values.get("seconds of first solve") or 0.0) > extent.limit or is_exhausted(steps, errors):
+            if (values.get("seconds of first solve") or 0.0) > extent.limit or orders.is_exhausted(steps, errors):
                 break
     yield from timing.cases(problem, runs, store, extent.time_budget)
 
@@ -251,9 +238,9 @@ def order_values(module: SimulateModule, spans: Iterable[Motion], limit: float) 
                 error = float(np.sqrt(np.mean(((states - motion.states) / sizes)[1:] ** 2)))
             steps.append(count)
             errors.append(error if math.isfinite(error) else None)
-            order = measured_order(steps, errors, motion.error)
+            order = orders.measured_order(steps, errors, motion.error)
             enough = order is not None and order.spread <= ENOUGH and len(steps) >= LEAST_RUNGS
-            if enough or is_exhausted(steps, errors) or (len(steps) > 1 and time.perf_counter() - begin > limit):
+            if enough or orders.is_exhausted(steps, errors) or (len(steps) > 1 and time.perf_counter() - begin > limit):
                 break
         values = {"span": duration, "steps": steps, "errors": errors, "floor": motion.error}
         if order is not None:
@@ -295,13 +282,13 @@ def _errors(module: SimulateModule, euler: SimulateModule, reference: Values, st
     return values
 
 
-def measured(store: Store, problem: Path, variant: Variant) -> Measured:
+def measured(store: Store, problem: Path, variant: Variant) -> orders.Measured:
     """Return the solves of a scheme, the errors of their trajectories, and the order measured on a short span."""
     rows = timing.timed_rows(store, problem, variant, "errors")
     values = store.get(section_of(problem, "orders"), variant.label)
-    order = None if values is None else measured_order(values["steps"], values["errors"], values["floor"])
+    order = None if values is None else orders.measured_order(values["steps"], values["errors"], values["floor"])
     errors = [row.get("trajectory") for row in rows]
-    return Measured(rows, errors, order, variant.order, verdict(order, variant.order))
+    return orders.Measured(rows, errors, order, variant.order, orders.verdict(order, variant.order))
 
 
 def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
@@ -333,9 +320,10 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     text = (
         f"Orders are measured on a short span of the motion, of duration {listed([number(s) for s in spans])}, so that "
         "rounding does not come before the asymptotic range. The number of steps N grows by a third of a doubling at a "
-        f"time until the orders between neighbours agree within {SETTLED:g} ({SETTLED_HIGH:g} for high orders) "
-        f"over a range of {LEAST_RANGE:g} or more in N, at {ABOVE_REFERENCE:g} times the reference's error or above; "
-        "the finest such range counts. Where there is none, convergence is called not asymptotic."
+        f"time until the orders between neighbours agree within {orders.SETTLED:g} ({orders.SETTLED_HIGH:g} for high "
+        f"orders) over a range of {orders.LEAST_RANGE:g} or more in N, at {orders.ABOVE_REFERENCE:g} times the "
+        "reference's error or above; the finest such range counts. Where there is none, convergence is called not "
+        "asymptotic."
     )
     # Orders, least errors, and the times to trajectory errors of 1e-3 and 1e-6.
     rows = []
@@ -344,7 +332,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         solved = [v for v in scheme.rows if v.get("trajectory") is not None]
         failures, last = len(scheme.rows) - len(solved), solved[-1] if solved else None
         rows.append((
-            variant.label, str(variant.order), order_text(scheme.order, scheme.verdict),
+            variant.label, str(variant.order), orders.order_text(scheme.order, scheme.verdict),
             scheme.order.range if scheme.order else "–",
             number(min((v["trajectory"] for v in solved), default=None), 2),
             number(min((v["energy"] for v in solved if "energy" in v), default=None), 2),

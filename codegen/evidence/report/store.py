@@ -137,8 +137,7 @@ class Extent:
     peers: bool = True
 
 
-FULL = Extent()
-"""The extent of a report on a single problem."""
+FULL = Extent()  # the extent of a report on a single problem
 GALLERY = Extent(
     control_doublings=4, reference_seconds=2.0, sequence_seconds=10.0, most_schemes=2, most_order=2,
     only_default_of_phases=True, most_simulated=8, limit=1.0, time_budget=0.3, driver_unknowns=150,
@@ -151,11 +150,8 @@ QUICK = Extent(
     general_operations=0, drift_steps=0, peers=False,
 )  # fmt: skip
 """The extent of a report in continuous integration."""
-QUICK_PROBLEMS = ("pendulum", "linear_pendulum")
-"""The problems of a folder that a quick report measures."""
-
-NODES = tuple(range(10, 101, 5))
-"""The numbers of steps in the thesis: 10, 15, ..., 100."""
+QUICK_PROBLEMS = ("pendulum", "linear_pendulum")  # the problems of a folder that a quick report measures
+NODES = tuple(range(10, 101, 5))  # the numbers of steps in the thesis: 10, 15, ..., 100
 
 
 @dataclass(frozen=True)

@@ -406,8 +406,7 @@ PORTRAITS = (
 )
 """Scheme, time step, initial states (q, p) and number of steps, as in appendix C of the thesis: 125 and 30 points."""
 PENDULUM_ROWS = tuple(("hamiltonian", scheme, 2 if scheme == "midpoint" else 1) for scheme, *_ in PORTRAITS)
-LONG = 100_000
-"""The number of steps after which the drift of energy is measured again."""
+LONG = 100_000  # the number of steps after which the drift of energy is measured again
 
 
 def pendulum_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:

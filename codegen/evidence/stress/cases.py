@@ -21,6 +21,7 @@ from codegen.solving.results.control import bound_distances, held_at_bounds
 from codegen.solving.results.motions import rounding_level
 from codegen.solving.results.result import STATUSES, Result
 
+PROBLEMS = Path(__file__).with_name("problems.py")
 Values = tuple[tuple[str, Any], ...]
 """Names and values of keyword arguments; a value may itself be Values, which stands for a dict."""
 
@@ -50,6 +51,11 @@ class Setup:
     scheme: str | None = None
     method: str | None = None
     arguments: Values = ()
+
+    @property
+    def problem(self) -> str:
+        """Return the name of the problem."""
+        return str(dict(self.arguments)["system"]) if self.file == PROBLEMS else self.file.stem
 
     @property
     def label(self) -> str:
@@ -160,10 +166,8 @@ class Row:
     text: str
 
 
-TEXTBOOK = 100.0
-"""The largest accepted residual of the textbook equations, in rounding errors of double precision."""
-HONEST = 3.0
-"""The largest error in units of the error that a result announces."""
+TEXTBOOK = 100.0  # the largest accepted residual of the textbook equations, in rounding errors of double precision
+HONEST = 3.0  # the largest error in units of the error that a result announces
 TWICE = 2.0
 """The largest error, relative to the size of each component, of a motion that stays where the exact motion is."""
 SIGN = 0.01

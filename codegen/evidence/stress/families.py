@@ -351,5 +351,5 @@ def quick_cases() -> list[Case]:
     return [
         case
         for case in all_cases()
-        if (case.setup.file.stem, case.setup.scheme) in QUICK and case.setup.method != "variational"
+        if (case.setup.problem, case.setup.scheme) in QUICK and case.setup.method != "variational"
     ]

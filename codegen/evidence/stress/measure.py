@@ -19,24 +19,14 @@ from codegen.evidence.stress import dissipative, systems
 from codegen.evidence.stress.cases import EXPECTATIONS, Case, Measurement, Truth, Values
 from codegen.evidence.stress.motions import registered
 from codegen.evidence.stress.own import largest_stable
-from codegen.evidence.stress.systems import (
-    DEFAULTS,
-    FORCES,
-    chain_acceleration,
-    plate_gradient,
-    stable_limit,
-    textbook_errors,
-)
 from codegen.problem.points import PointSet
 from codegen.solving import api
 from codegen.solving.loading import Grid, Vector
 from codegen.solving.results.result import Result
 from codegen.solving.tasks import task_of
 
-SAME = 1e-6
-"""The largest relative difference of the costs of one optimum."""
-FINER = 8
-"""The ratio of numbers of intervals of a reference by the same scheme."""
+SAME = 1e-6  # the largest relative difference of the costs of one optimum
+FINER = 8  # the ratio of numbers of intervals of a reference by the same scheme
 
 
 def measure(module: ModuleType, case: Case) -> Measurement:
@@ -80,7 +70,7 @@ def measure(module: ModuleType, case: Case) -> Measurement:
     elif case.reference and result.solved:
         error = REFERENCES[case.reference](varied, case, result)
     if case.limit:
-        stable = stable_limit(module, case) if case.truth is None else largest_stable(module, case.truth)
+        stable = systems.stable_limit(module, case) if case.truth is None else largest_stable(module, case.truth)
     return Measurement(
         status=result.status,
         message=result.message,
@@ -89,7 +79,7 @@ def measure(module: ModuleType, case: Case) -> Measurement:
         announced=announced,
         residual=residual,
         tolerance=tolerance,
-        textbook=textbook_errors(varied, case, result) if case.textbook and result.solved else math.nan,
+        textbook=systems.textbook_errors(varied, case, result) if case.textbook and result.solved else math.nan,
         drift=_drift(case, result, expected.keeps_energy),
         has_energy=result.energy is not None,
         stable_below=stable,
@@ -148,7 +138,7 @@ def _drift(case: Case, result: Result, keeps_energy: bool) -> float:
     if case.truth is not None:
         return _own_drift(case.truth, result, energy)
     values = _parameters(case)
-    match case.setup.file.stem:
+    match case.setup.problem:
         case "pendulum_chain":
             scale = max(scale, float(values["heavy"]), float(values["light"]))
         case "rod_chain":
@@ -174,7 +164,7 @@ def _own_drift(truth: Truth, result: Result, energy: Vector) -> float:
 
 def _parameters(case: Case) -> dict[str, Any]:
     """Return the parameters of a case: the values of the problem file, or the case's own values."""
-    return DEFAULTS.get(case.setup.file.stem, {}) | dict(case.values)
+    return systems.DEFAULTS.get(case.setup.problem, {}) | dict(case.values)
 
 
 # ---- References ----
@@ -210,7 +200,7 @@ def oscillator(module: ModuleType, case: Case, result: Result) -> float:
 
 def stable_step(module: ModuleType, case: Case, result: Result) -> float:
     """Return the relative difference between the largest stable steps by bisection and by the scheme's coefficients."""
-    measured, exact = stable_limit(module, case), systems.limit(registered((result.method, result.scheme)))
+    measured, exact = systems.stable_limit(module, case), systems.limit(registered((result.method, result.scheme)))
     if measured == exact:
         return 0.0
     return abs(measured / exact - 1.0) if math.isfinite(exact) and exact else math.inf
@@ -238,11 +228,11 @@ def kepler(module: ModuleType, case: Case, result: Result) -> float:
 
 def by_integration(module: ModuleType, case: Case, result: Result) -> float:
     """Return the error against DOP853 at tolerance 1e-12 on forces by hand; momenta relative to the largest."""
-    problem, values = case.setup.file.stem, _parameters(case)
+    problem, values = case.setup.problem, _parameters(case)
     count = result.q.shape[1]
 
     def field(_: float, z: Vector) -> Vector:
-        return np.concatenate([z[count:], FORCES[problem](values, z[:count])])
+        return np.concatenate([z[count:], systems.FORCES[problem](values, z[:count])])
 
     exact = _integrated(field, np.concatenate([result.q[0], result.p[0]]), result.t)
     of_positions = np.abs(result.q - exact[:, :count]).max()
@@ -262,7 +252,7 @@ def chain(module: ModuleType, case: Case, result: Result) -> float:
     values, count = _parameters(case), result.q.shape[1]
 
     def field(_: float, z: Vector) -> Vector:
-        return np.concatenate([z[count:], chain_acceleration(values, z[:count], z[count:])])
+        return np.concatenate([z[count:], systems.chain_acceleration(values, z[:count], z[count:])])
 
     exact = _integrated(field, np.concatenate([result.q[0], np.zeros(count)]), result.t)
     return float(np.abs(result.q - exact[:, :count]).max())
@@ -347,7 +337,7 @@ def reintegrated(module: ModuleType, case: Case, result: Result) -> float:
     count = 2 * shape[0]
 
     def field(_: float, z: Vector) -> Vector:
-        by_position, by_momentum = plate_gradient(z[:count].reshape(shape), z[count:].reshape(shape))
+        by_position, by_momentum = systems.plate_gradient(z[:count].reshape(shape), z[count:].reshape(shape))
         return np.concatenate([by_momentum.ravel(), -by_position.ravel()])
 
     start = np.concatenate([result.q[0], result.p[0]])

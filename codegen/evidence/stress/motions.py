@@ -8,18 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TypeAlias
 
 from codegen.discretise import particles, schemes
 from codegen.discretise.schemes.base import Scheme
-from codegen.evidence.stress.cases import Case, Setup
+from codegen.evidence.stress.cases import PROBLEMS, Case, Setup
 from codegen.evidence.stress.systems import TEXTBOOK, area, limit, preserves_areas, swing
 
-PROBLEMS = Path(__file__).parent / "problems"
-
-SchemeOf: TypeAlias = tuple[str | None, str]
-"""A method, or None for particles, and the name of a scheme."""
+SchemeOf: TypeAlias = tuple[str | None, str]  # a method, or None for particles, and the name of a scheme
 
 MECHANICAL: tuple[SchemeOf, ...] = tuple(
     (method, name) for method in ("hamiltonian", "variational") for name in schemes.METHODS[method]
@@ -34,10 +30,10 @@ STIFF_SCHEMES: tuple[SchemeOf, ...] = (EULER, IMPLICIT_EULER, SYMPLECTIC_EULER, 
 """The schemes for larger problems: one of each kind, since each takes seconds to compile."""
 
 
-def setup(problem: str, scheme: SchemeOf | None = None, **arguments: object) -> Setup:
+def setup(problem: str, scheme: SchemeOf | None = None) -> Setup:
     """Return the inputs of a module for a problem of this package; the default scheme is the problem's own."""
     method, name = scheme or (None, None)
-    return Setup(PROBLEMS / f"{problem}.py", name, method, tuple(arguments.items()))
+    return Setup(PROBLEMS, name, method, (("system", problem),))
 
 
 def registered(scheme: SchemeOf) -> Scheme:
@@ -51,8 +47,7 @@ def of_order(low: int, high: float = math.inf) -> tuple[SchemeOf, ...]:
     return tuple(scheme for scheme in MECHANICAL if low <= registered(scheme).order <= high)
 
 
-CONSTANT = {2: 4.0}
-"""The numbers by which bounds of schemes of an order are divided; see `promised`."""
+CONSTANT = {2: 4.0}  # the numbers by which bounds of schemes of an order are divided; see `promised`
 
 
 def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
@@ -240,8 +235,7 @@ def ellipse(scheme: SchemeOf, e: float, steps: int) -> Case:
 CHAIN_SCHEMES = (("variational", "midpoint"), ("variational", "trapezoidal"))
 ROD_SCHEMES = (("hamiltonian", "symplectic-euler"), ("hamiltonian", "stormer-verlet"))
 """Explicit schemes, because the Newton matrix of an implicit step of six pendulums takes minutes to compile."""
-RATE = 3.0
-"""The approximate largest angular velocity of a chain that falls from the horizontal."""
+RATE = 3.0  # the approximate largest angular velocity of a chain that falls from the horizontal
 
 
 def chaos_cases() -> Iterator[Case]:

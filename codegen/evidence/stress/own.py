@@ -19,18 +19,9 @@ from codegen.discretise.particles import PARTICLE_SCHEMES
 from codegen.discretise.schemes import METHODS, find, of_method
 from codegen.discretise.schemes.base import FIRST_ORDER, Scheme
 from codegen.errors import NumericsError
+from codegen.evidence.stress import systems
 from codegen.evidence.stress.cases import Case, Row, Setup, Truth
 from codegen.evidence.stress.motions import CONSTANT
-from codegen.evidence.stress.systems import (
-    GROWTH,
-    area,
-    growth,
-    is_runge_kutta,
-    limit_along,
-    preserves_areas,
-    stability_function,
-    swing,
-)
 from codegen.problem.points import read_points
 from codegen.runtime.record import Form, Method
 from codegen.solving.loading import (
@@ -45,16 +36,12 @@ from codegen.solving.loading import (
     load,
 )
 
-SAMPLES = 40
-"""The number of times along the motion at which it is linearised."""
-STIFF = 1e4
-"""The fastest decay times the duration above which an implicit integrator gives the exact motion."""
+SAMPLES = 40  # the number of times along the motion at which it is linearised
+STIFF = 1e4  # the fastest decay times the duration above which an implicit integrator gives the exact motion
 MOST_TIMES = 2000
 SECONDS = 60.0
-GOOD = 0.1
-"""The largest error, relative to the sizes of components or to the cost, of a scheme that may be taken."""
-GUESSES, ENOUGH = 20, 0.5
-"""The number of noisy guesses, and the share that is expected to lead to the optimum."""
+GOOD = 0.1  # the largest error, relative to the sizes of components or to the cost, of a scheme that may be taken
+GUESSES, ENOUGH = 20, 0.5  # the number of noisy guesses, and the share that is expected to lead to the optimum
 CONTROL_SCHEMES = ("midpoint", "hermite-simpson", "gauss-4")
 """Schemes for optimal control in addition to the problem's own. Modules of optima compile slowly."""
 Candidate = tuple[Setup, Scheme]
@@ -129,7 +116,7 @@ def motion_cases(module: SimulateModule, candidates: Sequence[Candidate]) -> lis
 
         def case(name: str, expect: str, reason: str, n: int, _setup: Setup = setup, **more: object) -> Case:
             return Case(
-                name, _setup.file.stem, _setup, expect, reason, n, every=max(1, n // MOST_TIMES), truth=truth,
+                name, _setup.problem, _setup, expect, reason, n, every=max(1, n // MOST_TIMES), truth=truth,
                 seconds=SECONDS, **more,  # type: ignore[arg-type]
             )  # fmt: skip
 
@@ -153,15 +140,15 @@ def motion_cases(module: SimulateModule, candidates: Sequence[Candidate]) -> lis
                 expect, reason, bound = "unsuitable", f"h lambda = {x:.3g}, stable {where}", math.nan
             else:
                 expect, reason, bound = "bounded", f"stable at h lambda = {x:.3g}, which does not resolve it", math.nan
-                if not preserves_areas(scheme) and math.isfinite(truth.energy):
-                    factors = [math.log(max(abs(area(scheme, r * duration / n)), 1e-300)) for r in moduli]
+                if not systems.preserves_areas(scheme) and math.isfinite(truth.energy):
+                    factors = [math.log(max(abs(systems.area(scheme, r * duration / n)), 1e-300)) for r in moduli]
                     change = abs(math.expm1(min(n * float(np.mean(factors)), 700.0)))
                     reason = f"steps at h lambda = {x:.3g} change the energy by about {change:.2g} of itself"
                     expect = "unsuitable" if change > 0.5 else "bounded"
                     allowed = ("bounded", "unsuitable") if change > 0.1 else ()
             drift = 0.5
-            if preserves_areas(scheme):
-                drift = 1.0 if x >= 1.5 else min(1.0, 0.1 + 2.0 * swing(scheme, x))
+            if systems.preserves_areas(scheme):
+                drift = 1.0 if x >= 1.5 else min(1.0, 0.1 + 2.0 * systems.swing(scheme, x))
             cases.append(case(
                 name, expect, reason, n, reference="exact_motion", bound=bound, h_omega=x, drift=drift, allowed=allowed
             ))  # fmt: skip
@@ -229,19 +216,23 @@ def stable_rate(scheme: Scheme, rates: np.ndarray, fastest: float) -> float:
 
     Slow rates are left out: their growth within the duration is no instability of steps.
     """
-    if not is_runge_kutta(scheme):
-        return float(limit_along(scheme, 1j))
+    if not systems.is_runge_kutta(scheme):
+        return float(systems.limit_along(scheme, 1j))
     important = rates[(np.abs(rates) > 0.1 * fastest) & (rates.real <= 1e-6 * fastest)]  # growth is no instability
     directions = {complex(round(r.real / abs(r), 2), round(abs(r.imag) / abs(r), 2)): abs(r) for r in important}
-    limits = [limit_along(scheme, d / abs(d)) * fastest / size for d, size in directions.items()]
+    limits = [systems.limit_along(scheme, d / abs(d)) * fastest / size for d, size in directions.items()]
     return float(min(limits, default=math.inf))
 
 
 def is_unstable(scheme: Scheme, steps: np.ndarray) -> bool:
     """Return True if a motion that decays or oscillates grows in steps h lambda (M, 2n)."""
-    if not is_runge_kutta(scheme):
-        return growth(scheme, float(np.abs(steps).max())) > 1.0 + GROWTH
-    return any(abs(stability_function(scheme, z)) > 1.0 + GROWTH for z in steps.ravel() if z.real <= 1e-6 * abs(z))
+    if not systems.is_runge_kutta(scheme):
+        return systems.growth(scheme, float(np.abs(steps).max())) > 1.0 + systems.GROWTH
+    return any(
+        abs(systems.stability_function(scheme, z)) > 1.0 + systems.GROWTH
+        for z in steps.ravel()
+        if z.real <= 1e-6 * abs(z)
+    )
 
 
 def largest_stable(module: SimulateModule, truth: Truth) -> float:
@@ -282,7 +273,7 @@ def refined_cases(default: GeneratedModule, candidate: Candidate, points: tuple[
 
     def case(name: str, reason: str, n: int, reference: str = "refined", **more: object) -> Case:
         return Case(
-            name, setup.file.stem, setup, "accurate", reason, n, points=points, truth=Truth(), drift=math.nan,
+            name, setup.problem, setup, "accurate", reason, n, points=points, truth=Truth(), drift=math.nan,
             reference=reference, seconds=SECONDS, **more,  # type: ignore[arg-type]
         )  # fmt: skip
 

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 COLUMNS = ("case", "scheme", "h ω", "error", "promised", "energy drift", "stable h ω <", "failed", "outcome")
-WORDS = ("case", "scheme")
-"""The columns of text, whose cells may be wrapped."""
+WORDS = ("case", "scheme")  # the columns of text, whose cells may be wrapped
 STYLES = {"accurate": "green", "bounded": "cyan", "unsuitable": "yellow", "refused": "blue"}
 
 
@@ -126,7 +125,7 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
     for row in rows:
         case, run, setup = row.case, row.measurement, row.case.setup
         records.append({
-            "family": case.family, "case": case.name, "problem": setup.file.stem, "method": setup.method or "",
+            "family": case.family, "case": case.name, "problem": setup.problem, "method": setup.method or "",
             "scheme": setup.scheme or "", "driver": case.driver, "steps": case.steps, "h_omega": case.h_omega,
             "error": run.error, "promised": case.bound, "announced_error": run.announced, "residual": run.residual,
             "tolerance": run.tolerance, "textbook_rounding_errors": run.textbook, "energy_drift": run.drift,

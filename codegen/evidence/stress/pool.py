@@ -16,8 +16,7 @@ from typing import Any
 from codegen.errors import CodegenError
 from codegen.evidence.stress.cases import Case, Measurement, Setup
 
-BUILD_SECONDS = 600.0
-"""The time limit of a build, also on slow machines and while several builds run at once."""
+BUILD_SECONDS = 600.0  # the time limit of a build, also on slow machines and while several builds run at once
 START_SECONDS = 120.0
 
 Report = Callable[[Case, Measurement], None]

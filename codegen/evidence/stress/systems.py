@@ -31,8 +31,7 @@ from codegen.solving.results.result import Result
 # ---- Forces ----
 
 Array: TypeAlias = Any
-Number: TypeAlias = Any
-"""A float, or a number of mpmath."""
+Number: TypeAlias = Any  # a float, or a number of mpmath
 Parameters: TypeAlias = Mapping[str, Any]
 Force = Callable[[Parameters, Array], Array]
 
@@ -174,8 +173,7 @@ def textbook_residuals(
     return q1 - q - h * ((1.0 - b) * p + b * p1), p1 - p - h * f((1.0 - a) * q + a * q1)
 
 
-COUNT = 200
-"""The number of first steps whose textbook equations are evaluated."""
+COUNT = 200  # the number of first steps whose textbook equations are evaluated
 
 
 def textbook_errors(module: ModuleType, case: Case, result: Result) -> float:
@@ -186,7 +184,7 @@ def textbook_errors(module: ModuleType, case: Case, result: Result) -> float:
     """
     if result.steps != len(result.t) - 1:
         raise ValueError("the textbook's equations need every step")
-    problem = case.setup.file.stem
+    problem = case.setup.problem
     parameters = DEFAULTS[problem] | dict(case.values)
     values = {name: np.longdouble(parameters[name]) for name in DEFAULTS[problem]}
     h = np.longdouble(module.make_grid(result.steps).h)
@@ -214,8 +212,7 @@ def textbook_errors(module: ModuleType, case: Case, result: Result) -> float:
 
 # ---- Measured stability ----
 
-LEAST, MOST = 0.02, 1e4
-"""The range of h omega in which the stability limit is searched."""
+LEAST, MOST = 0.02, 1e4  # the range of h omega in which the stability limit is searched
 POINTS = 1500
 """The number of values of h omega in this range; the first unstable window of some compositions is 2 % wide."""
 GROWTH = 1e-4
@@ -232,7 +229,7 @@ def stable_limit(module: ModuleType, case: Case) -> float:
     """
     key = (module.metadata.inputs, case.setup.label)
     if key not in _limits:
-        _limits[key] = first_growth(lambda x: spectral_radius(module, case.setup.file.stem, x) <= 1.0 + GROWTH)
+        _limits[key] = first_growth(lambda x: spectral_radius(module, case.setup.problem, x) <= 1.0 + GROWTH)
     return _limits[key]
 
 

@@ -20,10 +20,8 @@ from codegen.files import refused, replacing
 from codegen.registration.app.reading import picture_from
 from codegen.registration.app.session import Picture, Work, as_record, from_record
 
-MOST_WORKS = 50
-"""Largest number of works that are kept; older works are deleted."""
-PROBE = 4096
-"""Number of bytes that are written to test that a folder is writable."""
+MOST_WORKS = 50  # largest number of works that are kept; older works are deleted
+PROBE = 4096  # number of bytes that are written to test that a folder is writable
 TOKEN = re.compile(r"[0-9a-f]{32}")
 DIGEST = re.compile(r"[0-9a-f]{64}")
 

@@ -41,10 +41,8 @@ INTERPOLATIONS = ("linear", "cubic", "nearest")
 COLOURS = ((0, 90, 170), (247, 247, 247), (200, 85, 0))
 """The colours of the map of det J: blue for smaller, white for equal, orange for larger areas."""
 _REMEDY = "load the page again"
-MOST_CLIENTS = 50
-"""Largest number of tabs whose last edit number is remembered."""
-MOST_PIXELS = 1 << 23
-"""Largest number of screen pixels of the window that a tab asks for."""
+MOST_CLIENTS = 50  # largest number of tabs whose last edit number is remembered
+MOST_PIXELS = 1 << 23  # largest number of screen pixels of the window that a tab asks for
 
 
 def operate(session: Session, message: Message) -> int | None:
@@ -547,8 +545,7 @@ def parsed(text: str | bytes) -> object:
         return None
 
 
-PATIENCE = 60.0
-"""Time, in seconds, for which a work without tabs stays in memory; reloading a page takes less time."""
+PATIENCE = 60.0  # time, in seconds, for which a work without tabs stays in memory; reloading a page takes less time
 
 
 @dataclass

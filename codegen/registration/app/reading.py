@@ -26,20 +26,17 @@ from codegen.registration.formats import FORMATS, parse_landmarks
 from codegen.registration.images import SAMPLES, Limits, Spacing, library, read_image, unit_name
 from codegen.registration.volumes import ITK, VolumeReader, library_errors, require_whole, silent
 
-Files: TypeAlias = list[tuple[str, bytes]]
-"""The names and contents of files."""
+Files: TypeAlias = list[tuple[str, bytes]]  # the names and contents of files
 
 LIMITS = Limits(bytes=32 << 20, pixels=1 << 25)
 """The largest file and the largest image of the page; codegen warp accepts larger ones."""
-MOST_LANDMARK_BYTES = 8 << 20
-"""The largest size, in bytes, of a landmark file of the page."""
+MOST_LANDMARK_BYTES = 8 << 20  # the largest size, in bytes, of a landmark file of the page
 _SIDES = {"moving": ("moving", "source"), "fixed": ("fixed", "target")}
 """Words in the name of a landmark file that tell which image its points belong to."""
 _EXAMPLE = files("codegen.registration.app") / "example"
 
 _KINDS = {".nii": "NIfTI", ".nii.gz": "NIfTI", ".nrrd": "NRRD", ".mha": "MetaImage"}
-_NIFTI = 352
-"""Number of bytes of a NIfTI header with its magic number."""
+_NIFTI = 352  # number of bytes of a NIfTI header with its magic number
 _METAIMAGE = re.compile(rb"\s*(ObjectType|Comment|NDims)\s*=")
 _METAIMAGE_LOCAL = re.compile(rb"\s*=\s*LOCAL\s*\n")
 """The value of ElementDataFile, the last key of a MetaImage header, if the samples are in the same file."""
@@ -48,8 +45,7 @@ _NRRD_OTHER_FILE = re.compile(rb"^\s*data\s*file", re.MULTILINE | re.IGNORECASE)
 _NRRD_SPACE = re.compile(rb"^space: *(left|right|lps|ras|las)", re.MULTILINE | re.IGNORECASE)
 """A line of an NRRD header that relates its axes to a patient."""
 _NRRD_UNIT = re.compile(rb'^(?:space )?units: *"([^"\r\n]*)"', re.MULTILINE)
-_MICROMETRES = 3
-"""The code of micrometres in `xyzt_units` of NIfTI."""
+_MICROMETRES = 3  # the code of micrometres in `xyzt_units` of NIfTI
 OBLIQUE = 0.3
 """Smallest cosine of the angle between an image axis and a patient axis at which an edge is named after the latter."""
 

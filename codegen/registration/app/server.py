@@ -29,18 +29,9 @@ from tornado.web import Application, HTTPError, RequestHandler, stream_request_b
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from codegen.errors import ArgumentError, CodegenError
-from codegen.registration.app import solving
+from codegen.registration.app import reading, solving
 from codegen.registration.app.autosave import Store, default_folder
 from codegen.registration.app.live import LiveWork, Message, Works, parsed
-from codegen.registration.app.reading import (
-    LIMITS,
-    MOST_LANDMARK_BYTES,
-    Files,
-    example,
-    in_order,
-    picture_from,
-    session_of,
-)
 from codegen.registration.app.session import Session, Work, tile
 from codegen.registration.app.solving import Download
 from codegen.registration.formats import FORMATS, parse_landmarks
@@ -56,15 +47,11 @@ KINDS = {
     ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
 }  # fmt: skip
-OVERHEAD = 1 << 16
-"""Largest number of bytes of an upload in addition to its files."""
-MOST_AT_ONCE = 4
-"""Largest number of uploads at the same time, of all tabs together."""
+OVERHEAD = 1 << 16  # largest number of bytes of an upload in addition to its files
+MOST_AT_ONCE = 4  # largest number of uploads at the same time, of all tabs together
 MOST_FILES = 2
-MOST_MESSAGE = 1 << 20
-"""Largest number of bytes of a message of a tab."""
-CLIENT = 64
-"""Largest number of characters of the name of a tab."""
+MOST_MESSAGE = 1 << 20  # largest number of bytes of a message of a tab
+CLIENT = 64  # largest number of characters of the name of a tab
 aside = ThreadPoolExecutor(2, thread_name_prefix="registration-files")
 """The threads that decode images and encode tiles and downloads."""
 _receiving: set[int] = set()
@@ -165,7 +152,7 @@ class Upload(Guarded):
 
     on_connection_close = on_finish
 
-    def files(self) -> Files:
+    def files(self) -> reading.Files:
         """Return the names and contents of the files; answer 400 unless there are one or two."""
         by_field: dict[str, list[HTTPFile]] = {}
         arguments: dict[str, list[bytes]] = {}
@@ -230,14 +217,14 @@ class Tile(OfWork):
 class OpenImage(Upload, OfWork):
     """The handler of the upload of a moving or fixed image, or of a single image to be deformed."""
 
-    most = LIMITS.bytes
+    most = reading.LIMITS.bytes
 
     async def post(self, token: str, which: str) -> None:
         """Put the image into the work; answer 422 with the reason if it cannot be read."""
         work = self.work(token)
         name, data = self.files()[0]
         try:
-            picture = await _aside(lambda: picture_from(data, name))
+            picture = await _aside(lambda: reading.picture_from(data, name))
             await _aside(lambda: (picture.levels, picture.digest))
             session = work.session
             if which == "alone":
@@ -253,14 +240,14 @@ class OpenImage(Upload, OfWork):
 class OpenLandmarks(Upload, OfWork):
     """The handler of the upload of one or two landmark files."""
 
-    most = 2 * MOST_LANDMARK_BYTES
+    most = 2 * reading.MOST_LANDMARK_BYTES
 
     async def post(self, token: str) -> None:
         """Replace the pairs of the work; answer 422 with the reason if the files are invalid."""
         work = self.work(token)
         frames = Frames(work.session.moving.shape, work.session.picture("fixed").shape)
         try:
-            ordered, remarks = in_order(self.files())
+            ordered, remarks = reading.in_order(self.files())
             landmarks = await _aside(lambda: parse_landmarks(ordered, frames=frames))
             work.change(partial(work.session.load, landmarks))
         except CodegenError as error:
@@ -274,7 +261,7 @@ class OpenExample(OfWork):
 
     def post(self, token: str) -> None:
         """Replace the images and pairs of the work by the example."""
-        work, session = self.work(token), example()
+        work, session = self.work(token), reading.example()
         work.change(partial(work.session.replace, session.moving, session.fixed, session.work), images=True)
         self.answer({})
 
@@ -370,8 +357,8 @@ def listen(works: Works, sockets: Sequence[socket.socket], port: int, ancestors:
         websocket_max_message_size=MOST_MESSAGE, websocket_ping_interval=20,
     )  # fmt: skip
     server = HTTPServer(
-        application, max_body_size=max(LIMITS.bytes, 2 * MOST_LANDMARK_BYTES) + OVERHEAD, max_header_size=1 << 14,
-        idle_connection_timeout=600,
+        application, max_body_size=max(reading.LIMITS.bytes, 2 * reading.MOST_LANDMARK_BYTES) + OVERHEAD,
+        max_header_size=1 << 14, idle_connection_timeout=600,
     )  # fmt: skip
     server.add_sockets(sockets)
     return server
@@ -385,7 +372,7 @@ def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True, stat
     """
     store = Store(state or default_folder())
     store.require_writable()
-    opened = session_of(images)
+    opened = reading.session_of(images)
 
     async def run() -> None:
         loop = IOLoop.current()

@@ -28,26 +28,17 @@ Place: TypeAlias = tuple[float, float]
 Edges: TypeAlias = tuple[str, str, str, str]
 State = TypeVar("State")
 
-MOST_PAIRS = 5000
-"""Largest number of pairs on the page; files with more pairs need the command line."""
-MOST_NAME = 200
-"""Largest number of characters of a landmark name."""
-MOST_UNDONE = 200
-"""Largest number of steps that can be undone."""
+MOST_PAIRS = 5000  # largest number of pairs on the page; files with more pairs need the command line
+MOST_NAME = 200  # largest number of characters of a landmark name
+MOST_UNDONE = 200  # largest number of steps that can be undone
 PREVIEW = 512
 """Longest side, in pixels, of the preview: a reduced image for the certificate of areas and for animations."""
-SMALLEST = 256
-"""Longest side, in pixels, of the smallest reduced copy in `Picture.levels`."""
-NAME_LENGTH = 60
-"""Largest number of characters of an image name."""
-SATURATED = 0.1
-"""Percentage of samples of more than 8 bits that are shown as black, and percentage shown as white."""
-SAMPLED = 1 << 20
-"""Approximate number of samples that determine the grey range."""
-ROWS = 256
-"""Number of rows that are converted together, to avoid a second copy of a large image."""
-SIDE = 512
-"""Number of pixels along each side of a tile; tiles at the right and lower edges may be smaller."""
+SMALLEST = 256  # longest side, in pixels, of the smallest reduced copy in `Picture.levels`
+NAME_LENGTH = 60  # largest number of characters of an image name
+SATURATED = 0.1  # percentage of samples of more than 8 bits that are shown as black, and percentage shown as white
+SAMPLED = 1 << 20  # approximate number of samples that determine the grey range
+ROWS = 256  # number of rows that are converted together, to avoid a second copy of a large image
+SIDE = 512  # number of pixels along each side of a tile; tiles at the right and lower edges may be smaller
 
 
 @dataclass(frozen=True)

@@ -30,20 +30,15 @@ from codegen.registration.warp import Positions, displacements, warp, write_fiel
 
 COARSE = 8.0
 """Distance, in pixels of the screen, of the points at which the map is evaluated; the others are interpolated."""
-HASTY_BLOCK = 2
-"""Side, in pixels of the screen, of the blocks of one colour that are drawn while a point is dragged."""
-CHART = 33
-"""Number of points along each side of an image whose positions in the other image are sent to the page."""
+HASTY_BLOCK = 2  # side, in pixels of the screen, of the blocks of one colour that are drawn while a point is dragged
+CHART = 33  # number of points along each side of an image whose positions in the other image are sent to the page
 HASTY_STEPS, HASTY_STEPS_OF_FIRST_ORDER = (FIRST_STEPS, 2 * FIRST_STEPS), (4 * FIRST_STEPS, 8 * FIRST_STEPS)
 """Numbers of time steps that are tried in turn during a drag: for schemes of higher order, and of first order."""
-MOST_LEFT_OUT = 60
-"""Largest number of landmarks for leave-one-out errors, because the visitor waits."""
-MOST_JUDGED = 1000
-"""Largest number of landmarks for the search for outliers, because the visitor waits."""
+MOST_LEFT_OUT = 60  # largest number of landmarks for leave-one-out errors, because the visitor waits
+MOST_JUDGED = 1000  # largest number of landmarks for the search for outliers, because the visitor waits
 PORTIONS, PAUSE = 20, 0.01
 """Number of portions of the certificate, and the pauses between them, in seconds, for drawing dragged points."""
-GRID_LINES = 16
-"""Number of squares of the drawn grid along the longer side."""
+GRID_LINES = 16  # number of squares of the drawn grid along the longer side
 LINE_POINTS, HASTY_LINE_POINTS = 49, 17
 FRAMES, FRAME_MILLISECONDS = 21, 70
 PAPER = (255, 255, 255, 255)
@@ -217,14 +212,7 @@ def _places(start: float, stop: float, count: int, block: int) -> Array:
 
 def _weights(coarse: Array, fine: Array) -> Array:
     """Return the matrix, shape (fine, coarse), of linear interpolation from coarse to fine points in their range."""
-    if coarse[0] == coarse[-1]:
-        return np.full((len(fine), len(coarse)), 1.0 / len(coarse))
-    k = np.clip(np.searchsorted(coarse, fine, side="right") - 1, 0, len(coarse) - 2)
-    share = (fine - coarse[k]) / (coarse[k + 1] - coarse[k])
-    weights = np.zeros((len(fine), len(coarse)))
-    rows = np.arange(len(fine))
-    weights[rows, k], weights[rows, k + 1] = 1.0 - share, share
-    return weights
+    return np.array([np.interp(fine, coarse, unit) for unit in np.eye(len(coarse))]).T
 
 
 def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.uint8]:

@@ -11,24 +11,17 @@ from pathlib import Path
 
 from codegen.errors import PointsError
 from codegen.files import replacing
-from codegen.registration.formats import bigwarp, elastix, plain, slicer, tps
+from codegen.registration.formats import elastix, slicer, tables, tps
 from codegen.registration.formats.base import MOST_BYTES, Format, Frames, Source
 from codegen.registration.pairs import LandmarkPairs
 
 FORMATS: dict[str, Format] = {
-    form.name: form for form in (plain.FORMAT, bigwarp.FORMAT, elastix.FORMAT, tps.FORMAT, slicer.FORMAT, slicer.FCSV)
+    form.name: form for form in (tables.PLAIN, tables.BIGWARP, elastix.FORMAT, tps.FORMAT, slicer.FORMAT, slicer.FCSV)
 }
 
 __all__ = [
-    "FORMATS",
-    "Format",
-    "Frames",
-    "Source",
-    "landmark_texts",
-    "parse_landmarks",
-    "read_landmarks",
-    "write_landmarks",
-]
+    "FORMATS", "Format", "Frames", "Source", "landmark_texts", "parse_landmarks", "read_landmarks", "write_landmarks",
+]  # fmt: skip
 
 
 def read_landmarks(*paths: Path, frames: Frames | None = None, name: str | None = None) -> LandmarkPairs:
@@ -70,7 +63,7 @@ def parse_landmarks(
         recognised = [form for form in candidates if form.recognises(begin)]
         if not recognised and len(candidates) > 1:
             titles = " nor ".join(form.title for form in candidates)
-            remedy = f"name the columns {','.join(plain.columns((frames or Frames()).axes))} in the first line"
+            remedy = f"name the columns {','.join(tables.columns((frames or Frames()).axes))} in the first line"
             raise PointsError(f"{file}:1: it begins neither like {titles}", remedy)
         form = (recognised or candidates)[0]
     sources = []

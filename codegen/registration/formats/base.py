@@ -19,11 +19,8 @@ from codegen.registration.pairs import LandmarkPairs
 MOST_BYTES = 8 << 20
 """Largest size of a file, in bytes; 10 000 landmarks take a tenth of this, or half in point lists of Slicer."""
 
-MOST_LANDMARKS = 10_000
-"""Largest number of landmarks: n landmarks need a dense matrix of 8 n² bytes, here 800 MB."""
-
-FLAT = 1e-3
-"""Largest difference, due to rounding, between the third coordinates of landmarks in one plane slice."""
+MOST_LANDMARKS = 10_000  # largest number of landmarks: n landmarks need a dense matrix of 8 n² bytes, here 800 MB
+FLAT = 1e-3  # largest difference, due to rounding, between the third coordinates of landmarks in one plane slice
 
 
 @dataclass(frozen=True)

@@ -15,29 +15,20 @@ import numpy as np
 
 from codegen.errors import PointsError
 from codegen.problem.points import finite_numbers
-from codegen.registration.formats.base import (
-    Format,
-    Frames,
-    Source,
-    made,
-    placed,
-    require_count,
-    require_order,
-    text_of,
-)
+from codegen.registration.formats import base
 from codegen.registration.pairs import LandmarkPairs
 
 REMEDY = "give point or index, the number of points, then two coordinates in each line, or three for volumes"
 
 
-def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
+def parse(sources: Sequence[base.Source], frames: base.Frames) -> LandmarkPairs:
     """Return the landmarks of the moving and the fixed file; PointsError names the file and the line."""
-    require_order(sources)
+    base.require_order(sources)
     moving, fixed = (_points(source, side, frames) for side, source in enumerate(sources))
-    return made(sources, moving, fixed)
+    return base.made(sources, moving, fixed)
 
 
-def _points(source: Source, side: int, frames: Frames) -> list[tuple[float, ...]]:
+def _points(source: base.Source, side: int, frames: base.Frames) -> list[tuple[float, ...]]:
     are_indices = True
     lines = [(number, line.split()) for number, line in enumerate(source.text.split("\n"), 1) if line.strip()]
     if lines and lines[0][1][0].lower() in ("point", "index"):
@@ -49,27 +40,27 @@ def _points(source: Source, side: int, frames: Frames) -> list[tuple[float, ...]
         line = lines[0][0] if lines else 1
         raise PointsError(f"{source.name}:{line}: there is no number of points", REMEDY)
     count = int(lines.pop(0)[1][0])
-    require_count(source.name, count)
+    base.require_count(source.name, count)
     if len(lines) != count:
         raise PointsError(f"{source.name} says {count} points and holds {len(lines)}", "correct the number of points")
     dimension = len(lines[0][1]) if lines else 2
     if dimension not in (2, 3):
         raise PointsError(f"{source.name}:{lines[0][0]}: a point has {dimension} coordinates", REMEDY)
     points = [finite_numbers(source.name, line, words, "xyz"[:dimension]) for line, words in lines]
-    positions = placed(source.name, ("moving", "fixed")[side], points, frames)
+    positions = base.placed(source.name, ("moving", "fixed")[side], points, frames)
     if are_indices and positions and frames.grids is not None:
         return list(map(tuple, frames.grids[side].to_places(np.array(positions)).tolist()))
     return positions
 
 
-def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
+def compose(pairs: LandmarkPairs, frames: base.Frames) -> tuple[str, ...]:
     """Return the texts of the moving and the fixed file, without names of landmarks."""
     texts = []
     for points in (pairs.moving, pairs.fixed):
-        lines = [" ".join(map(text_of, point)) for point in points]
+        lines = [" ".join(map(base.text_of, point)) for point in points]
         texts.append("\n".join(["point", str(len(lines)), *lines, ""]))
     return tuple(texts)
 
 
 RECOGNISES = re.compile(r"\s*(point|index|\d+)(\s|$)", re.IGNORECASE).match
-FORMAT = Format("elastix", "elastix points", (".pts", ".txt"), 2, RECOGNISES, parse, compose)
+FORMAT = base.Format("elastix", "elastix points", (".pts", ".txt"), 2, RECOGNISES, parse, compose)

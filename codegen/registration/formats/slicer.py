@@ -27,17 +27,7 @@ from typing import TypeAlias
 
 from codegen.errors import PointsError
 from codegen.problem.points import finite_numbers
-from codegen.registration.formats.base import (
-    Format,
-    Frames,
-    Source,
-    made,
-    placed,
-    require_count,
-    require_order,
-    rows,
-    text_of,
-)
+from codegen.registration.formats import base
 from codegen.registration.pairs import LandmarkPairs
 
 SCHEMA = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#"
@@ -52,12 +42,12 @@ Points: TypeAlias = tuple[list[str], list[tuple[float, ...] | None]]
 """The labels of points, and their positions in LPS, None for points that are not set."""
 
 
-def parse(read: Callable[[Source], Points], sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
+def parse(read: Callable[[base.Source], Points], sources: Sequence[base.Source], frames: base.Frames) -> LandmarkPairs:
     """Return the landmarks of the moving and the fixed file, each read by `read`, matched by label or by order.
 
     PointsError names the file and the point.
     """
-    require_order(sources)
+    base.require_order(sources)
     (labels, moving), (others, fixed) = (read(source) for source in sources)
     if len(moving) != len(fixed):
         finding = f"{sources[0].name} holds {len(moving)} points and {sources[1].name} {len(fixed)}"
@@ -70,11 +60,11 @@ def parse(read: Callable[[Source], Points], sources: Sequence[Source], frames: F
             names.append(label or str(k))
             before.append(one)
             after.append(other)
-    sides = placed(sources[0].name, "moving", before, frames), placed(sources[1].name, "fixed", after, frames)
-    return made(sources, *sides, names)
+    sides = base.placed(sources[0].name, "moving", before, frames), base.placed(sources[1].name, "fixed", after, frames)
+    return base.made(sources, *sides, names)
 
 
-def read_json(source: Source) -> Points:
+def read_json(source: base.Source) -> Points:
     """Return the points of a .mrk.json file, which must hold exactly one list."""
     try:
         content = json.loads(source.text)
@@ -95,7 +85,7 @@ def read_json(source: Source) -> Points:
     if (units[0] if isinstance(units, list) and units else units) != "mm":
         raise PointsError(f"{source.name}: coordinates are in {str(units)[:30]}", "save them in mm, one for each pixel")
     controls = markup["controlPoints"]
-    require_count(source.name, len(controls))
+    base.require_count(source.name, len(controls))
     labels: list[str] = []
     positions: list[tuple[float, ...] | None] = []
     for number, control in enumerate(controls, 1):
@@ -116,7 +106,7 @@ def read_json(source: Source) -> Points:
     return labels, positions
 
 
-def compose_json(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
+def compose_json(pairs: LandmarkPairs, frames: base.Frames) -> tuple[str, ...]:
     """Return the texts of a moving and a fixed .mrk.json file, in LPS."""
     texts = []
     for name, points in (("moving", pairs.moving), ("fixed", pairs.fixed)):
@@ -135,7 +125,7 @@ def compose_json(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def read_fcsv(source: Source) -> Points:
+def read_fcsv(source: base.Source) -> Points:
     """Return the points of a .fcsv file."""
     system = "RAS"
     for line in itertools.takewhile(lambda line: line.startswith("#"), source.text.splitlines()):
@@ -149,7 +139,7 @@ def read_fcsv(source: Source) -> Points:
     sign = SIGNS[system]
     labels: list[str] = []
     positions: list[tuple[float, ...] | None] = []
-    for number, fields in rows(source):
+    for number, fields in base.rows(source):
         if fields[0].startswith("#"):
             continue
         if len(fields) < 4:
@@ -160,7 +150,7 @@ def read_fcsv(source: Source) -> Points:
     return labels, positions
 
 
-def compose_fcsv(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
+def compose_fcsv(pairs: LandmarkPairs, frames: base.Frames) -> tuple[str, ...]:
     """Return the texts of a moving and a fixed .fcsv file, in LPS."""
     texts = []
     for points in (pairs.moving, pairs.fixed):
@@ -168,7 +158,7 @@ def compose_fcsv(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
         file.write(f"# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n# columns = {COLUMNS}\n")
         writer = csv.writer(file, lineterminator="\n")
         for k, (label, place) in enumerate(zip(pairs.names, points), 1):
-            x, y, z = [*map(text_of, place), *["0.0"] * (3 - len(place))]
+            x, y, z = [*map(base.text_of, place), *["0.0"] * (3 - len(place))]
             writer.writerow([k, x, y, z, 0, 0, 0, 1, 1, 1, 0, label, "", ""])
         texts.append(file.getvalue())
     return tuple(texts)
@@ -176,5 +166,5 @@ def compose_fcsv(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
 
 JSON, COMMENT = re.compile(r"\s*\{").match, re.compile(r"\s*#").match
 LISTS = (".mrk.json", ".json")
-FORMAT = Format("slicer", "3D Slicer point lists", LISTS, 2, JSON, partial(parse, read_json), compose_json)
-FCSV = Format("fcsv", "3D Slicer fiducials", (".fcsv",), 2, COMMENT, partial(parse, read_fcsv), compose_fcsv)
+FORMAT = base.Format("slicer", "3D Slicer point lists", LISTS, 2, JSON, partial(parse, read_json), compose_json)
+FCSV = base.Format("fcsv", "3D Slicer fiducials", (".fcsv",), 2, COMMENT, partial(parse, read_fcsv), compose_fcsv)

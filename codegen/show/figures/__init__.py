@@ -25,20 +25,9 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 __all__ = [
-    "Drawings",
-    "closed_loop_figure",
-    "connect_figure",
-    "control_figure",
-    "figure",
-    "figure_of_sweep",
-    "label",
-    "pareto_figure",
-    "save_specimens",
-    "save_sweep",
-    "simulation_figure",
-    "specimen_figure",
-    "sweep_figure",
-]
+    "Drawings", "closed_loop_figure", "connect_figure", "control_figure", "figure", "figure_of_sweep", "label",
+    "pareto_figure", "save_specimens", "save_sweep", "simulation_figure", "specimen_figure", "sweep_figure",
+]  # fmt: skip
 
 
 def figure(

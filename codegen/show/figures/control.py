@@ -45,10 +45,8 @@ from codegen.solving.results.estimates import Fit
 from codegen.solving.results.result import Result, Sensitivities
 from codegen.solving.results.sensitivities import quantity_values
 
-PART = 0.01
-"""Relative change of each quantity for the bars of the tornado diagram."""
-MOST = 8
-"""Largest number of bars in the tornado diagram."""
+PART = 0.01  # relative change of each quantity for the bars of the tornado diagram
+MOST = 8  # largest number of bars in the tornado diagram
 
 
 def changes(sensitivities: Sensitivities, values: Mapping[str, Vector]) -> dict[str, float]:
@@ -161,8 +159,7 @@ def residuals(axes: Axes, shown: Measured, count: int) -> None:
     axes.set_ylabel(f"{shown.name}, by $\\sigma$" if shown.is_weighted else shown.name)
 
 
-WIDTH, WIDE = 12.0, 16.0
-"""Width of the figure in inches; a wide figure has two coordinates with momenta in each row."""
+WIDTH, WIDE = 12.0, 16.0  # width of the figure in inches; a wide figure has two coordinates with momenta in each row
 _COLUMN, _MOST_IN_COLUMN = 7.0, 3
 """Width of a figure of one column of chosen panels, and the largest number of panels in it."""
 

@@ -33,10 +33,8 @@ from codegen.solving.loading import Matrix, Vector
 KINDS = {"state": BLUE, "momentum": GREEN, "multiplier": PINK, "control": RED}
 """Colours of the kinds of quantities for a single body."""
 
-_FLAT = 1e-3
-"""Relative range of a constrained expression below which it is drawn as constant."""
-_LETTERS = 52
-"""Number of letters on a line of the title of a panel."""
+_FLAT = 1e-3  # relative range of a constrained expression below which it is drawn as constant
+_LETTERS = 52  # number of letters on a line of the title of a panel
 _DOTTED = (0, (1, 1.5))
 _DASHED = (0, (5, 3))
 _ACTIVE: Look = {"color": AMBER, "linewidth": 5.5, "alpha": 0.75, "zorder": 1.5}

@@ -28,11 +28,9 @@ if TYPE_CHECKING:
 
 
 Numbers = NDArray[np.float64]
-SAME = 1e-6
-"""Differences of an objective up to this fraction of its range are ignored, such as at a common bound."""
+SAME = 1e-6  # differences of an objective up to this fraction of its range are ignored, such as at a common bound
 _COLUMNS = {"q": "coordinate", "u": "control"}
-_OTHERS = {"residual", "seconds", "improvement"}
-"""Numbers about the solve, which cannot be objectives."""
+_OTHERS = {"residual", "seconds", "improvement"}  # numbers about the solve, which cannot be objectives
 
 
 @dataclass(frozen=True)
@@ -137,8 +135,7 @@ def _last(array: DataArray) -> Numbers:
     return np.asarray(np.take_along_axis(values, number[..., None], axis=-1)[..., 0])
 
 
-_EDGE = 0.02
-"""Distance of failed cases from the edge of the panel, relative to the panel."""
+_EDGE = 0.02  # distance of failed cases from the edge of the panel, relative to the panel
 _FAILED: Look = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5.5, "zorder": 3.0}
 _WORDS = {"start": "at the start", "end": "at the end", "max": "at its largest", "min": "at its smallest"}
 

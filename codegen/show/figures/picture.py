@@ -25,8 +25,7 @@ from matplotlib.patches import StepPatch
 from codegen.errors import ArgumentError
 from codegen.files import replacing
 
-Look: TypeAlias = dict[str, Any]
-"""Keyword arguments of matplotlib by name, such as a colour and a line width."""
+Look: TypeAlias = dict[str, Any]  # keyword arguments of matplotlib by name, such as a colour and a line width
 Colour: TypeAlias = str | tuple[float, float, float, float]
 
 STYLE: dict[Any, Any] = {
@@ -283,8 +282,7 @@ CRIMSON = "#BE1E2D"
 FORBIDDEN = "#F6DFD3"
 """Colour of the forbidden side of a bound."""
 
-MOST_BODY_COLOURS = 7
-"""Largest number of bodies with distinct colours; more bodies have colours of a colour map."""
+MOST_BODY_COLOURS = 7  # largest number of bodies with distinct colours; more bodies have colours of a colour map
 
 
 def body_colours(bodies: int, single: str) -> list[Colour]:

@@ -17,8 +17,7 @@ from codegen.solving.results.segments import multiplier_names, put_together, seg
 CLOSE, LEAST = 2e-4, 1e-6
 """Relative and absolute distance from a bound up to which it is active: interior-point solutions stay inside."""
 
-_PER_INTERVAL = 9
-"""Number of points in an interval at which the polynomial of a control is drawn."""
+_PER_INTERVAL = 9  # number of points in an interval at which the polynomial of a control is drawn
 
 
 @dataclass(frozen=True)

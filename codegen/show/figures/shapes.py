@@ -38,8 +38,7 @@ from codegen.show.figures.picture import (
     present_style,
 )
 
-SHOTS, MANY_SHOTS = 9, 7
-"""Number of instants in a picture of one body, and of arrows in a picture of several bodies."""
+SHOTS, MANY_SHOTS = 9, 7  # number of instants in a picture of one body, and of arrows in a picture of several bodies
 
 _FAINT = 0.18
 _PALE, _SHADOW = "#DCE6EE", "#A8A8A8"
@@ -233,15 +232,11 @@ def _corners(item: Item) -> Iterator[tuple[np.ndarray, np.ndarray]]:
             yield item.centre[0] + sign * wide, item.centre[1] + sign * high
 
 
-RATE = 25
-"""Frames per second; GIF stores hundredths of a second, so this rate is exact."""
+RATE = 25  # frames per second; GIF stores hundredths of a second, so this rate is exact
 SHORTEST, LONGEST, PAUSE = 2.0, 8.0, 1.0
 """Shortest and longest duration of a film, and the pause at its end, in seconds."""
-FINE = 6
-"""Number of steps of trails between two frames."""
-
-Frame: TypeAlias = NDArray[np.uint8]
-"""An image (height, width, 3)."""
+FINE = 6  # number of steps of trails between two frames
+Frame: TypeAlias = NDArray[np.uint8]  # an image (height, width, 3)
 
 Progress: TypeAlias = Callable[[Iterable[Frame], int], Iterable[Frame]]
 """A function that returns the given frames and may show progress; its second argument is their number."""

@@ -25,11 +25,8 @@ _MOST_COORDINATES = 12
 _MOST_IN_A_COLUMN = 4
 _MOST_POINTS = 20_000
 _MOST_DOTS = 400
-_ENERGY = 2.0
-"""Height in inches of the panel of the energy."""
-
-_ROUNDING = 1e-12
-"""Largest relative change of the energy that counts as rounding error."""
+_ENERGY = 2.0  # height in inches of the panel of the energy
+_ROUNDING = 1e-12  # largest relative change of the energy that counts as rounding error
 
 
 def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = "") -> Figure:
@@ -156,8 +153,7 @@ def connect_figure(module: ConnectModule, result: Result) -> Figure:
     return figure
 
 
-MOST_NAMED = 80
-"""Largest number of specimens whose names are drawn."""
+MOST_NAMED = 80  # largest number of specimens whose names are drawn
 
 
 def specimen_figure(points: NDArray[np.float64], names: Sequence[str], share: float) -> Figure:
@@ -174,15 +170,13 @@ def specimen_figure(points: NDArray[np.float64], names: Sequence[str], share: fl
     return figure
 
 
-MOST_STATES, MOST_INPUTS = 12, 8
-"""Largest numbers of panels for states and for inputs."""
+MOST_STATES, MOST_INPUTS = 12, 8  # largest numbers of panels for states and for inputs
 
 References: TypeAlias = Mapping[str, Callable[[float], float]]
 """Reference trajectories of states or inputs by name, as functions of time."""
 
 _MILLI = 1e3
-_COLUMNS = (1, 1, 2, 3, 4, 3, 3, 4, 4)
-"""Number of columns of panels, indexed by the number of inputs."""
+_COLUMNS = (1, 1, 2, 3, 4, 3, 3, 4, 4)  # number of columns of panels, indexed by the number of inputs
 _REFERENCE: Look = {"color": GREY, "linestyle": (0, (4, 2)), "linewidth": 1.1, "zorder": 1.8}
 _CROSS: Look = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5, "zorder": 3.0}
 

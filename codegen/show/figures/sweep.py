@@ -99,10 +99,8 @@ def prediction(data: Dataset, varied: list[str]) -> Prediction | None:
 
 MOST_PANELS, MOST_TRAJECTORIES, MOST_CASES = 15, 60, 4000
 """Largest numbers of panels, of trajectories in a panel, and of cases for quantiles."""
-MOST_CONTROLS = 6
-"""Number of controls that are drawn even if the states alone would fill all panels."""
-BANDS = ((0.05, 0.95, 0.18), (0.25, 0.75, 0.35))
-"""Lower quantile, upper quantile and opacity of each band of a fan."""
+MOST_CONTROLS = 6  # number of controls that are drawn even if the states alone would fill all panels
+BANDS = ((0.05, 0.95, 0.18), (0.25, 0.75, 0.35))  # lower quantile, upper quantile and opacity of each band of a fan
 _COLUMNS = {"q": ("coordinate", "state"), "u": ("control", "control")}
 
 
@@ -226,8 +224,7 @@ def histogram(
 
 
 _MOST_MEASURES, _MOST_NAMES = 4, 12
-_WIDE = 100.0
-"""Ratio of the largest to the smallest positive value above which an axis is logarithmic."""
+_WIDE = 100.0  # ratio of the largest to the smallest positive value above which an axis is logarithmic
 FAILED: Look = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 4.5, "zorder": 3.0}
 JUMP: Look = {
     "color": PINK, "marker": "o", "linestyle": "none", "markersize": 7, "markerfacecolor": "none", "zorder": 2.9,
@@ -278,8 +275,7 @@ def is_wide(values: Numbers) -> bool:
 
 _SAME, _MOST = 0.004, 0.5
 """Largest distance of coinciding lines relative to the range, and least fraction of points that must coincide."""
-_DASH = 8.0
-"""Length of a dash in line widths."""
+_DASH = 8.0  # length of a dash in line widths
 
 
 def legend(axes: Axes) -> None:
@@ -346,11 +342,9 @@ def _label_positions(axes: Axes, segments: Sequence[Sequence[Numbers]]) -> Itera
             yield float(x), float(y)
 
 
-MOST_LINES = 7
-"""Largest number of values of a second quantity that are drawn as lines; more values give a map."""
+MOST_LINES = 7  # largest number of values of a second quantity that are drawn as lines; more values give a map
 _MOST_MAPS, _MOST_SCATTERS, _MOST_POINTS = 6, 4, 20_000
-_FOOT = 0.035
-"""Height of a row of crosses for failed cases, relative to the panel."""
+_FOOT = 0.035  # height of a row of crosses for failed cases, relative to the panel
 
 
 def sweep_figure(data: Dataset) -> Figure:

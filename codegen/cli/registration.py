@@ -1,4 +1,4 @@
-"""The command `codegen warp`: register images or volumes by landmarks."""
+"""The commands `warp`, `distances` and `app`: registration of images, volumes and specimens by landmarks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from codegen.cli.options import positive
+from codegen.cli import options
 from codegen.errors import ArgumentError, one_line
 from codegen.terminal import console, progress, working
 
@@ -16,10 +16,15 @@ if TYPE_CHECKING:
     from codegen.registration.job import Options
 
 # Import codegen.registration only inside functions, because it imports numba.
-EXAMPLES = (
-    "codegen warp moving.png --landmarks pairs.csv --out warped.png --report report.html",
-    "codegen warp folder --fixed atlas.png --landmarks pairs.csv --out warped --workers 4",
-)
+EXAMPLES = {
+    "warp": (
+        "codegen warp moving.png --landmarks pairs.csv --out warped.png --report report.html",
+        "codegen warp folder --fixed atlas.png --landmarks pairs.csv --out warped --workers 4",
+    ),
+    "distances": ("codegen distances specimens.tps --out distances.csv --plot map.png",),
+    "app": ("codegen app", "codegen app moving.png fixed.png --port 5010"),
+}
+KINDS = (".png", ".svg", ".pdf")
 
 
 class Align(StrEnum):
@@ -89,7 +94,7 @@ def warp(
     report: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Write a page about the pair; for many pairs a folder.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: options.Json = False,
     coarse: Annotated[
         bool | None,
         typer.Option(
@@ -101,7 +106,9 @@ def warp(
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(parser=positive, metavar="N", help="Processes for many pairs. [default: one for each processor]"),
+        typer.Option(
+            parser=options.positive, metavar="N", help="Processes for many pairs. [default: one for each processor]"
+        ),
     ] = None,
     cluster: Annotated[
         str | None,
@@ -130,11 +137,11 @@ def warp(
         deviation = -1.0
     if not isinstance(deviation, str) and not 0.0 <= deviation < 1e6:
         raise ArgumentError(f"--sigma {sigma[:30]}", "give a distance in pixels, or auto")
-    options = Options(
+    choices = Options(
         inverse, deviation, align.value, scheme, steps, interpolation.value, coarse, loss.value, flip,
     )  # fmt: skip
     if moving.is_dir() or moving.suffix.lower() == ".csv":
-        _many(moving, tuple(landmarks), out, fixed, field, report, options, json, workers, cluster, resume)
+        _many(moving, tuple(landmarks), out, fixed, field, report, choices, json, workers, cluster, resume)
         return
     if workers is not None or cluster is not None or resume:
         option = "--workers" if workers is not None else "--cluster" if cluster is not None else "--resume"
@@ -144,7 +151,7 @@ def warp(
         raise ArgumentError(f"{missing} is missing", "say where the landmarks are and where the image goes")
     with working("Registering") as status:
         wanted = Job(moving, tuple(landmarks), out, fixed, field, report)
-        result = job.run(wanted, options, None if status is None else status.update)
+        result = job.run(wanted, choices, None if status is None else status.update)
     if json:
         typer.echo(output.as_json(result.record))
     else:
@@ -158,7 +165,7 @@ def warp(
 
 def _many(
     moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
-    report: Path | None, options: Options, json: bool, workers: int | None, cluster: str | None, resume: bool,
+    report: Path | None, choices: Options, json: bool, workers: int | None, cluster: str | None, resume: bool,
 ) -> None:  # fmt: skip
     from codegen.batch.executors import team_size
     from codegen.registration import batch, batch_pairs
@@ -184,7 +191,7 @@ def _many(
     summary = (out / batch_pairs.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
     if report is not None:
         batch_pairs.require_free(jobs, report / batch.NAME)
-    request = BatchRequest(jobs, options, places, summary, processes, cluster, resume)
+    request = BatchRequest(jobs, choices, places, summary, processes, cluster, resume)
     done = outcome_of(request, working, progress)
     if report is not None:
         batch.write_batch_report(report, done, [job.report for job in jobs])
@@ -199,3 +206,86 @@ def _many(
     if done.failed:
         typer.echo(f"codegen: {len(done.failed)} of {len(done.lines)} pairs failed", err=True)
         raise typer.Exit(1)
+
+
+def distances(
+    specimens: Annotated[
+        Path, typer.Argument(metavar="SPECIMENS", help="Landmarks of all: .tps, or .csv with specimen,x,y.")
+    ],
+    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="The table of distances.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the specimens in two dimensions: .png, .svg, .pdf.")
+    ] = None,
+    mean: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="The mean shape.")] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(parser=options.positive, metavar="N", help="Processes. [default: one for each processor]"),
+    ] = None,
+    json: options.Json = False,
+) -> None:
+    """Compute the distances of specimens. They are the lengths of geodesics between their landmarks."""
+    import numpy as np
+
+    from codegen.batch.executors import team_size
+    from codegen.registration.distances import geodesic_distances, read_specimens, write_distances, write_mean
+    from codegen.solving.results import output
+
+    if out is None:
+        raise ArgumentError("--out is missing", "say where the table goes, such as --out distances.csv")
+    output.require_writable(out, (".csv",), "--out")
+    if mean is not None:
+        output.require_writable(mean, (".csv",), "--mean")
+    for path in (out, *([mean] if mean is not None else [])):
+        if path.resolve() == specimens.resolve():
+            raise ArgumentError(f"{path} is read and would be overwritten", "choose another name for the output")
+    if plot is not None:
+        output.require_writable(plot, KINDS, "--plot")
+    result = geodesic_distances(read_specimens(specimens), team_size(workers, None), working, progress)
+    write_distances(out, result)
+    if mean is not None:
+        write_mean(mean, result)
+    is_placed = np.isfinite(result.points[:, 0])
+    left_out = [name for name, placed in zip(result.names, is_placed, strict=True) if not placed]
+    if plot is not None and is_placed.any():
+        from codegen.show.figures import save_specimens
+
+        shown = [name for name in result.names if name not in left_out]
+        save_specimens(result.points[is_placed], shown, result.share, plot)
+    count = len(result.names) * (len(result.names) - 1) // 2
+    if json:
+        record = {
+            "problem": "image_registration", "task": "distances", "specimens": len(result.names), "pairs": count,
+            "failed": list(result.failed), "status": "failed" if result.failed else "solved",
+            "share": result.share if is_placed.any() else None, "left_out": left_out, "out": str(out),
+        }  # fmt: skip
+        typer.echo(output.as_json(record))
+    else:
+        typer.echo(f"{count} distances between {len(result.names)} specimens; see {out}", err=True)
+    for failure in result.failed:
+        typer.echo(one_line(f"codegen: {failure}", 400), err=True)
+    if left_out:
+        typer.echo(f"codegen: not in the picture, for want of distances: {', '.join(left_out)}", err=True)
+    if result.failed:
+        raise typer.Exit(1)
+
+
+def app(
+    images: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[IMAGE]...", help="A moving and a fixed image, or one to be bent. [default: an example]"
+        ),
+    ] = None,
+    port: Annotated[int, typer.Option(min=1024, max=65535, help="Port on localhost.")] = 5006,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Open no browser; print the address.")] = False,
+    state: Annotated[
+        Path | None,
+        typer.Option("--state", metavar="FOLDER", help="Folder for saved work. [default: $CODEGEN_STATE_DIR]"),
+    ] = None,
+) -> None:
+    """Register images in the browser. Click pairs of points, drag them, and see the warp; Ctrl+C ends it."""
+    from codegen.registration import app as page  # imports numba
+
+    page.prepare(images or [], state)
+    typer.echo(f"http://localhost:{port} (Ctrl+C ends it)")
+    page.serve(images or [], port, show=not no_browser, state=state)
