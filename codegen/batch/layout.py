@@ -22,12 +22,12 @@ from codegen.errors import ArgumentError, clause
 from codegen.runtime.record import Form, Task
 from codegen.solving.drivers import DRIVERS
 from codegen.solving.loading import GeneratedModule, Matrix, few_steps
-from codegen.solving.results.motions import particle_names
+from codegen.solving.results.motions import FIRST_TIMES, event_labels, particle_names
 from codegen.solving.results.result import Run, component_names
 from codegen.solving.results.segments import multiplier_names, segments_of
 from codegen.solving.tasks import task_of
 
-KEPT = ("t", "q", "u")
+KEPT = ("t", "q", "u", "event_counts", "event_times")
 """Arrays that are stored by default when all arrays would take too much space."""
 FITS = 250_000_000
 """Bytes of all arrays, before compression, up to which all arrays are stored by default."""
@@ -35,9 +35,16 @@ NUMBERS = {"cost": "f8", "residual": "f8", "iterations": "i4", "seconds": "f8"}
 JUMPS = {"improvement": "f8", "jump": "i4"}
 """Additional numbers of each case if jumps are detected: the reduction of the cost by a new start, and 1 at a jump."""
 WORDS = ("status", "message")
-_COLUMNS = {"q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier"}
+_COLUMNS = {
+    "q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier",
+    "event_counts": "event", "event_times": "event",
+}  # fmt: skip
 """Name of the column dimension of each array with columns."""
-_ALL = ("t", "q", "p", "u", "multipliers", "energy")
+_ALL = ("t", "q", "p", "u", "multipliers", "energy", "event_counts", "event_times")
+_ROWS: Mapping[str | int, tuple[str, ...]] = {
+    "node": ("node",), 1: ("interval",), "case": (), "occurrence": ("occurrence",)
+}  # fmt: skip
+"""The dimensions of rows of each kind; other numbers are those of the stages of an interval."""
 RATE = "d_"
 """Prefix of the names of derivatives."""
 BY = "by"
@@ -57,7 +64,8 @@ RESERVED = frozenset(
 class Shapes:
     """The arrays of one module: the kind of their rows, and the names of their columns.
 
-    `rows` maps an array to `node`, or to its number of rows on an interval. `parts` is the number of phases, each with
+    `rows` maps an array to `node`, to `case` for one row, to `occurrence` for the first times of events, or to its
+    number of rows on an interval. `parts` is the number of phases, each with
     all intervals; `segments` is the number of segments, which share the intervals. `every` is the number of steps
     between stored nodes, `steps` the problem's own number of steps. `free` names the free parameters, and `by` the
     quantities with respect to which derivatives are taken.
@@ -94,6 +102,9 @@ def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: i
     if task.name == "simulate":
         if metadata.form != Form.FIRST_ORDER:
             rows["energy"] = "node"
+        if labels := event_labels(metadata):
+            rows |= {"event_counts": "case", "event_times": "occurrence"}
+            columns |= {"event_counts": labels, "event_times": labels}
         return Shapes(rows, columns, 1, 0, every, metadata.steps)
     grid = module.make_grid(few_steps(module, 4))
     arrays = module.unpack(grid, module.initial_guess(grid))
@@ -160,13 +171,17 @@ class Layout:
         dims = self.dims[name]
         if "stage" in dims:
             array = array.reshape(-1, self.sizes["stage"], array.shape[1])
-        if array.shape == self.shapes[name] and (array.ndim == 1 or columns == self.names[dims[-1]]):
+        names = self.names.get(dims[-1])
+        if array.shape == self.shapes[name] and names in (None, columns):
             return array
         whole = np.full(self.shapes[name], np.nan)
-        if array.ndim == 1:
+        if names is None:
             whole[: array.size] = array
+            return whole
+        own = [names.index(column) for column in columns]
+        if array.ndim == 1:
+            whole[own] = array
         else:
-            own = [self.names[dims[-1]].index(column) for column in columns]
             whole[: len(array), ..., own] = array
         return whole
 
@@ -218,13 +233,13 @@ def _layout_with(shapes: Sequence[Shapes], steps: int | None, keep: Sequence[str
     dims: dict[str, tuple[str, ...]] = {}
     names: dict[str, tuple[str, ...]] = {}
     intervals = max(own.intervals(steps or own.steps) for own in shapes)
-    sizes = {"node": intervals + 1, "interval": intervals}
+    sizes = {"node": intervals + 1, "interval": intervals, "occurrence": FIRST_TIMES}
     for name in (name for name in have if name in keep or name in rates):
         rows = _row_kinds(shapes, name)
         if len(rows) > 1:
             raise ArgumentError(f"--keep {name}: some of the modules have it elsewhere than others", "leave it out")
         row = rows.pop()
-        own_dims = ("node",) if row == "node" else ("interval",) if row == 1 else ("interval", "stage")
+        own_dims = _ROWS.get(row, ("interval", "stage"))
         sizes |= {"stage": int(row)} if "stage" in own_dims else {}
         dims[name] = own_dims
         if name in _COLUMNS:

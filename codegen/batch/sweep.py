@@ -72,9 +72,10 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
     resume : bool
         Continue a store of the same sweep.
     keep : sequence of str, optional
-        Names of arrays to store among t, q, p, u, multipliers and energy. With `sensitivities` also the derivatives
-        d_t, d_q, d_p, d_u and d_multipliers. By default all arrays but these derivatives are stored, or only t, q and u
-        if all arrays would take more than 250 MB without compression.
+        Names of arrays to store among t, q, p, u, multipliers, energy, event_counts and event_times. With
+        `sensitivities` also the derivatives d_t, d_q, d_p, d_u and d_multipliers. By default all arrays but these
+        derivatives are stored. If all arrays would take more than 250 MB without compression, p, multipliers and energy
+        are left out.
     workers : int, optional
         Number of threads, or of processes where Python code takes much of the time; by default the number of
         processors. Results do not depend on this number. Where processes are spawned, as on Windows and macOS, a script
@@ -101,7 +102,9 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
     xarray.Dataset
         In the units of the problem file: t (..., node), q and p (..., node, names), u and multipliers on nodes or
         intervals, padded with NaN where `steps` vary. For each case cost, residual (evaluated outside the driver),
-        iterations and seconds of all attempts, status, message, and free parameters. With sensitivities d_cost
+        iterations and seconds of all attempts, status, message, and free parameters. A simulation with events has
+        event_counts (..., event) and the first times of each event, event_times (..., occurrence, event). The names of
+        gaps have the ending `impact`, `rest` or `opening`. With sensitivities d_cost
         (..., by), d_T for a free parameter T, d_q (..., by, node, names), and d_message with the reason of NaN. For
         optimisations `improvement`, the reduction of the cost by a new solve from the better side of a jump, and
         `jump`, 1 if a better neighbour remains. A failed case has NaN in cost and arrays.

@@ -17,7 +17,7 @@ West (2003), Nonsmooth Lagrangian mechanics and variational collision integrator
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -90,8 +90,9 @@ class Rates:
     """The rates of functions along the motion of a model, whose rates have the values `velocities` at the left node.
 
     `velocities` and `left` are the rates in terms of the state at the left node, and the symbols of this state.
-    `constraint_rates` are the time derivatives of holonomic constraints, and the rolling constraints. `linear` has
-    assignments and velocities of a large mass matrix that is not inverted, as functions of the left node.
+    `constraint_rates` are the time derivatives of holonomic constraints, and the rolling constraints. The assignments
+    that determine the forces of constraints are named by `new_name`. `linear` has assignments and velocities of a large
+    mass matrix that is not inverted, as functions of the left node.
     """
 
     def __init__(
@@ -100,21 +101,28 @@ class Rates:
         left: Sequence[Symbol],
         velocities: Sequence[Expr],
         constraint_rates: Sequence[Expr],
+        new_name: Callable[[str], str],
         linear: tuple[Sequence[Assignment], Sequence[Expr]] | None = None,
     ) -> None:
         self.model, self.left, self.linear, self.constraint_rates = model, tuple(left), linear, constraint_rates
+        self.new_name = new_name
         self.at_left: dict[Symbol, Expr] = dict(zip(model.coordinates, left, strict=False))
-        self.at_left |= dict(zip(model.rates, velocities, strict=True))
         self.assignments: list[Assignment] = []
+        if constraint_rates:  # constraint forces contain the velocities many times
+            velocities = [self._assigned("rate", v) for v in velocities]
+        self.at_left |= dict(zip(model.rates, velocities, strict=True))
         if model.form == "lagrangian":
             slopes = gradient(model.function, model.rates)
             self.mass = sympy.Matrix([[p.diff(v) for v in model.rates] for p in slopes])
             forces = zip(slopes, model.coordinates, model.force, strict=True)
             moving = list(zip(model.coordinates, model.rates, strict=True))
-            self.load = [
+            load = [
                 model.function.diff(q) + f - Add(*(p.diff(r) * v for r, v in moving)) - p.diff(model.time)
                 for p, q, f in forces
             ]
+            self.load = [self.node(each) for each in load]
+            if constraint_rates:
+                self.load = [self._assigned("load", each) for each in self.load]
 
     def node(self, expression: Expr) -> Expr:
         """Return an expression of the model in the symbols of the left node."""
@@ -142,7 +150,7 @@ class Rates:
         if any(by_rate):
             response = self.response([self.node(s) for s in by_rate])
             loads = zip(response, self.load, forces or [S.Zero] * len(response), strict=True)
-            total += Add(*(y * (self.node(load) + force) for y, load, force in loads))
+            total += Add(*(y * (load + force) for y, load, force in loads))
         return total
 
     @cached_property
@@ -152,10 +160,34 @@ class Rates:
         if not self.constraint_rates:
             return [S.Zero] * len(model.coordinates)
         slopes = [[self.node(slope) for slope in gradient(rate, model.rates)] for rate in self.constraint_rates]
-        responses = [self.response(row) for row in slopes]
+        responses = [[self._assigned("response", y) for y in self.response(row)] for row in slopes]
         matrix = sympy.Matrix([[Add(*map(sympy.Mul, a, b)) for b in responses] for a in slopes])
-        kappa = solve_blocks(matrix, [-self._rate(rate, None) for rate in self.constraint_rates])
+        kappa = self._solution(matrix, [-self._rate(rate, None) for rate in self.constraint_rates])
         return [Add(*(k * row[i] for k, row in zip(kappa, slopes, strict=True))) for i in range(len(model.coordinates))]
+
+    def _solution(self, matrix: sympy.Matrix, right: Sequence[Expr]) -> list[Expr]:
+        """Return the solution of a symmetric positive definite system, by assignments of its factorisation L D L^T."""
+        pivots, factors, solution = list[Expr](), dict[tuple[int, int], Expr](), list[Expr]()
+        for i in range(len(right)):
+            column = dict[int, Expr]()
+            for j in range(i):
+                products = (column[k] * factors[j, k] for k in range(j))
+                column[j] = self._assigned("C", Add(matrix[i, j], *(-each for each in products)))
+                factors[i, j] = self._assigned("L", column[j] / pivots[j])
+            pivots.append(self._assigned("D", Add(matrix[i, i], *(-column[j] * factors[i, j] for j in range(i)))))
+            solution.append(self._assigned("z", Add(right[i], *(-factors[i, j] * solution[j] for j in range(i)))))
+        for i in reversed(range(len(right))):
+            later = (-factors[j, i] * solution[j] for j in range(i + 1, len(right)))
+            solution[i] = self._assigned("kappa", Add(solution[i] / pivots[i], *later))
+        return solution
+
+    def _assigned(self, stem: str, value: Expr) -> Expr:
+        """Return a new symbol to which a value is assigned, or the value itself if it is a number or a symbol."""
+        if value.is_Number or value.is_Symbol:
+            return value
+        symbol = Symbol(self.new_name(stem), real=True)
+        self.assignments.append((symbol, value))
+        return symbol
 
     def response(self, impulse: Sequence[Expr]) -> tuple[Expr, ...]:
         """Return M^-1 times an impulse, an expression at the left node."""

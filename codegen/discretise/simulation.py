@@ -201,7 +201,7 @@ class _System:
             # The pivot must not vanish where the system is regular. In equation i, constants are safe pivots of unknown
             # i. In other equations a parameter, such as a friction, may be zero; numbers and powers of h are safe.
             trusted = {STEP} if is_foreign else self.constants | {STEP}
-            if solution is None or not solution[0].free_symbols <= trusted:
+            if solution is None or not solution[0].free_symbols <= trusted or (is_foreign and self._is_small(i, y)):
                 self.rejected.add((i, y))
                 continue
             others = {
@@ -218,6 +218,17 @@ class _System:
                 return True
             self.rejected.add((i, y))
         return False
+
+    def _is_small(self, i: int, y: Symbol) -> bool:
+        """Return True if, for a short step, the coefficient of y is small relative to another one in equation i.
+
+        Such a coefficient, as of a slow rotation of the frame or of a stiffness times h, is a bad pivot: it amplifies
+        the errors of the initial guesses of the other unknowns.
+        """
+        present, short = self._present(i), {STEP: _SHORT}
+        slopes = [abs(self.equations[i].expression.diff(z).xreplace(short)) for z in present if z != y]
+        own = abs(self.equations[i].expression.diff(y).xreplace(short))
+        return any(slope.is_number and own < _SMALL * slope for slope in slopes)
 
     def _present(self, i: int) -> AbstractSet[Symbol]:
         return self.equations[i].symbols & self.open if i in self.equations else frozenset()
@@ -273,6 +284,8 @@ def _symbols_of(expression: Expr) -> AbstractSet[Symbol]:
     return frozenset(expression.free_symbols)
 
 
+_SHORT, _SMALL = ONE / 10**4, ONE / 100
+"""A short time step; the least size of a pivot relative to other coefficients of its equation for this step."""
 _LARGE = 12
 """Number of unknowns from which they are put into an order that makes the Jacobian a narrow band."""
 
@@ -466,7 +479,7 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
             moving = at_left or rates_of_change(phase, left)[: len(moving)]
         linear = (assigned, moving) if stepwise else None
         held = (*holonomic.rates(model), *model.rolling)
-        found = events.at_node(model, events.Rates(model, left, moving, held, linear))
+        found = events.at_node(model, events.Rates(model, left, moving, held, Names(model).numbered, linear))
     kind = Kind.COORDINATE if is_mechanical else Kind.STATE
     kinds = [*((kind, q) for q in phase.coordinates), *((Kind.MOMENTUM, p) for p in phase.rates)]
     solution = in_bands(step.solution)

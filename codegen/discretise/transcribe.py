@@ -54,7 +54,7 @@ def transcribe(
         raise ArgumentError(finding, f"use {' or '.join(usable)}")
     if method not in usable:
         raise ArgumentError(f"method {method!r} does not exist for task {model.task}", f"use {' or '.join(usable)}")
-    chosen = schemes.find(scheme or DEFAULT_SCHEME, method)
+    chosen = schemes.find(scheme or DEFAULT_SCHEME, method, usable)
     if model.task == "simulate":
         if controls != "interval":
             raise ArgumentError("a simulation has no controls", "leave --controls out")
@@ -65,6 +65,12 @@ def transcribe(
             f"scheme {chosen.name!r} evaluates cost and forces at one time of an interval, and does not determine both "
             "end values of a linear control",
             f"use --scheme {' or '.join(resolving)}, or --controls interval",
+        )
+    if controls == "nodal" and model.rolling and model.controls and chosen.name == "midpoint":
+        raise SchemeError(
+            "rolling with nodal controls by the scheme 'midpoint': the means of neighbouring controls do not determine "
+            "the controls, the KKT matrix is singular, and searches stall",
+            "use --controls interval, which has the same motions, or --scheme trapezoidal",
         )
     if model.joined and controls in ("linear", "nodal"):
         raise ArgumentError("controls at nodes beside delays", "use --controls interval or stages")

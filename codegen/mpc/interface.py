@@ -273,7 +273,7 @@ class Grids:
         """Return a new grid with the run-time values `given`, which may include the state."""
         try:
             return self._module.make_grid(self._steps, **given)
-        except ValueError as error:  # generated modules raise built-in exceptions
+        except (ValueError, ArithmeticError) as error:  # generated modules raise built-in exceptions
             raise NumericsError(str(error), "correct the run-time values") from error
 
 

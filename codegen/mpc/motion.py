@@ -228,7 +228,7 @@ def plant_of(
         given |= {"start": start, "duration": seconds}
         try:
             result = module.solve(int(metadata.steps), **given)
-        except ValueError as error:
+        except (ValueError, ArithmeticError) as error:
             raise NumericsError(str(error), "correct the plant's numbers") from error
         if result.status != "solved":
             raise PlantFailed(result.message)

@@ -76,14 +76,7 @@ class Sphere:
     @property
     def matrix(self) -> ImmutableMatrix:
         """The attitude as a matrix (3, 3), from the frame of the body to the frame of space."""
-        w, x, y, z = self.coordinates
-        squares = squared_length(self.coordinates)
-        rows = [
-            [w**2 + x**2 - y**2 - z**2, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), w**2 - x**2 + y**2 - z**2, 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), w**2 - x**2 - y**2 + z**2],
-        ]
-        return ImmutableMatrix([[entry / squares for entry in row] for row in rows])
+        return rotation_matrix(self.coordinates)
 
     @property
     def angular_velocity(self) -> ImmutableMatrix:
@@ -510,6 +503,17 @@ def _short(value: Any) -> str:
 def squared_length(vector: Sequence[Expr]) -> Expr:
     """Return |q|^2."""
     return sympy.Add(*(part**2 for part in vector))
+
+
+def rotation_matrix(quaternion: Sequence[Expr]) -> ImmutableMatrix:
+    """Return the rotation (3, 3) from the frame of the body to the frame of space; |q| has no effect."""
+    w, x, y, z = quaternion
+    rows = [
+        [w**2 + x**2 - y**2 - z**2, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w**2 - x**2 + y**2 - z**2, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w**2 - x**2 - y**2 + z**2],
+    ]
+    return ImmutableMatrix([[entry / squared_length(quaternion) for entry in row] for row in rows])
 
 
 def angular_velocity(quaternion: Sequence[Expr], velocities: Sequence[Expr]) -> list[Expr]:

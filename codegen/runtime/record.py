@@ -334,6 +334,8 @@ class Record:
         Numbers of bodies, phases, and inner times. Conditions hold at inner times, between start and end.
     control_names : tuple of str
         Names of controls.
+    attitudes : tuple of str
+        Names of attitudes, whose quaternions are coordinates or states such as `R_w`.
     units : mapping
         Units of quantities.
     unused : tuple of str
@@ -373,6 +375,7 @@ class Record:
     phases: int = 1
     inner_times: int = 0
     control_names: tuple[str, ...] = ()
+    attitudes: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     unused: tuple[str, ...] = ()
     tables: Mapping[str, TableRecord] = field(default_factory=dict)

@@ -27,6 +27,7 @@ from codegen.discretise.particles import pairwise
 from codegen.discretise.program import ControlProgram, Names, StepProgram
 from codegen.problem.sources import Source, settings_of, source_of
 from codegen.runtime.record import EventAction
+from codegen.show.attitudes import MIDPOINT, OF_OPTIMA, OTHER, Attitudes, in_attitudes
 from codegen.show.notation import WIDTH, Block, Notation, written
 from codegen.symbolic.functions import tables_of
 from codegen.symbolic.tables import OUTSIDE
@@ -205,7 +206,10 @@ def equations(
             ("order: node 0, interval 0, node 1, ..., node N",) * 2,
         ]
     rest.append(Block("Layout of the unknowns", remarks=tuple(remarks)))
-    return written(title, [*own, *rest], notation)
+    blocks: Iterable[Block] = [*own, *rest]
+    if whole.rotations:
+        blocks = in_attitudes(blocks, Attitudes(whole))
+    return written(title, [*blocks], notation)
 
 
 def _within(bounds: Iterable[Bounds], notation: Notation) -> tuple[tuple[str, str], ...]:
@@ -252,7 +256,10 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
     model = _side(authored, method)
     letter = model.form[0].upper()
     forced = "Forced " if any(model.force) else ""
-    if model.form != "first-order":
+    if model.rotations:
+        attitudes = Attitudes(model)
+        yield from (attitudes.lagrangian(), attitudes.balances(_shortest))
+    elif model.form != "first-order":
         if authored.form != model.form:
             yield Block(authored.form.capitalize(), ((_named(authored.form[0].upper()), authored.function),))
         rows = [(_named(letter), model.function)]
@@ -263,7 +270,7 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
             yield from _linear(model, model.linear)
         pairs = zip(model.coordinates, model.dynamics, strict=True)
         yield Block("Dynamics", tuple((_named(f"rate {x}"), f) for x, f in pairs))
-    elif letter == "L":
+    elif letter == "L" and not model.rotations:
         q, v = model.coordinates, model.rates
         accelerations = [_named(f"acceleration {x}") for x in q]
         balances, constraints = [], Constraints(model, Names(model))
@@ -274,7 +281,7 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
             balances.append((_named("0"), _shortest(rate - sympy.diff(model.function, x) - f - normal)))
         remark = _CONSTRAINED if constraints.kappa else _EULER_LAGRANGE
         yield Block(f"{forced}Euler-Lagrange equations", tuple(balances), (remark,))
-    else:
+    elif letter == "H":
         slopes = [f - sympy.diff(model.function, q) for q, f in zip(model.coordinates, model.force, strict=True)]
         field = [*(sympy.diff(model.function, p) for p in model.rates), *slopes]
         states = (*model.coordinates, *model.rates)
@@ -322,7 +329,16 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
         yield Block("Composition", tuple(rows), ((text, text + r"\\"),))
     if isinstance(program, StepProgram):
         _, scheme = repeated(scheme)
-    if scheme.variational:
+    if side.rotations:
+        is_step = isinstance(program, StepProgram)
+        remarks = [MIDPOINT if scheme.name == "midpoint" else OTHER, *([] if is_step else [OF_OPTIMA])]
+        yield Block("Discretisation of the attitudes", (), tuple(remarks))
+        if isinstance(program, StepProgram):
+            rows = [(_named("0"), _shortest(value)) for _, value in program.equations]
+            yield Block("Equations of one step", tuple(rows))
+        interval = variational_interval(side, scheme, controls)
+        cost, quadratures = interval.cost, interval.integrals
+    elif scheme.variational:
         interval = variational_interval(side, scheme, controls)
         coordinates = [q.name for q in side.coordinates]
         own = [i for i, name in enumerate(coordinates) if not is_past(name)]

@@ -27,8 +27,6 @@ from codegen.problem.particles import Connect, Pairwise
 from codegen.problem.problem import Control, Event, Phases, Problem, Simulate
 from codegen.problem.sources import ProblemObject
 from codegen.problem.symbols import Coordinate, Delayed, FreeParameter, Moving, Parameter, Quantity, Velocity
-from codegen.solving import loading
-from codegen.solving.request import with_values
 from codegen.solving.results import output
 from codegen.solving.results.display import Background
 from codegen.solving.results.output import with_unit
@@ -259,9 +257,7 @@ def picture(result: Result, style: str = "page", panels: Sequence[str] | None = 
     from codegen.show.figures.picture import Picture
 
     background = _background(result)
-    module = background.module
-    if module is None:  # a result from a pickle
-        module = with_values(loading.load(background.path or ""), result.parameters)
+    module = background.loaded(result.parameters)
     is_file = background.source is not None and not isinstance(background.source, ProblemObject)
     unit = films.unit_of(background.source) if is_file else ""
     return Picture(films.figure_of(module, _model(background), result, unit, style, panels), style)

@@ -292,6 +292,10 @@ def with_values(module: GeneratedModule, values: Mapping[str, float]) -> Any:
         other.make_grid(few_steps(module, 1))
     except ValueError as error:
         raise NumericsError(f"{module.metadata.problem}: {error}", "give other values") from error
+    except ArithmeticError as error:  # a formula of the start, such as a momentum, has a pole at the values
+        given = ", ".join(f"{name} = {value:g}" for name, value in values.items())
+        finding = f"{module.metadata.problem}: the start has no finite value with {given} ({error})"
+        raise NumericsError(finding, "give other values") from error
     return other
 
 

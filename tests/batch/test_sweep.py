@@ -17,6 +17,7 @@ from command_lines import ORBIT, PENDULUM, assert_refused, run
 from conftest import PROBLEMS
 
 import codegen
+from codegen import Event, Simulate, coordinate, parameters
 from codegen.batch.case import LOST, MEANINGS, NOT_BUILT, UNUSABLE
 from codegen.batch.executors import processes
 from codegen.batch.executors.chunks import journal_of
@@ -327,3 +328,25 @@ def test_segments_are_put_together_as_solve_does(uncompiled):
     one = codegen.solve(delayed)
     for name in ("t", "q", "u"):
         np.testing.assert_array_equal(data.isel(k=0)[name], getattr(one, name))
+
+
+def test_a_sweep_has_the_counts_and_first_times_of_events():
+    """A ball from the height 1: impacts at t_0 and t_0 (1 + 2 e); a motion that a stop ends has fewer nodes."""
+    y, v = coordinate("y")
+    g, e = parameters(g=9.81, e=0.7)
+    motion = {"lagrangian": v**2 / 2 - g * y, "start": {y: 1, v: 0}, "duration": 1.5, "steps": 100}
+    low = Event(y - 0.3, then="record", direction=-1)
+    bouncing = Simulate(**motion, unilateral={"floor": y >= 0}, restitution=e, events={"low": low})
+    data = codegen.sweep(bouncing, {"e": [0.2, 0.9, 1.0]}, workers=1)
+    assert data.event.values.tolist() == ["low", "floor impact", "floor rest", "floor opening"]
+    assert data.event_counts.sel(event="low").values.tolist() == [1, 2, 2]
+    assert data.event_counts.sel(event="floor rest").values.tolist() == [1, 0, 0]
+    fall, times = np.sqrt(2 / 9.81), data.event_times.sel(event="floor impact").values
+    assert data.event_counts.sel(event="floor impact").values[1:].tolist() == [2, 2]
+    assert times[:, 0] == pytest.approx(fall * np.ones(3), abs=1e-13)
+    assert times[:, 1] == pytest.approx(fall * (1 + 2 * np.array([0.2, 0.9, 1.0])), abs=1e-13)
+    assert np.isnan(times[1:, 2:]).all()
+    assert np.isfinite(times[0]).all()  # the first ten of an infinite number
+    stopped = codegen.sweep(Simulate(**motion, events={"down": y}), {"g": [5.0, 9.81]}, workers=1)
+    assert stopped.event_times.values[:, 0, 0] == pytest.approx(np.sqrt(2 / np.array([5, 9.81])), abs=1e-13)
+    assert stopped.t.max("node").values == pytest.approx(stopped.event_times.values[:, 0, 0])

@@ -361,3 +361,29 @@ def test_a_satellite_without_thrust_comes_back():
     assert found["miss"] < 1e-7
     assert found["velocity miss"] < 1e-8
     assert thesis._reintegrated(module, SimpleNamespace(t=times, u=np.full((20, 1), 0.01)), 2)["miss"] > 0.1
+
+
+BOUNCING = '''"""Drop a ball on a floor."""
+from codegen import Simulate, coordinate
+
+def problem():
+    y, v = coordinate("y")
+    return Simulate(
+        lagrangian=v**2 / 2 - 8 * y, unilateral={"floor": y >= 0}, restitution=0.5,
+        start={y: 1, v: 0}, duration=0.8, steps=40,
+    )
+'''
+
+
+def test_a_motion_with_impacts_is_compared_with_the_finest_grid_of_a_scheme(tmp_path, inline):
+    """The ball falls during 1/2 and has the velocity 2 after the impact: y = 2 s - 4 s^2 at s = t - 1/2."""
+    (ball,) = written(tmp_path, ball=BOUNCING)
+    made = gallery.run([ball], tmp_path / "out", TINY)
+    store = Store(tmp_path / "out" / "quick.jsonl")
+    reference = store.get("ball: reference", "motion")
+    assert reference["states"][-1] == pytest.approx([2 * 0.3 - 4 * 0.09, 2 - 8 * 0.3], abs=1e-12)
+    assert reference["error"] < 1e-11
+    rows = dict(store.rows("ball: errors"))
+    assert len(rows) >= 3
+    assert min(row["trajectory"] for row in rows.values()) < 1e-12
+    assert "half as many steps differs from it by" in made.page.read_text()

@@ -7,9 +7,10 @@ import unicodedata
 from pathlib import Path
 
 import pytest
-from sympy import cos, sin
+from sympy import cos, diag, eye, sin
 
 import codegen
+from codegen import Simulate, rotation
 from codegen.discretise import schemes
 from codegen.errors import ArgumentError, SchemeError
 from codegen.problem.sources import source_of
@@ -153,3 +154,24 @@ def test_squares_of_sine_and_cosine_add_up_to_one():
     text = equations(source_of(codegen.Simulate(lagrangian=lagrangian, duration=1, start={q: 0, v: 1})))
     assert "cos" in text.split("Discrete Lagrangian")[0]
     assert "cos" not in text.split("Discrete Lagrangian")[1]
+
+
+def test_rotations_are_shown_as_an_author_writes_them():
+    """The heavy top: Euler's equations with the moments of the weight, without a quaternion."""
+    R, omega = rotation("R")
+    problem = Simulate(
+        lagrangian=omega.dot(diag(1, 2, 3) * omega) / 2 - 5 * R[2, 2], start={R: eye(3), omega: (1, 0, 0)}, duration=1
+    )
+    text = unicodedata.normalize("NFD", equations(source_of(problem)))
+    written = text.partition("Holonomic constraints")[0]
+    assert "R_w⋅" not in written
+    assert "L = -5⋅R₃₃ +" in written
+    rows = [line.strip() for line in written.splitlines()]
+    # J omega' + omega x J omega = R^T (0, 0, -5) moved by e_z: the moments are (-5 R32, 5 R31, 0).
+    for balance in (
+        "0 = -5⋅R₃₂ + ω_y⋅ω_z + ω\u0307_x",
+        "0 = 5⋅R₃₁ - 2⋅ω_x⋅ω_z + 2⋅ω\u0307_y",
+        "0 = ω_x⋅ω_y + 3⋅ω\u0307_z",
+    ):
+        assert balance in rows
+    assert "|h ω| = 4 tan(angle/4)" in text

@@ -7,10 +7,10 @@ import pytest
 from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
-from sympy import Abs, Eq, Rational, cos, sin, sqrt
+from sympy import Abs, Eq, Matrix, Rational, cos, eye, sin, sqrt
 
 import codegen
-from codegen import Event, Simulate, canonical_pair, coordinates, parameters, states, time
+from codegen import Event, Simulate, canonical_pair, coordinate, coordinates, parameters, pose, states, time
 from codegen.emit.naming import Choices
 from codegen.errors import ArgumentError, BoundaryError, CodegenError, ExpressionError, NumericsError, ProblemFileError
 from codegen.evidence import checks
@@ -679,3 +679,34 @@ def test_a_pole_is_no_event():
         steps=30,
     )
     assert codegen.solve(problem).events.names == ("zero",)
+
+
+def test_a_change_below_the_floor_is_one_line():
+    z, dz = coordinate("z")
+    problem = Simulate(
+        lagrangian=dz**2 / 2 - GRAVITY * z, events={"down": Event(z - 0.5, then={z: -1})}, duration=1,
+        unilateral={"floor": z >= 0}, restitution=0.5, start={z: 1, dz: 0},
+    )  # fmt: skip
+    result = codegen.solve(problem)
+    assert result.status == "contact failed"
+    assert "the change of event 'down' at t = 0.3192754" in result.message
+    assert "makes a gap negative; give new values in `then` that keep every gap" in result.message
+
+
+def test_events_of_velocities_of_a_ball_that_rolls_down_a_slope():
+    """The ball has the acceleration g sin(a)/(1 + J/(m r^2)); the events are zeros of its velocity and its spin."""
+    (x, R), (v, omega) = pose("B")
+    slope, radius, inertia = 0.2, Rational(1, 2), Rational(1, 10)
+    slip = v + (R @ omega).cross(Matrix([0, 0, -radius]))
+    problem = Simulate(
+        lagrangian=v.dot(v) / 2 + inertia * omega.dot(omega) / 2 + GRAVITY * sin(slope) * x[0],
+        rolling=[slip[0], slip[1]], constraint=[x[2] - radius], duration=1, steps=100,
+        events={"fast": Event(v[0] - 1, then="record"), "spin": Event((R @ omega)[1] - 1.5, then="record")},
+        start={x: (0, 0, radius), R: eye(3), v: (0, 0.3, 0), omega: (-0.6, 0, 0)},
+    )  # fmt: skip
+    result = codegen.solve(problem)
+    acceleration = GRAVITY * np.sin(slope) / (1 + 0.1 / 0.25)
+    assert result.events.times("fast") == pytest.approx([1 / acceleration], abs=1e-12)
+    assert result.events.times("spin") == pytest.approx([0.75 / acceleration], abs=1e-12)
+    spin = result["B"][-1] @ result["omega"][-1]
+    assert spin[1] == pytest.approx(2 * acceleration, rel=1e-10)

@@ -602,3 +602,9 @@ def test_a_model_with_another_force_fails_the_check_against_the_author(monkeypat
     findings = checks.run(SLEIGH, scheme="midpoint", module=module, steps=20)
     failed = {(finding.check, finding.subject) for finding in findings if not finding.passed}
     assert ("problem as written", "equations of motion") in failed
+
+
+@pytest.mark.fast
+def test_means_of_nodal_controls_beside_rolling_are_refused():
+    with pytest.raises(SchemeError, match=r"rolling with nodal controls .* use --controls interval, .* trapezoidal"):
+        codegen.solve(unicycle(), controls="nodal")

@@ -632,3 +632,98 @@ def test_periodic_rotation():
     start = np.array([-np.sin(np.pi * mesh) / 8, -np.pi * np.cos(np.pi * mesh) / 8])
     exact = solve_bvp(field, lambda a, b: a - b, mesh, start, tol=1e-9).sol(result.t)[0]
     assert turned(result).as_rotvec() == pytest.approx(exact[:, None] * np.array([1, 0, 0]), abs=2e-4)
+
+
+# ---- Attitudes and angular velocities of results ----
+
+
+def euler(spin, times, inertia=INERTIA):
+    """Angular velocities (n, 3) of a free body by DOP853."""
+    done = solve_ivp(
+        lambda t, w: -np.cross(w, inertia * w) / inertia, (0, times[-1]), spin, "DOP853", times, rtol=1e-12, atol=1e-13
+    )
+    return done.y.T
+
+
+def test_results_have_attitudes_and_angular_velocities():
+    """Matrices are those of scipy; angular velocities converge to Euler's equations; R J omega is constant."""
+    solver = codegen.compile(free_body())
+    errors = []
+    for steps in (100, 200):
+        result = solver.solve(steps=steps)
+        assert result["R"] == pytest.approx(turned(result).as_matrix(), abs=1e-14)
+        momentum = np.einsum("tij,tj->ti", result["R"], INERTIA * result["omega"])
+        assert momentum == pytest.approx(np.broadcast_to(momentum[0], momentum.shape), abs=1e-13)
+        assert result["omega"][0] == pytest.approx(SPIN, abs=1e-14)
+        errors.append(np.abs(result["omega"] - euler(SPIN, result.t)).max())
+    assert errors[0] < 1e-4
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
+    data = result.to_dataset()
+    assert data.R.dims == ("node", "space_axis", "body_axis")
+    assert data.R.values == pytest.approx(result["R"])
+    assert data.omega.sel(body_axis="y").values == pytest.approx(result["omega"][:, 1])
+    copy = pickle.loads(pickle.dumps(result))
+    assert copy["omega"] == pytest.approx(result["omega"], abs=0)
+
+
+def test_two_bodies_have_an_angular_velocity_each():
+    A, first = rotation("A")
+    B, second = rotation("B")
+    problem = Simulate(
+        lagrangian=first.dot(J * first) / 2 + second.dot(2 * J * second) / 2 - (A[2, 2] + B[2, 2]) ** 2,
+        start={A: TILT, first: (1, 0, 0), B: eye(3), second: (0, 0, 2)}, duration=1, steps=50,
+    )  # fmt: skip
+    result = codegen.solve(problem)
+    assert result["omega_A"][0] == pytest.approx([1, 0, 0], abs=1e-14)
+    assert result["omega_B"][0] == pytest.approx([0, 0, 2], abs=1e-14)
+    assert result["B"][0] == pytest.approx(np.eye(3), abs=1e-15)
+    with pytest.raises(CodegenError, match="use one of A, B, omega_A, omega_B"):
+        result["nothing_like_them"]
+
+
+def test_the_angular_velocity_of_a_slew_about_one_axis():
+    """From rest to rest about z in the time T, with least torque: omega = 6 phi (t/T) (1 - t/T)/T."""
+    R, omega = rotation("R")
+    torque = Matrix(controls("u1 u2 u3"))
+    problem = Control(
+        lagrangian=omega.dot(J * omega) / 2, force={R: torque}, cost=torque.dot(torque), duration=2, steps=40,
+        start={R: eye(3), omega: (0, 0, 0)}, end={R: ([0, 0, 1], 1.2), omega: (0, 0, 0)},
+    )  # fmt: skip
+    solver, errors = codegen.compile(problem), []
+    for steps in (40, 80):
+        result = solver.solve(steps=steps)
+        exact = np.outer(6 * 1.2 * (result.t / 2) * (1 - result.t / 2) / 2, [0, 0, 1])
+        errors.append(np.abs(result["omega"] - exact).max())
+    assert errors[0] < 5e-3
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.2)
+    assert result["R"][-1] == pytest.approx(Rotation.from_rotvec([0, 0, 1.2]).as_matrix(), abs=1e-10)
+
+
+def test_a_start_without_an_attitude_is_one_line():
+    solver = codegen.compile(free_body())
+    with pytest.raises(CodegenError, match=r"the start has no finite value with start.R_w = 0.*give other values"):
+        solver.solve(parameters={"start.R_w": 0, "start.R_x": 0, "start.R_y": 0, "start.R_z": 0})
+
+
+def test_a_long_pendulum_in_a_slowly_rotating_frame():
+    """The small Coriolis terms are no pivots of a step: the motion is that of DOP853, with order 2."""
+    n, dn = direction("n")
+    frame = 0.05 * np.array([sqrt(0.5), 0, sqrt(0.5)], dtype=float)
+    velocity = dn + Matrix(frame).cross(n)
+    problem = Simulate(
+        lagrangian=velocity.dot(velocity) / 2 - 9.81 * n[2], start={n: (0.6, 0, -0.8), dn: (0, 0, 0)}, duration=4
+    )
+
+    def rates(_, state):
+        q, v = state[:3], state[3:]
+        pull = -2 * np.cross(frame, v) - np.cross(frame, np.cross(frame, q)) - [0, 0, 9.81]
+        return [*v, *(pull - (v @ v + pull @ q) * q)]
+
+    solver, errors = codegen.compile(problem), []
+    for steps in (100, 200):
+        result = solver.solve(steps=steps)
+        exact = solve_ivp(rates, (0, 4), [0.6, 0, -0.8, 0, 0, 0], "DOP853", result.t, rtol=1e-12, atol=1e-13).y.T
+        assert result.solved
+        errors.append(np.abs(result.q - exact[:, :3]).max())
+    assert errors[0] < 0.05
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)

@@ -204,7 +204,8 @@ class Model:
     `terminal_cost` is added to the integral of `cost` and depends on coordinates and rates at the end and on
     parameters. Both are negated where the author asked for a maximum (`maximised`). `holonomic` constraints c(q) = 0
     and `rolling` constraints A(q) v + b(q) = 0 hold at every time. `rotations` are quadruples of coordinates, the unit
-    quaternions of attitudes; their lengths are constraints too. A simulation may have `events` and `gaps`. The `loss`
+    quaternions of attitudes; their lengths are constraints too. `attitudes` are the names of all attitudes, also of
+    those that are states. A simulation may have `events` and `gaps`. The `loss`
     of the differences between `observed` expressions and `measurements` is added to the cost. The measurements are
     files with the same layout, one file for each body.
     `periodic` gives pairs (coordinate or rate, shift): the value at the end is the value at the start plus the shift.
@@ -254,6 +255,7 @@ class Model:
     maximised: bool = False
     holonomic: tuple[sympy.Expr, ...] = ()
     rotations: tuple[tuple[sympy.Symbol, ...], ...] = ()
+    attitudes: tuple[str, ...] = ()
     events: tuple[MotionEvent, ...] = ()
     gaps: tuple[Gap, ...] = ()
     rolling: tuple[sympy.Expr, ...] = ()

@@ -43,7 +43,7 @@ _REWRITTEN = frozenset(
 )
 """Fields of the model that are rewritten for the segments."""
 _KEPT = frozenset(
-    "task name title form parameters defaults time maximised free_parameters bodies body end_values drawing"
+    "task name title form parameters defaults time maximised free_parameters bodies body end_values attitudes drawing"
     " unused".split()
 )
 """Fields of the model that do not change; all other fields must have their defaults in a problem with delays."""

@@ -270,6 +270,7 @@ def _built(
             for sphere in spheres_in(*kinds.coordinates)
             if form == "lagrangian" and sphere.is_attitude
         ),
+        attitudes=tuple(sphere.name for sphere in spheres_in(*kinds.coordinates) if sphere.is_attitude),
     )
     for kind in CONDITIONS:
         model = kind.added(model, entries)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Collection
 
 from sympy import Rational
 
@@ -33,8 +34,10 @@ ALIASES = {
 """Other names of schemes, by method."""
 
 
-def find(name: str, method: str) -> Scheme:
+def find(name: str, method: str, methods: Collection[str] = ()) -> Scheme:
     """Return the named scheme for a method; raise SchemeError, with suggestions, for other names.
+
+    A suggestion is one of the `methods` that the problem has.
 
     `alpha-<a>`, with a decimal or fraction a in [0, 1], is a scheme of the alpha family. `<composition>-of-<base>`,
     such as yoshida-4-of-midpoint, is a composition of a symmetric base scheme of order 2. `<n>-steps-of-<base>`, such
@@ -76,9 +79,9 @@ def find(name: str, method: str) -> Scheme:
     if method == FIRST_ORDER and (elsewhere or name.startswith("alpha-")):
         raise SchemeError(f"scheme {name!r} needs positions and momenta", f"use one of {', '.join(table)}")
     if elsewhere:
+        instead = next((f"--method {other}, or " for other in elsewhere if other in methods), "")
         raise SchemeError(
-            f"scheme {name!r} does not belong to the {method} method",
-            f"use --method {elsewhere[0]}, or one of {', '.join(table)}",
+            f"scheme {name!r} does not belong to the {method} method", f"use {instead}one of {', '.join(table)}"
         )
     offered = table if method == FIRST_ORDER else [n for names in METHODS.values() for n in names]
     close = difflib.get_close_matches(name, offered, 1)

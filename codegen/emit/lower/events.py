@@ -39,11 +39,14 @@ def event_kernels(program: StepProgram, codes: Mapping[Symbol, str]) -> list[Ker
     assignments, kernels = (*program.state_assignments, *program.event_assignments), list[Kernel]()
     for name, entries in rows_of_events(program).items():
         array, summary = EVENT_KERNELS[name]
+        read = needed(assignments, [value for _, value in entries])
+        # Assignments of a large mass matrix share all common subexpressions; those of constraint forces do not.
+        is_shared = bool(program.state_assignments)
         kernels.append(
             kernel(
                 name, summary, (*_SHARED, array), codes,
                 [Output(f"{array}[{i}]", value, meaning) for i, (meaning, value) in enumerate(entries)],
-                decorators=KERNEL, straight_line=needed(assignments, [value for _, value in entries]),
+                assignments=() if is_shared else read, decorators=KERNEL, straight_line=read if is_shared else (),
             )
         )  # fmt: skip
     return kernels

@@ -308,6 +308,7 @@ def _record(
         coordinates=tuple(s.name for s in model.coordinates),
         rates=tuple(s.name for s in model.rates),
         start=tuple(value.quantity for value in program.start_values),
+        attitudes=model.attitudes,
         units=dict(model.units),
         tables=table_records(tables),
         operations={k.name: (k.operations_before, k.operations_after) for k in kernels},

@@ -32,12 +32,13 @@ from codegen.runtime.kernels import ONLY_COMPILED
 from codegen.runtime.stepping.steps import advance, checked, set_length, stored, stored_last, work_in
 
 STOPPED, FULL = 1, 2  # outcomes of a motion: a stop event, and a full log, which the caller enlarges
-ACCUMULATED, NO_CONTACT = -5, -6  # outcomes of a failed step
+ACCUMULATED, NO_CONTACT, VIOLATED = -5, -6, -7  # outcomes of a failed step
 STOP, CHANGE, RECORD, IMPACT, REST, OPENING = range(6)  # the members of EventAction in order
 ZERO = 1e-13  # a value below this fraction of its terms is zero
 SLOW = 1e-12  # a rate of a gap below this fraction of its largest modulus is zero
 WEAK = 1e-10  # an acceleration or a contact force below this fraction of its largest modulus is zero
 SETTLED = 1e-8  # time for all further impacts, relative to the step, below which a body rests
+INSIDE = 1e-9  # value of a gap after a change of the state, relative to its terms, that is taken for rounding
 LOW = 1e-15  # height of the next bounce relative to the terms of a gap, below which a body rests
 ELASTIC = 1e-3  # least value of 1 - c in the estimate of this time
 MOST_EVENTS = 10_000  # largest number of events in a step
@@ -618,6 +619,8 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
                 quick[which] = quick[which] + 1 if nearest < QUICK * length else 0
                 if quick[which] > MOST_QUICK:
                     outcome = ACCUMULATED
+                elif violates(watched, room, instant, parameters_at):
+                    outcome = VIOLATED
             log(watched, room, progress, which, action, step, at, nearest, instant, room.end)
             if action == STOP:
                 copy(watched.size, room.trial, room.states + 8 * watched.size * 3 * first)
@@ -636,6 +639,17 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
             return ACCUMULATED, iterations
         if left <= 2.0 * REACHED * max(length, abs(t)):
             return 0, iterations
+
+
+@njit(error_model="numpy", **ONLY_COMPILED)
+def violates(watched, room, t, parameters_at):
+    """Return True if a gap is negative in the state `room.now`."""
+    values = reals_at(room.values_trial)
+    call(watched.values, (room.now, t, parameters_at, room.values_trial))
+    for row in range(watched.events, watched.events + watched.gaps):
+        if values[3 * row] < -INSIDE * values[3 * row + 2]:
+            return True
+    return False
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)

@@ -14,6 +14,7 @@ from codegen.runtime.stepping.events import (
     MOST_EVENTS,
     NO_CONTACT,
     STOPPED,
+    VIOLATED,
     Watched,
     addresses_of,
     follow_watched,
@@ -55,6 +56,10 @@ EVENT_FAILURES = FAILURES | {
     NO_CONTACT: (
         "contact failed",
         "the contact forces are not determined, last of {!r} at t = {:.12g}; use more steps, or fewer gaps",
+    ),
+    VIOLATED: (
+        "contact failed",
+        "the change of event {!r} at t = {:.12g} makes a gap negative; give new values in `then` that keep every gap",
     ),
 }
 FIRST_ROWS = 2 * MOST_EVENTS  # of the log of events
@@ -274,7 +279,7 @@ def follow_with_events(grid, every):
     names = (*problem.metadata.events, *problem.metadata.gaps)
     if outcome == STOPPED:
         message = f"event {names[log.number[-1]]!r} ended the motion at t = {t[-1]:.12g}, in step {made} of {steps}"
-    elif outcome in (ACCUMULATED, NO_CONTACT):
+    elif outcome in (ACCUMULATED, NO_CONTACT, VIOLATED):
         message = message.format(*((names[log.number[-1]], log.t[-1]) if logged else (names[-1], 0.0)))
     if outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], times_at(grid, made)))

@@ -15,6 +15,7 @@ import numpy as np
 from codegen.deferred import Deferred
 from codegen.errors import ArgumentError, ExtraError
 from codegen.runtime.record import Form
+from codegen.solving.results import attitudes
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -32,6 +33,7 @@ _TIMED = ("steps_per_second",)
 
 _PICTURE, _FILM = Deferred("show.notebook", "picture"), Deferred("show.notebook", "film")
 _HTML = Deferred("show.notebook", "html")
+_LOAD, _WITH_VALUES = Deferred("solving.loading", "load"), Deferred("solving.request", "with_values")
 
 
 class Display:
@@ -44,29 +46,41 @@ class Display:
     __hash__ = None  # type: ignore[assignment]  # arrays can be changed
 
     def __getitem__(self, name: str) -> Vector:
-        """Return the column of `q`, `p` or `u` with a name, for example `result["theta"]`.
+        """Return the column of `q`, `p` or `u` with a name, for example `result["theta"]`, or an attitude.
 
         Parameters
         ----------
         name : str
-            Name of a coordinate, state, momentum or control.
+            Name of a coordinate, state, momentum or control; name of an attitude; "omega", or "omega_<attitude>" if the
+            problem has several attitudes, for the angular velocity of a rotation in the frame of the body.
 
         Returns
         -------
         ndarray, shape (M + 1,), or (control_times.size,) for a control
-            Values at the nodes, or at `control_times`, in the units of the problem.
+            Values at the nodes, or at `control_times`, in the units of the problem. The shape of an attitude is
+            (M + 1, 3, 3), and that of an angular velocity (M + 1, 3).
 
         Raises
         ------
         ArgumentError
             If no column has the name. The message lists the names.
+
+        Notes
+        -----
+        The angular velocity of a simulation belongs to the momenta at the nodes, to rounding. That of an optimum is the
+        mean of the steps before and after a node, of order 2.
         """
         result = _with_columns(self)
         for key, names in result.names.items():
             if name in names:
                 return cast("Vector", getattr(result, key)[:, names.index(name)])
-        columns = [column for names in result.names.values() for column in names]
-        metadata = None if result.background is None else result.background.module.metadata
+        if name in attitudes.columns_of(result):
+            return attitudes.matrices(result, name)
+        if name in (spins := attitudes.angular_velocity_names(result)):
+            return attitudes.angular_velocity(result, spins[name])
+        columns = [*attitudes.columns_of(result), *spins]
+        columns += [column for names in result.names.values() for column in names]
+        metadata = None if result.background is None else result.background.loaded(result.parameters).metadata
         if metadata is not None and metadata.form == Form.LAGRANGIAN and name in metadata.rates:
             momentum = f"p_{metadata.coordinates[metadata.rates.index(name)]}"
             if momentum in columns:
@@ -91,7 +105,9 @@ class Display:
         return [*super().__dir__(), *(name for name in self._ipython_key_completions_() if name.isidentifier())]
 
     def _ipython_key_completions_(self) -> list[str]:
-        return [name for names in cast(Any, self).names.values() for name in names]
+        result = cast(Any, self)
+        turned = (*attitudes.columns_of(result), *attitudes.angular_velocity_names(result))
+        return [*(name for names in result.names.values() for name in names), *turned]
 
     def differences(self, other: Any) -> dict[str, float]:
         """Return the max-norm distance to another solution of the problem for each quantity.
@@ -141,9 +157,10 @@ class Display:
         xarray.Dataset
             Dimensions have the same names as in the data set of a sweep. Variables are `t` (node), `q` (node,
             coordinate), `p` (node, momentum), `u` and `multipliers` on nodes, intervals or stages, `energy` (node) of a
-            simulation, `cost`, `residual` and `stationarity`. Other numbers and texts are attributes. Values are in the
-            units of the problem. Declared units are in `coordinate_unit`, `momentum_unit`, `control_unit` and in the
-            attribute `units` of `t`, `energy` and `cost`.
+            simulation, `cost`, `residual` and `stationarity`. An attitude is a variable (node, space_axis, body_axis)
+            with its name, and an angular velocity `omega` is (node, body_axis). Other numbers and texts are attributes.
+            Values are in the units of the problem. Declared units are in `coordinate_unit`, `momentum_unit`,
+            `control_unit` and in the attribute `units` of `t`, `energy` and `cost`.
 
         Raises
         ------
@@ -157,6 +174,8 @@ class Display:
 
         result = _with_columns(self)
         variables: dict[str, tuple[tuple[str, ...], Any]] = {"t": (("node",), result.t)}
+        variables |= {name: (("node", "space_axis", "body_axis"), self[name]) for name in attitudes.columns_of(result)}
+        variables |= {name: (("node", "body_axis"), self[name]) for name in attitudes.angular_velocity_names(result)}
         for name in ("q", "p"):
             if result.names[name]:
                 variables[name] = ("node", _COLUMNS[name]), getattr(result, name)
@@ -176,7 +195,8 @@ class Display:
                 variables[name] = ("interval", "stage", dimension), stages
         numbers = {"cost": result.cost, "residual": result.residual, "stationarity": result.stationarity}
         variables |= {name: ((), value) for name, value in numbers.items() if value is not None}
-        coordinates: dict[str, Any] = {}
+        axes = {dim for dims, _ in variables.values() for dim in dims if dim.endswith("_axis")}
+        coordinates: dict[str, Any] = {dim: list("xyz") for dim in sorted(axes)}
         for name in (name for name in _COLUMNS if name in variables):
             coordinates[_COLUMNS[name]] = list(result.names[name])
             units = [result.units.get(column, "") for column in result.names[name]]
@@ -332,6 +352,12 @@ class Background:
     path: Path | None = None
     source: Any = None
     arguments: Mapping[str, str] = field(default_factory=dict)
+
+    def loaded(self, parameters: Mapping[str, float]) -> GeneratedModule:
+        """Return the module with the parameter overrides of the solve; it is loaded again for a pickled result."""
+        if self.module is None:
+            return cast("GeneratedModule", _WITH_VALUES(_LOAD(self.path or ""), parameters))
+        return self.module
 
     def __getstate__(self) -> dict[str, Any]:
         source = self.source

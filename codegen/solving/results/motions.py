@@ -31,6 +31,9 @@ PENETRATION = 1e-9
 """Largest penetration of a gap, relative to the state and the inverse of the time step."""
 ROUNDING = 1e3 * float(np.finfo(float).eps)
 """Residual from rounding errors, relative to the state and the inverse of the time step."""
+FIRST_TIMES = 10
+"""Number of times of each event that a sweep stores."""
+_OF_GAPS = (EventAction.IMPACT, EventAction.REST, EventAction.OPENING)
 TOLERANCE = 1e-12
 """Default tolerance of the arrival of particles."""
 
@@ -111,9 +114,36 @@ def motion_events(metadata: SimulationRecord, events: EventArrays) -> MotionEven
     )  # fmt: skip
 
 
+def event_labels(metadata: Record) -> tuple[str, ...]:
+    """Return the names of events, and the name of each gap with `impact`, `rest` and `opening`.
+
+    These are the columns of a sweep. The tuple is empty for a module without events.
+    """
+    if not isinstance(metadata, SimulationRecord):
+        return ()
+    return (*metadata.events, *(f"{gap} {action}" for gap in metadata.gaps for action in _OF_GAPS))
+
+
 def simulate_outline(module: SimulateModule, driver: str, run: Run, attempt: SimulateAttempt) -> Outline:
-    """Return the status and the arrays of an attempt, which a sweep stores."""
-    return outline_of(simulate_result(module, driver, run, attempt))
+    """Return the status and the arrays of an attempt, which a sweep stores.
+
+    `event_counts` (labels,) has the number of events of each label. `event_times` (FIRST_TIMES, labels) has the first
+    times of each, and NaN after them.
+    """
+    result = simulate_result(module, driver, run, attempt)
+    outline, labels = outline_of(result), event_labels(module.metadata)
+    if result.events is not None:
+        own = [
+            f"{name} {action}" if action in _OF_GAPS else name
+            for name, action in zip(result.events.names, result.events.actions, strict=True)
+        ]
+        times = np.full((FIRST_TIMES, len(labels)), np.nan)
+        for column, label in enumerate(labels):
+            found = result.events.t[[each == label for each in own]][:FIRST_TIMES]
+            times[: found.size, column] = found
+        outline.arrays["event_counts"] = np.array([float(own.count(label)) for label in labels])
+        outline.arrays["event_times"] = times
+    return outline
 
 
 def simulate_numbers(metadata: Record, run: Run) -> int:

@@ -45,7 +45,7 @@ STATUSES = {
     "singular": "the equations of one step have no unique solution",
     "newton failed": "Newton's method did not converge within one step",
     "events accumulate": "infinitely many events follow each other in a finite time",
-    "contact failed": "the contact forces of closed gaps are not determined",
+    "contact failed": "the contact forces of closed gaps are not determined, or an event makes a gap negative",
     "not connected": "no attempt found a motion from the given points to their targets",
     "accuracy not reached": "the equations hold, but no grid was found on which their solution is as accurate as asked",
     "inaccurate": "the driver claimed success, but the residuals evaluated afterwards are too large",
@@ -407,6 +407,8 @@ class Result(Display):
         Positions of the stages as fractions of an interval; empty if controls are not at stages.
     events : MotionEvents or None
         Events of a simulation in the order of time; None for a problem without events.
+    attitudes : tuple of str
+        Names of the attitudes; `result["R"]` are their matrices.
     grid : ndarray or None
         Lengths of the intervals relative to the duration, or for each phase; None for equal intervals.
     accuracy, error, estimates, sensitivity
@@ -452,6 +454,7 @@ class Result(Display):
     levels: tuple[Result, ...] = ()
     stage_abscissae: tuple[float, ...] = ()
     events: MotionEvents | None = None
+    attitudes: tuple[str, ...] = ()
     grid: Vector | None = None
     accuracy: Accuracy | None = None
     error: DiscretisationError | None = None
@@ -557,7 +560,8 @@ def origin(metadata: Record, driver: str, run: Run, attempt: Attempt, seconds: f
     """Return the arguments of a Result that do not depend on the task."""
     texts = {name: str(getattr(metadata, name)) for name in ("problem", "title", "task", "method", "scheme")}
     numbers = {"steps": run.steps, "iterations": attempt.iterations, "seconds_solve": seconds}
-    return {**texts, "driver": driver, **numbers, "units": component_units(metadata)}
+    attitudes = tuple(metadata.attitudes)
+    return {**texts, "driver": driver, **numbers, "units": component_units(metadata), "attitudes": attitudes}
 
 
 def contradicted(driver: str, finding: str, remedy: str) -> tuple[str, str]:

@@ -362,6 +362,7 @@ def record(
         rates=tuple(s.name for s in model.rates),
         start=tuple(v.quantity for v in values if v.where == "start"),
         end=tuple(v.quantity for v in values if v.where == "end"),
+        attitudes=model.attitudes,
         units=dict(model.units),
         tables=table_records(tables),
         operations={k.name: (k.operations_before, k.operations_after) for k in kernels},
