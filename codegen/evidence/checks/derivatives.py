@@ -126,7 +126,7 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     equations = function_of([*base, *interval], [value for _, value in program.equations])
     energy = None if program.energy is None else function_of(base, [program.energy], program.state_assignments)
     rows = [value for c in program.constraints for value in c.row]
-    held, constraints = np.empty(len(rows)), function_of(base, rows, program.state_assignments)
+    held, constraints = np.zeros(len(rows)), function_of(base, rows, program.state_assignments)
     residuals, heights, closed, constrained = Agreement(), Agreement(), Agreement(), Agreement()
     events = dict[str, tuple[list[str], Callable[..., Any], Agreement]]()
     for kernel, values in rows_of_events(program).items():
