@@ -67,7 +67,7 @@ from codegen.discretise.rotations import in_body_frames, in_quaternions, step_wi
 from codegen.discretise.schemes.base import Scheme
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic import checks as expressions
-from codegen.symbolic.derivatives import accumulate, gradient, hessian_samples, program_of
+from codegen.symbolic.derivatives import accumulate, gradient, hessian_samples, partials, program_of
 from codegen.symbolic.graph import ONE, Assignment, Graph
 from codegen.symbolic.zeros import identically_zero
 
@@ -174,7 +174,8 @@ class _System:
         equations = self.equations.values()
         residual = tuple(e.expression for e in equations)
         unknowns = tuple(y for y in self.unknowns if y in self.open)
-        linear = all(linear_in(e.expression, y, self.open) is not None for e in equations for y in e.symbols & self.open)
+        longest = sorted(equations, key=lambda e: -e.operations)  # which are most often nonlinear
+        linear = all(linear_in(e.expression, y, self.open) is not None for e in longest for y in e.symbols & self.open)
         return Elimination(tuple(before), unknowns, residual, tuple(after), linear)
 
     def _solve_determined(self, order: Sequence[int]) -> bool:
@@ -797,8 +798,9 @@ def rates_of_change(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
     """Return the time derivatives of the state at the left node: of (q, p), or of x in first-order dynamics."""
     if phase.form == "first-order":
         return [_at(phase, rate, left) for rate in phase.dynamics]
-    velocity = [diff(phase.function, p) for p in phase.rates]
-    slope = [f - diff(phase.function, q) for q, f in zip(phase.coordinates, phase.force, strict=True)]
+    slopes = partials(phase.function, (*phase.coordinates, *phase.rates))
+    velocity = [slopes.get(p, S.Zero) for p in phase.rates]
+    slope = [f - slopes.get(q, S.Zero) for q, f in zip(phase.coordinates, phase.force, strict=True)]
     return [_at(phase, value, left) for value in (*velocity, *slope)]
 
 

@@ -37,7 +37,7 @@ class Family:
         return len(self.members) >= _FEWEST
 
 
-_MANY = 40
+MANY = 40
 """Number of rows from which a program treats alike rows as one."""
 _FEWEST = 4
 """Least number of members of a large family."""
@@ -46,7 +46,7 @@ _FEWEST = 4
 def are_many(found: Sequence[Family]) -> bool:
     """Return True if there are many rows, and most of them belong to large families."""
     rows = sum(len(family.members) for family in found)
-    return rows >= _MANY and 2 * sum(len(family.members) for family in found if family.is_large) > rows
+    return rows >= MANY and 2 * sum(len(family.members) for family in found if family.is_large) > rows
 
 
 def families(rows: Sequence[Sequence[Expr]], kind: Callable[[Symbol], Hashable] = lambda _: None) -> list[Family]:

@@ -17,7 +17,7 @@ from sympy import Expr, Symbol
 from codegen.emit.lower.kernels import Kernel, Line, Loop, Output, kernel
 from codegen.emit.lower.printer import scalar_code, stabilised, with_decimal_roots
 from codegen.symbolic.checks import longer_than
-from codegen.symbolic.families import Family, are_many, families
+from codegen.symbolic.families import MANY, Family, are_many, families
 from codegen.symbolic.functions import TableBase
 from codegen.symbolic.graph import Assignment
 
@@ -34,19 +34,23 @@ def looped(
     summary: str,
     arguments: Sequence[str],
     codes: Mapping[Symbol, str],
-    rows: Sequence[Sequence[Output]],
+    outputs: Sequence[Output],
     assignments: Sequence[Assignment] = (),
     decorators: tuple[str, ...] = (),
     straight_line: Sequence[Assignment] = (),
+    row_of: Sequence[int] = (),
 ) -> Kernel:
-    """Return the result of `kernel` for rows of outputs; many rows have loops over alike rows.
+    """Return the result of `kernel`, with loops over alike rows if there are many.
 
-    The `assignments` are substituted into the rows of loops. The `straight_line` is evaluated before all rows.
+    `row_of` has the number of the row of each output; by default each output is a row. The `assignments` are
+    substituted into the rows of loops. The `straight_line` is evaluated before all rows.
     """
-    written, kept = _substituted(rows, assignments)
+    rows: list[list[Output]] = [[] for _ in range(max(row_of, default=-1) + 1)] if row_of else [[o] for o in outputs]
+    for output, row in zip(outputs, row_of, strict=False):
+        rows[row].append(output)
+    written, kept = _substituted(rows, assignments) if len(rows) >= MANY else (None, [])
     found = families([[o.value for o in row] for row in written or ()], lambda s: _split(codes.get(s, s.name))[0])
     if written is None or not are_many(found):
-        outputs = [output for row in rows for output in row]
         return kernel(name, summary, arguments, codes, outputs, None, assignments, decorators, straight_line)
     long = [family for family in found if family.is_large and not _reads_table(family)]
     inside = {member.row for family in long for member in family.members}
@@ -73,6 +77,8 @@ def _substituted(
     Return None in place of rows that become much longer.
     """
     values, kept = dict[Expr, Expr](), list[Assignment]()
+    if not assignments:
+        return [list(row) for row in rows], kept
     for symbol, value in assignments:
         written = value.xreplace(values)
         if longer_than(_LONG, [written]):

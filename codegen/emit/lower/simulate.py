@@ -58,7 +58,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
             "step_equations",
             "Fill `residual` (STAGES + STATE,) of the equations of the scheme, in the form of the docstring above.",
             ("state", "interval", *_ARGUMENTS[1:], "residual"), inside,
-            [[Output(f"residual[{i}]", value, names[i])] for i, value in enumerate(straight.values)],
+            [Output(f"residual[{i}]", value, names[i]) for i, value in enumerate(straight.values)],
             decorators=KERNEL, straight_line=straight.assignments,
         ),
     ]  # fmt: skip
@@ -142,18 +142,18 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
 
 def _constraints_kernel(program: StepProgram, codes: Mapping[Symbol, str]) -> Kernel:
     """Return the kernel that checks of a state and messages read."""
-    rows = list[list[Output]]()
-    for constraint in program.constraints:
+    outputs, row_of = list[Output](), list[int]()
+    for row, constraint in enumerate(program.constraints):
         slopes = (f"its derivative by {q}" for q in program.model.coordinates)
         meanings = (constraint.name, "its rate", "scale of its rate", *slopes)
-        first = len(rows) * len(constraint.row)
-        entries = enumerate(zip(constraint.row, meanings, strict=True), first)
-        rows.append([Output(f"values[{i}]", value, meaning) for i, (value, meaning) in entries if value != 0])
+        entries = enumerate(zip(constraint.row, meanings, strict=True), row * len(constraint.row))
+        outputs += [Output(f"values[{i}]", value, meaning) for i, (value, meaning) in entries if value != 0]
+        row_of += [row] * (len(outputs) - len(row_of))
     return looped(
         "node_constraints",
-        "Fill `values` (constraints, 3 + coordinates), which are zero: value, rate, scale of the rate, gradient.",
-        ("state", "t", "parameters", "values"), codes, rows,
-        needed(program.state_assignments, [output.value for row in rows for output in row]), KERNEL,
+        "Fill `values` (constraints, 3 + coordinates) but for zeros: value, rate, scale of the rate, gradient.",
+        ("state", "t", "parameters", "values"), codes, outputs,
+        needed(program.state_assignments, [output.value for output in outputs]), KERNEL, row_of=row_of,
     )  # fmt: skip
 
 
@@ -173,7 +173,7 @@ def _interval(program: StepProgram) -> tuple[Symbol, ...]:
 def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Kernel]:
     """Return the kernel of an explicit time step, or the kernels of Newton's method for an implicit step."""
     codes, names = _codes(program), [symbol.name for symbol in program.unknowns]
-    interval = [[Output(f"interval[{i}]", symbol, symbol.name)] for i, symbol in enumerate(_interval(program))]
+    interval = [Output(f"interval[{i}]", symbol, symbol.name) for i, symbol in enumerate(_interval(program))]
     if not program.unknowns:
         return [
             looped(
@@ -183,18 +183,21 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
                 (*_ARGUMENTS, "interval"), codes, interval, program.before, KERNEL,
             )
         ]  # fmt: skip
-    guess = [[Output(f"unknowns[{i}]", value, names[i])] for i, value in enumerate(program.guess)]
-    residual = [[Output(f"residual[{i}]", value, "")] for i, value in enumerate(derivatives.residual)]
+    guess = [Output(f"unknowns[{i}]", value, names[i]) for i, value in enumerate(program.guess)]
+    residual = [Output(f"residual[{i}]", value, "") for i, value in enumerate(derivatives.residual)]
     entries = [
-        [Output(f"jacobian[{i * len(names) + j}]", entry, f"by {names[j]}") for j, entry in enumerate(row) if entry != 0]
+        Output(f"jacobian[{i * len(names) + j}]", entry, f"by {names[j]}")
         for i, row in enumerate(derivatives.jacobian)
+        for j, entry in enumerate(row)
+        if entry != 0
     ]
+    row_of = [i for i, row in enumerate(derivatives.jacobian) for entry in row if entry != 0]
     listed = ", ".join(names)
     if len(listed) > _LONGEST_LIST:
         listed = "the unknowns"
     written = (*program.before, *derivatives.assignments)
     of_residual = needed(written, derivatives.residual)
-    of_both = needed(written, (*derivatives.residual, *(entry.value for row in entries for entry in row)))
+    of_both = needed(written, (*derivatives.residual, *(entry.value for entry in entries)))
     # Long expressions are a straight-line program, which shares all common subexpressions already.
     is_straight = bool(derivatives.assignments)
     return [
@@ -211,8 +214,9 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
         looped(
             "step_jacobian",
             f"Fill the residual, and the entries of its `jacobian` (UNKNOWNS UNKNOWNS,) by {listed} that are not zero.",
-            ("unknowns", *_ARGUMENTS, "residual", "jacobian"), codes, [[*height, *slopes] for height, slopes in zip(residual, entries, strict=True)],
+            ("unknowns", *_ARGUMENTS, "residual", "jacobian"), codes, [*residual, *entries],
             () if is_straight else of_both, KERNEL, straight_line=of_both if is_straight else (),
+            row_of=[*range(len(residual)), *row_of],
         ),
         looped(
             "complete_step",
