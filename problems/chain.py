@@ -8,6 +8,8 @@ and Wanner (2006), Geometric numerical integration, section VII.1.4. All quantit
 g = 9.81.
 """
 
+from itertools import pairwise
+
 from sympy import cos, sin
 
 from codegen import Simulate, coordinates, parameters
@@ -16,16 +18,15 @@ from codegen.drawing import Rod, Trail
 
 def problem(links: int = 64, angle: float = 0.5) -> Simulate:
     q, dq = coordinates(" ".join(f"x{i} y{i}" for i in range(1, links + 1)))
-    m, rod, g, a = parameters(m=1 / links, rod=1 / links, g=9.81, a=angle)
+    m, rod, g, tilt = parameters(m=1 / links, rod=1 / links, g=9.81, tilt=angle)
     joints = [(0, 0), *zip(q[::2], q[1::2], strict=True)]
-    start = {x: i * rod * sin(a) for i, x in enumerate(q[::2], 1)} | {y: -i * rod * cos(a) for i, y in enumerate(q[1::2], 1)}
+    down = {y: -i * rod * cos(tilt) for i, y in enumerate(q[1::2], start=1)}
+    start = {x: i * rod * sin(tilt) for i, x in enumerate(q[::2], start=1)} | down
     return Simulate(
         lagrangian=m * sum(v**2 for v in dq) / 2 - m * g * sum(q[1::2]),
-        constraint=[
-            (x - x0) ** 2 + (y - y0) ** 2 - rod**2 for (x0, y0), (x, y) in zip(joints, joints[1:], strict=False)
-        ],
+        constraint=[(x - a) ** 2 + (y - b) ** 2 - rod**2 for (a, b), (x, y) in pairwise(joints)],
         duration=2,
         start=start | dict.fromkeys(dq, 0),
         steps=1000,
-        drawing=[Trail(joints[-1]), *map(Rod, joints, joints[1:])],
+        drawing=[Trail(joints[-1]), *(Rod(*ends) for ends in pairwise(joints))],
     )

@@ -246,19 +246,23 @@ class _System:
             present = self._present(i)
             for y in sorted(present, key=lambda y: (y != self.unknowns[i], self.places[y])):
                 others = readers[y] - {i}
-                if len(present) > 2 and others or (i, y) in self.rejected:
+                if (len(present) > 2 and others) or (i, y) in self.rejected:
                     continue
                 solution = self._solution(i, y)
                 trusted = {STEP} if y != self.unknowns[i] else self.constants | {STEP}
-                is_safe = len(present) == 1 or solution is not None and solution[0].free_symbols <= trusted
-                if solution is None or not is_safe or expressions.longer_than(_SUBSTITUTED, [solution[1]] if others else []):
+                is_determined = len(present) == 1  # then other equations keep the symbol
+                if (
+                    solution is None
+                    or not (is_determined or solution[0].free_symbols <= trusted)
+                    or (others and not is_determined and expressions.longer_than(_SUBSTITUTED, [solution[1]]))
+                ):
                     self.rejected.add((i, y))
                     continue
                 del self.equations[i]
                 self.open.discard(y)
                 self.assignments.append((y, solution[1]))
                 for j in sorted(others):
-                    if len(present) > 1:
+                    if not is_determined:
                         self.equations[j] = _Equation.of(self.equations[j].expression.xreplace({y: solution[1]}))
                     for z in self._present(j):
                         readers[z].add(j)

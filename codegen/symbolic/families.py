@@ -1,8 +1,8 @@
 """Families of alike rows: rows of expressions that differ only in their symbols, such as the equations of a chain.
 
-Each row has its symbols in natural order, in which x9 precedes x10. Two rows belong to one family if the rows are equal
-after their symbols, in this order, are replaced by the same slots. Alike rows are found only if their symbols have alike
-names; other rows are families of one member. Only one row of a family is differentiated, or printed as code.
+The symbols of a row are in natural order, in which x9 precedes x10. Two rows belong to one family if they are equal
+after the symbols of both, in this order, are replaced by the same slots. So alike rows are found only if the names of
+their symbols are alike. Only one row of a family is differentiated, or printed as code.
 """
 
 from __future__ import annotations

@@ -235,7 +235,9 @@ class Text:
 
 def _is_table(node: ast.stmt) -> bool:
     """Return True for an array of numbers, such as the indices of a loop."""
-    return isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and ast.unparse(node.value.func) == "np.array"
+    return (
+        isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and ast.unparse(node.value.func) == "np.array"
+    )
 
 
 def _lookup(table: TableData, a: Arithmetic, parameters: Operand, *at: Operand) -> tuple[Operand, ...]:
