@@ -245,7 +245,7 @@ class _System:
             i = waiting.popleft()
             present = self._present(i)
             for y in sorted(present, key=lambda y: (y != self.unknowns[i], self.places[y])):
-                others = readers[y] - {i}
+                others = {j for j in readers[y] if j != i and j in self.equations}
                 if (len(present) > 2 and others) or (i, y) in self.rejected:
                     continue
                 solution = self._solution(i, y)
