@@ -39,7 +39,7 @@ from codegen.discretise.model.definitions import Boundary, CanonicalPairs, Linea
 from codegen.discretise.schemes.base import Scheme
 from codegen.errors import BoundaryError, DegenerateError, ExpressionError, SizeError
 from codegen.symbolic import checks as expressions
-from codegen.symbolic.derivatives import gradient
+from codegen.symbolic.derivatives import gradient, partials
 from codegen.symbolic.zeros import identically_zero
 
 Row: TypeAlias = tuple[Expr, ...]
@@ -55,9 +55,9 @@ _SINGULAR = 1e-11
 def is_linear(function: Expr, rates: Sequence[Symbol]) -> bool:
     """Return True if a Lagrangian contains velocities, and is linear in all of them."""
     at_rest = dict.fromkeys(rates, S.Zero)
-    theta = [diff(function, v).xreplace(at_rest) for v in rates]
-    linear = Add(function.xreplace(at_rest), *(a * v for a, v in zip(theta, rates, strict=True)))
-    return any(a != 0 for a in theta) and identically_zero(function - linear)
+    theta = {v: slope.xreplace(at_rest) for v, slope in partials(function, rates).items()}
+    linear = Add(function.xreplace(at_rest), *(a * v for v, a in theta.items()))
+    return any(a != 0 for a in theta.values()) and identically_zero(function - linear)
 
 
 def first_order_form(model: Model, points: Points) -> Model:

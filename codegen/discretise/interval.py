@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import sympy
 from sympy import Dummy, Expr, Rational, S, Symbol
@@ -346,8 +347,10 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
     inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(rule.nodes) - 1)]
     motion = PolynomialMotion(STEP, rule.nodes, (q_sites.left, *inner, q_sites.right))
 
+    position, velocity = cache(motion.position), cache(motion.velocity)
+
     def at(function: Expr, c: Expr, controls: Sequence[Expr]) -> Expr:
-        return substitute(model, function, motion.position(c), motion.velocity(c), controls, c)
+        return substitute(model, function, position(c), velocity(c), controls, c) if function != 0 else S.Zero
 
     def force_at(f: Expr, i: int, c: Expr) -> Expr:
         if q_sites.controlled == "nodal" and not inner:

@@ -36,7 +36,7 @@ of assignments, needs about n^3/6 products. Source: Golub and Van Loan (2013), M
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
@@ -67,7 +67,7 @@ from codegen.discretise.rotations import in_body_frames, in_quaternions, step_wi
 from codegen.discretise.schemes.base import Scheme
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic import checks as expressions
-from codegen.symbolic.derivatives import accumulate, gradient, hessian_samples, program_of
+from codegen.symbolic.derivatives import accumulate, gradient, hessian_samples, partials, program_of
 from codegen.symbolic.graph import ONE, Assignment, Graph
 from codegen.symbolic.zeros import identically_zero
 
@@ -75,6 +75,10 @@ _EXPANSION_LIMIT = 200
 """Greatest number of operations, and of terms, of sums that are expanded to test linearity."""
 _PIVOT_LIMIT = 20
 """Greatest number of operations of a coefficient with roots by which an equation of first-order dynamics is divided."""
+_MANY = 100
+"""Number of equations from which unknowns are eliminated without fill-in."""
+_SUBSTITUTED = 20
+"""Greatest number of operations of a solution that is substituted into one of many equations."""
 _GROWTH_LIMIT = 150
 """Greatest number of operations that substitutions add to the equations; more make a numerical solution cheaper."""
 
@@ -101,7 +105,7 @@ def eliminate(
     `constants` are the symbols that are constant along a trajectory. Equations are tried in both orders; the result has
     the fewest unknowns for Newton's method, then the fewest operations. No equation is divided by a coefficient with
     roots, such as sqrt(6), that has more operations than `longest`: sympy takes minutes for the signs of polynomials in
-    roots, and a numerical solution with exchange of rows is cheap.
+    roots, and a numerical solution with exchange of rows is cheap. Many equations are solved without fill-in.
     """
 
     def cost(result: Elimination) -> tuple[int, bool, int]:
@@ -110,6 +114,8 @@ def eliminate(
         return len(result.unknowns), not result.linear, operations
 
     forward = range(len(unknowns))
+    if len(unknowns) >= _MANY:
+        return _System(equations, unknowns, frozenset(constants), longest).solved(forward, is_large=True)
     first = _System(equations, unknowns, frozenset(constants), longest).solved(forward)
     if len(first.unknowns) in (0, len(unknowns)):
         return first  # another order leaves the same number
@@ -149,8 +155,10 @@ class _System:
         self.rejected: set[tuple[int, Symbol]] = set()
         self.limit = sum(e.operations for e in self.equations.values()) + _GROWTH_LIMIT
 
-    def solved(self, order: Sequence[int]) -> Elimination:
-        while self._solve_determined(order) or self._eliminate(order):
+    def solved(self, order: Sequence[int], is_large: bool = False) -> Elimination:
+        if is_large:
+            self._eliminate_without_fill()
+        while not is_large and (self._solve_determined(order) or self._eliminate(order)):
             pass
         # Sort: an assignment follows the values that it reads. Those that read no open unknown come first.
         waiting, before, after = list(self.assignments), list[Assignment](), list[Assignment]()
@@ -161,10 +169,13 @@ class _System:
                 if not ready:
                     break
                 sequence += ready
-                waiting = [assignment for assignment in waiting if assignment not in ready]
-        residual = tuple(e.expression for e in self.equations.values())
+                placed = {y for y, _ in ready}
+                waiting = [assignment for assignment in waiting if assignment[0] not in placed]
+        equations = self.equations.values()
+        residual = tuple(e.expression for e in equations)
         unknowns = tuple(y for y in self.unknowns if y in self.open)
-        linear = all(linear_in(e, y, self.open) is not None for e in residual for y in unknowns if e.has(y))
+        longest = sorted(equations, key=lambda e: -e.operations)  # which are most often nonlinear
+        linear = all(linear_in(e.expression, y, self.open) is not None for e in longest for y in e.symbols & self.open)
         return Elimination(tuple(before), unknowns, residual, tuple(after), linear)
 
     def _solve_determined(self, order: Sequence[int]) -> bool:
@@ -229,6 +240,49 @@ class _System:
         slopes = [abs(self.equations[i].expression.diff(z).xreplace(short)) for z in present if z != y]
         own = abs(self.equations[i].expression.diff(y).xreplace(short))
         return any(slope.is_number and own < _SMALL * slope for slope in slopes)
+
+    def _eliminate_without_fill(self) -> None:
+        """Solve equations for unknowns that occur in no other equation, or depend on at most one other unknown.
+
+        No equation gets more unknowns. The work is proportional to the number of equations, and alike equations are
+        treated alike. Solutions are short, so that a series of substitutions cannot grow.
+        """
+        readers: dict[Symbol, set[int]] = {y: set() for y in self.unknowns}
+        for i in self.equations:
+            for y in self._present(i):
+                readers[y].add(i)
+        waiting = deque(self.equations)
+        while waiting:
+            i = waiting.popleft()
+            present = self._present(i)
+            for y in sorted(present, key=lambda y: (y != self.unknowns[i], self.places[y])):
+                others = {j for j in readers[y] if j != i and j in self.equations}
+                if (len(present) > 2 and others) or (i, y) in self.rejected:
+                    continue
+                solution = self._solution(i, y)
+                trusted = {STEP} if y != self.unknowns[i] else self.constants | {STEP}
+                is_determined = len(present) == 1  # then other equations keep the symbol
+                if (
+                    solution is None
+                    or not (is_determined or solution[0].free_symbols <= trusted)
+                    or (others and not is_determined and expressions.longer_than(_SUBSTITUTED, [solution[1]]))
+                    or (y != self.unknowns[i] and self._is_small(i, y))
+                ):
+                    self.rejected.add((i, y))
+                    continue
+                del self.equations[i]
+                self.open.discard(y)
+                self.assignments.append((y, solution[1]))
+                for j in sorted(others):
+                    if not is_determined:
+                        self.equations[j] = _Equation.of(self.equations[j].expression.xreplace({y: solution[1]}))
+                    for z in self._present(j):
+                        readers[z].add(j)
+                        self.rejected.discard((j, z))
+                for z in present:
+                    readers[z].discard(i)
+                waiting += sorted({*others, *(j for z in present & self.open for j in readers[z])})
+                break
 
     def _present(self, i: int) -> AbstractSet[Symbol]:
         return self.equations[i].symbols & self.open if i in self.equations else frozenset()
@@ -299,7 +353,8 @@ def in_bands(solution: Elimination) -> Elimination:
     """
     if len(solution.unknowns) < _LARGE:
         return solution
-    pattern = np.array([[y in equation.free_symbols for y in solution.unknowns] for equation in solution.residual])
+    present = [equation.free_symbols for equation in solution.residual]
+    pattern = np.array([[y in symbols for y in solution.unknowns] for symbols in present])
     order = reverse_cuthill_mckee(csr_array(pattern.T.astype(int) @ pattern.astype(int)), symmetric_mode=True)
     middles = [np.flatnonzero(row).mean() for row in pattern[:, order]]
     rows = np.argsort(middles, kind="stable")
@@ -456,7 +511,8 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
     left = (*at_nodes(phase.coordinates, "_k"), *at_nodes(phase.rates, "_k"))
     right = (*at_nodes(phase.coordinates, "_k1"), *at_nodes(phase.rates, "_k1"))
     lengths, part = repeated(scheme)
-    constraints = tuple[ConstraintAtNode, ...]()
+    constraints, speeds = tuple[ConstraintAtNode, ...](), list[Assignment]()
+    assigned = [(w, _at(phase, value, left)) for w, value in stepwise.assignments] if stepwise else []
     if method == "variational":
         lagrangian = legendre.lagrangian_form(model)
         velocities = [_at(phase, v, left) for v in stepwise.velocities] if stepwise else _mean_velocities(phase, left)
@@ -467,11 +523,12 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         else:
             at_left = velocities if stepwise else rates_of_change(phase, left)[: len(phase.coordinates)]
             step = _variational_step(lagrangian, part, left, right, velocities, at_left)
-        constraints = _constraints(lagrangian, left, at_left)
+        speed = Symbol(Names(lagrangian).numbered("speed"), real=True)
+        constraints = _constraints(lagrangian, left, at_left, speed)
+        speeds = [(speed, sympy.sqrt(Add(*(v**2 for v in at_left))))] if constraints else []
     else:
         step, at_left = _one_step(phase, part, left, right, lengths), []
     is_mechanical = phase.form != "first-order"
-    assigned = [(w, _at(phase, value, left)) for w, value in stepwise.assignments] if stepwise else []
     found = events.NONE
     if model.events or model.gaps:
         moving: Sequence[Expr] = left[len(model.coordinates) :]
@@ -503,7 +560,7 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         equations=step.equations,
         summary=step.summary,
         energy=None if energy is None else _at(phase, energy, left),
-        state_assignments=tuple(assigned),
+        state_assignments=(*assigned, *speeds),
         start_values=start_values,
         start=tuple(value for value in (*phase.start.positions, *phase.start.rates) if value is not None),
         lengths=lengths,
@@ -538,14 +595,17 @@ def _phase_space(model: Model, method: str) -> tuple[Model, PhaseFunctions | Non
     return legendre.in_phase_space(model) if stepwise else legendre.hamiltonian_form(model), stepwise
 
 
-def _constraints(model: Model, left: Sequence[Symbol], velocities: Sequence[Expr]) -> tuple[ConstraintAtNode, ...]:
+def _constraints(
+    model: Model, left: Sequence[Symbol], velocities: Sequence[Expr], speed: Symbol
+) -> tuple[ConstraintAtNode, ...]:
     """Return the constraints at the left node, where the coordinates have the given velocities.
+
+    `speed` is the length of the vector of all velocities.
 
     A rolling constraint A v + b has the value zero, the rate A v + b and the gradient A.
     """
     positions = dict(zip(model.coordinates, left, strict=False))
     at_node = {**positions, **dict(zip(model.rates, velocities, strict=True))}
-    speed = sympy.sqrt(Add(*(v**2 for v in velocities)))
     at_rest = dict.fromkeys(model.rates, S.Zero)
     held = [
         *(
@@ -756,8 +816,9 @@ def rates_of_change(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
     """Return the time derivatives of the state at the left node: of (q, p), or of x in first-order dynamics."""
     if phase.form == "first-order":
         return [_at(phase, rate, left) for rate in phase.dynamics]
-    velocity = [diff(phase.function, p) for p in phase.rates]
-    slope = [f - diff(phase.function, q) for q, f in zip(phase.coordinates, phase.force, strict=True)]
+    slopes = partials(phase.function, (*phase.coordinates, *phase.rates))
+    velocity = [slopes.get(p, S.Zero) for p in phase.rates]
+    slope = [f - slopes.get(q, S.Zero) for q, f in zip(phase.coordinates, phase.force, strict=True)]
     return [_at(phase, value, left) for value in (*velocity, *slope)]
 
 

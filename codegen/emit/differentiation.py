@@ -35,6 +35,7 @@ from codegen.errors import ArgumentError
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.derivatives import first_derivatives, mixed_derivatives, second_derivatives
 from codegen.symbolic.derivatives import jacobian as differentiated
+from codegen.symbolic.families import Family, are_many, families
 from codegen.symbolic.graph import Assignment
 from codegen.symbolic.zeros import identically_zero
 
@@ -201,7 +202,10 @@ def step_derivatives(program: StepProgram) -> StepDerivatives:
     """Return the residual of a step and its Jacobian; assignments before the step do not depend on its unknowns."""
     fixed = {*program.model.parameters, STEP}
     residual, assignments = program.residual, tuple[Assignment, ...]()
-    if sum(int(r.count_ops()) for r in residual) < _LONG_STEP:
+    found = families([[r] for r in residual], set(program.unknowns).__contains__)
+    if are_many(found):
+        jacobian = _jacobian_of(found, program.unknowns)
+    elif sum(int(r.count_ops()) for r in residual) < _LONG_STEP:
         slopes = [[sympy.diff(r, y) for y in program.unknowns] for r in residual]
         jacobian = tuple(tuple(sympy.S.Zero if identically_zero(s) else s for s in row) for row in slopes)
     else:
@@ -212,6 +216,25 @@ def step_derivatives(program: StepProgram) -> StepDerivatives:
         jacobian = tuple(tuple(entries.get((i, j), sympy.S.Zero) for j in columns) for i in range(len(residual)))
     constant = all(entry.free_symbols <= fixed for row in jacobian for entry in row)
     return StepDerivatives(residual, jacobian, constant, assignments)
+
+
+def _jacobian_of(found: Sequence[Family], unknowns: Sequence[Symbol]) -> tuple[tuple[Expr, ...], ...]:
+    """Return the Jacobian (dense, row by row) of the rows of families: one member of each family is differentiated."""
+    places = {y: j for j, y in enumerate(unknowns)}
+    rows = dict[int, tuple[Expr, ...]]()
+    for family in found:
+        (template,) = family.template
+        slopes = dict[int, Expr]()
+        for index, (slot, symbol) in enumerate(zip(family.slots, family.members[0].symbols, strict=True)):
+            if symbol in places and not identically_zero(slope := sympy.diff(template, slot)):
+                slopes[index] = slope
+        for member in family.members:
+            symbols = dict(zip(family.slots, member.symbols, strict=True))
+            row = [sympy.S.Zero] * len(unknowns)
+            for index, slope in slopes.items():
+                row[places[member.symbols[index]]] = slope.xreplace(symbols)
+            rows[member.row] = tuple(row)
+    return tuple(row for _, row in sorted(rows.items()))
 
 
 def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, fixed: Collection[int] = ()) -> ElementDerivatives:

@@ -277,8 +277,23 @@ def gradient(function: Expr, symbols: Iterable[Symbol]) -> tuple[Expr, ...]:
     """Return the derivatives of a function with respect to symbols, each as one expression."""
     ordered = tuple(symbols)
     if function.count_ops() < _LONG:
-        return tuple(sympy.diff(function, symbol) for symbol in ordered)
+        slopes = partials(function, ordered)
+        return tuple(slopes.get(symbol, sympy.S.Zero) for symbol in ordered)
     return _along(function, [{symbol: sympy.S.One} for symbol in ordered])
+
+
+def partials(function: Expr, symbols: Iterable[Symbol]) -> dict[Symbol, Expr]:
+    """Return the derivatives with respect to those symbols that occur; a sum is differentiated term by term.
+
+    Each term is differentiated with respect to its own symbols. The time is proportional to the length of a sum whose
+    terms have few symbols.
+    """
+    wanted = dict.fromkeys(symbols)
+    terms: dict[Symbol, list[Expr]] = {}
+    for term in sympy.Add.make_args(function):
+        for symbol in term.free_symbols & wanted.keys():
+            terms.setdefault(symbol, []).append(term)
+    return {s: sympy.Add(*(sympy.diff(term, s) for term in terms[s])) for s in wanted if s in terms}
 
 
 def variation(function: Expr, displacements: Mapping[Symbol, Expr]) -> Expr:
@@ -295,11 +310,20 @@ def _along(function: Expr, directions: Sequence[Mapping[Symbol, Expr]]) -> tuple
     graph = Graph(sorted(set().union(*directions), key=lambda symbol: symbol.name))
     value = graph.of(function)
     order = [node for node in graph.reachable([value]) if graph.varies[node]]
+    readers: dict[int, list[int]] = {}
+    for node in order:
+        for argument in arguments(graph.nodes[node]):
+            readers.setdefault(argument, []).append(node)
     derivatives = []
     for direction in directions:
         tangents = {graph.of(symbol): graph.of(displacement) for symbol, displacement in direction.items()}
-        for node in order:
-            if node in tangents or tangents.keys().isdisjoint(arguments(graph.nodes[node])):
+        depending, waiting = set[int](), list(tangents)
+        while waiting:
+            new = [node for node in readers.get(waiting.pop(), ()) if node not in depending]
+            depending.update(new)
+            waiting += new
+        for node in sorted(depending):
+            if node in tangents:
                 continue
             tangents[node] = graph.sum(
                 (tangents[a] if slope is None else graph.times(slope, tangents[a]), factor)

@@ -249,6 +249,39 @@ def test_nothing_is_written_where_a_derivative_is_wrong(tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.fixture(scope="module")
+def of_ring():
+    """Beads on a ring with springs between neighbours, of which one is stiffer than the others."""
+    q, v = coordinates(" ".join(f"q{i}" for i in range(60)))
+    stiff, k = parameters(stiff=2.0, k=1.0)
+    stretches = zip(q, (*q[1:], q[0]), strict=True)
+    springs = sum((stiff if i == 20 else k) * (1 - cos(b - a)) for i, (a, b) in enumerate(stretches))
+    return prepared(
+        Simulate(
+            lagrangian=sum(w**2 for w in v) / 2 - springs,
+            duration=1,
+            start={x: i / 100 for i, x in enumerate(q)} | dict.fromkeys(v, 0),
+            steps=20,
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("function", "pattern", "replacement"),
+    [
+        ("step_jacobian", r"for i in range\((\d+)\)", lambda match: f"for i in range({int(match[1]) - 1})"),
+        ("step_jacobian", r"(state\[.*i \+ )(\d+)\]", lambda match: f"{match[1]}{int(match[2]) - 1}]"),
+        ("step_equations", r"(residual\[.*i, 0\].*?\] = )", lambda match: f"{match[1]}1e-3 + "),
+    ],
+    ids="repetition index value".split(),
+)
+def test_defects_in_loops_over_alike_rows_are_found(of_ring, function, pattern, replacement):
+    program, text = of_ring
+    verify.verify(program, text)
+    with pytest.raises(VerificationError, match="the emitted code gives"):
+        verify.verify(program, changed(text, function, pattern, replacement))
+
+
 def test_where_no_condition_of_a_piecewise_function_holds_there_is_no_number():
     x, v = states("x v")
     u, t = control("u"), time()

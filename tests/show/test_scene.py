@@ -21,7 +21,7 @@ from codegen.show.films import fine_times, scene
 from codegen.solving.results.result import Result
 
 DRAWN = (
-    "acrobot brachistochrone cart_pendulum cart_pole chaplygin_sleigh convoy crane double_pendulum_cartesian "
+    "acrobot brachistochrone cart_pendulum cart_pole chain chaplygin_sleigh convoy crane double_pendulum_cartesian "
     "drone_in_space dzhanibekov four_bar heavy_top hovercraft linear_pendulum low_thrust n_link_pendulum newton_cradle "
     "orbital_transfer pendulum pendulum_swing_up point_vortices quadrotor resting_ball rolling_disc snakeboard "
     "spherical_pendulum two_link_arm"

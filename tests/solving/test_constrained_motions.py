@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
-from scipy.special import ellipj, ellipk
+from scipy.special import ellipj, ellipk, eval_laguerre, roots_laguerre
 from sympy import cos, sin
 
 import codegen
@@ -410,9 +410,9 @@ def chain(links: int) -> Simulate:
     )
 
 
-def test_steps_of_a_chain_are_solved_in_a_band():
+@pytest.mark.parametrize("links", [6, 12], ids="written out, in loops".split(", "))
+def test_steps_of_a_chain_are_solved_in_a_band(links):
     """The reference is DOP853 for the angles of the links to the vertical."""
-    links = 6
 
     def field(t, state):
         angle, rate = state[:links], state[links:]
@@ -431,3 +431,34 @@ def test_steps_of_a_chain_are_solved_in_a_band():
     errors = [np.abs(solver.solve(steps=n).q[-1] - exact).max() for n in steps]
     assert slopes(errors, steps) == pytest.approx(2, abs=0.1)
     assert errors[-1] < 1e-4
+
+
+@pytest.fixture(scope="module")
+def long_chain():
+    return codegen.compile(PROBLEMS / "chain.py", scheme="trapezoidal")
+
+
+def test_long_chain_keeps_constraints_and_energy(long_chain):
+    result = long_chain.solve(steps=2000)
+    places = np.hstack([np.zeros((len(result.t), 2)), result.q])
+    lengths = np.hypot(*(np.diff(places[:, i::2]) for i in range(2)))
+    assert np.abs(64 * lengths - 1).max() < 1e-12
+    energies = (32 * result.p**2).sum(axis=1) + 9.81 * result.q[:, 1::2].mean(axis=1)
+    errors = np.abs(energies - energies[0])
+    assert errors.max() < 1e-5
+    assert errors[1500:].max() < 2 * errors[:500].max()
+
+
+def test_long_chain_swings_in_its_lowest_mode(long_chain):
+    """Small swings of n beads on a chain of length 1 have omega^2 = g n z with a zero z of the Laguerre polynomial L_n.
+
+    The bead above j others is displaced in proportion to L_j(z), by the recurrence of the polynomials.
+    """
+    n, amplitude = 64, 1e-6
+    z = roots_laguerre(n)[0][0]
+    across = amplitude * np.array([eval_laguerre(n - i, z) for i in range(1, n + 1)])
+    down = -np.cumsum(np.sqrt(1 / n**2 - np.diff(across, prepend=0) ** 2))
+    start = np.concatenate([np.column_stack([across, down]).ravel(), np.zeros(2 * n)])
+    result = long_chain.module.solve(1000, start=start)
+    exact = np.outer(np.cos(np.sqrt(9.81 * n * z) * result.t), across)
+    assert np.abs(result.q[:, ::2] - exact).max() < 1e-4 * amplitude

@@ -15,6 +15,7 @@ from codegen.errors import CodegenError
 from codegen.problem.problem import Control, Expression, Relation, Relations
 from codegen.problem.symbols import Quantity
 from codegen.symbolic import checks as expressions
+from codegen.symbolic.derivatives import partials
 
 Points = Sequence[Mapping[sympy.Symbol, float]]
 Scope = Mapping[str, tuple[type[Quantity], ...]]
@@ -124,7 +125,8 @@ def conditions_of(entries: Sequence[Entry], role: str) -> tuple[Condition, ...]:
 def is_constant(condition: Condition, symbols: Sequence[sympy.Symbol], points: Points) -> bool:
     """Return True if all derivatives with respect to the symbols, tested from the shortest, vanish at trial points."""
     present = [symbol for symbol in symbols if symbol in condition.expression.free_symbols]
-    present.sort(key=lambda symbol: sympy.count_ops(sympy.diff(condition.expression, symbol)))
+    slopes = partials(condition.expression, present)
+    present.sort(key=lambda symbol: sympy.count_ops(slopes[symbol]))
     return all(dependent([condition], [symbol], points) for symbol in present)
 
 
@@ -132,7 +134,8 @@ def dependent(conditions: Sequence[Condition], symbols: Sequence[sympy.Symbol], 
     """Return the names of conditions whose gradients are linearly dependent at all trial points, or ""."""
     if not conditions:
         return ""
-    slopes = [sympy.diff(c.expression, s) for c in conditions for s in symbols]
+    rows = [partials(c.expression, symbols) for c in conditions]
+    slopes = [row.get(s, sympy.S.Zero) for row in rows for s in symbols]
     weights = expressions.dependent_rows(sympy.Matrix(len(conditions), len(symbols), slopes), points)
     if weights is None:
         return ""

@@ -46,6 +46,7 @@ from codegen.errors import ArgumentError, DegenerateError, ExpressionError, Sche
 from codegen.problem.problem import Control, Simulate
 from codegen.problem.symbols import Coordinate, Parameter, Time
 from codegen.runtime.record import Kind, Meaning
+from codegen.symbolic.derivatives import partials
 
 
 class Holonomic(ConditionKind):
@@ -132,8 +133,9 @@ class Constraints:
     def along(self) -> list[Expr]:
         """The forces G^T kappa of all constraints; rolling constraints have A in place of the gradient G."""
         kappa = [Symbol(unknown.name, real=True) for unknown in self.kappa]
-        potential = sum((k * c for k, c in zip(kappa, self.model.holonomic, strict=False)), S.Zero)
-        forces = [sympy.diff(potential, q) for q in self.model.coordinates]
+        potential = sympy.Add(*(k * c for k, c in zip(kappa, self.model.holonomic, strict=False)))
+        slopes = partials(potential, self.model.coordinates)
+        forces = [slopes.get(q, S.Zero) for q in self.model.coordinates]
         for k, row in zip(kappa[len(self.model.holonomic) :], self.rows, strict=True):
             forces = [force + k * entry for force, entry in zip(forces, row, strict=True)]
         return forces
@@ -211,9 +213,10 @@ class Constraints:
 
 def rates(model: Model) -> tuple[Expr, ...]:
     """Return the time derivatives G v + dc/dt of the constraints, in the coordinates and velocities of the model."""
-    moving = list(zip(model.coordinates, model.rates, strict=model.form != "first-order"))
+    moving = dict(zip(model.coordinates, model.rates, strict=model.form != "first-order"))
     return tuple(
-        sympy.Add(sympy.diff(c, model.time), *(sympy.diff(c, q) * v for q, v in moving)) for c in model.holonomic
+        sympy.Add(sympy.diff(c, model.time), *(slope * moving[q] for q, slope in partials(c, moving).items()))
+        for c in model.holonomic
     )
 
 

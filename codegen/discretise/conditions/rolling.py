@@ -103,7 +103,7 @@ class Rolling(ConditionKind):
                 raise DegenerateError(f"rolling {condition} depends on no velocity", "leave it out")
         holonomic = [
             Condition(f"d/dt ({text(c)}) = 0", sympy.Matrix([c]).jacobian(model.coordinates).dot(model.rates))
-            for c in model.holonomic
+            for c in (model.holonomic if named else ())
         ]
         if named and (names := dependent([*holonomic, *named], model.rates, points)):
             raise DegenerateError(f"the constraints {names} depend on each other", "leave out one of them")

@@ -17,7 +17,7 @@ from sympy.simplify.fu import TR8
 from codegen.discretise.model.definitions import Boundary, Model, prescribed
 from codegen.errors import BoundaryError, DegenerateError, SizeError, SymbolError
 from codegen.symbolic import checks as expressions
-from codegen.symbolic.derivatives import gradient
+from codegen.symbolic.derivatives import gradient, partials
 from codegen.symbolic.zeros import identically_zero
 
 _ADJUGATE_LIMIT = 3
@@ -157,7 +157,7 @@ def _inverse_operations(matrix: sympy.Matrix) -> float:
 
 def _simplified_entry(entry: sympy.Expr) -> sympy.Expr:
     """Return the shortest of an entry, its expansion, and a trigonometric simplification, which exposes zeros."""
-    if entry.count_ops() > _SIMPLIFY_LIMIT:
+    if not entry.args or entry.count_ops() > _SIMPLIFY_LIMIT:
         return entry
     expanded = sympy.expand(entry)
     candidates = [entry, expanded]
@@ -186,7 +186,7 @@ def _transformed(model: Model, form: str) -> Model:
 def _dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
     """Return y.x - f(x) and x(y): f is the function of the model, x are its rates, y = df/dx the `conjugates`."""
     function, rates = model.function, model.rates
-    hessian = sympy.hessian(function, rates)
+    hessian = _hessian(function, rates)
     null = expressions.null_direction(expressions.values_at(hessian, point) for point in _trial_points(model))
     if null is not None:
         names = " ".join(str(y) for y, weight in zip(conjugates, null, strict=True) if abs(weight) > 1e-6)
@@ -202,8 +202,17 @@ def _dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr,
     shifted = tuple(y - slope.xreplace(at_rest) for y, slope in zip(conjugates, gradient(function, rates), strict=True))
     solved = solve_blocks(hessian, shifted)
     # f = x.Mx/2 + b.x - V gives y.x - f = (y - b).M^-1 (y - b)/2 + V, without the products that would cancel.
-    half = sum((s * x for s, x in zip(shifted, solved, strict=True)), sympy.S.Zero) / 2
+    half = sympy.Add(*(s * x for s, x in zip(shifted, solved, strict=True))) / 2
     return sympy.expand_mul(half, deep=False) - function.xreplace(at_rest), solved
+
+
+def _hessian(function: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> sympy.Matrix:
+    places, entries = {symbol: i for i, symbol in enumerate(symbols)}, dict[tuple[int, int], sympy.Expr]()
+    for symbol, slope in partials(function, symbols).items():
+        i = places[symbol]
+        for other, value in partials(slope, symbols[i:]).items():
+            entries[i, places[other]] = entries[places[other], i] = value
+    return sympy.Matrix(len(symbols), len(symbols), lambda i, j: entries.get((int(i), int(j)), sympy.S.Zero))
 
 
 def _trial_points(model: Model) -> Iterator[dict[sympy.Symbol, float]]:

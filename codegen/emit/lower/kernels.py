@@ -38,10 +38,19 @@ class Line:
 
 
 @dataclass(frozen=True)
+class Loop:
+    """Lines that are repeated `count` times; their code may contain the number i of the repetition."""
+
+    count: int
+    lines: tuple[Line, ...]
+
+
+@dataclass(frozen=True)
 class Kernel:
     """A numba function: `inputs` unpack arrays, `body` holds the common subexpressions, `outputs` fill arrays.
 
-    `results` has the code of the returned value, if any; `decorators` are lines above the function.
+    `results` has the code of the returned value, if any; `decorators` are lines above the function. `loops` fill arrays
+    after `outputs`, and read the `tables`, which are constants of the module.
     """
 
     name: str
@@ -54,6 +63,8 @@ class Kernel:
     operations_before: int
     operations_after: int
     decorators: tuple[str, ...]
+    loops: tuple[Loop, ...] = ()
+    tables: tuple[Line, ...] = ()
 
 
 @dataclass(frozen=True)

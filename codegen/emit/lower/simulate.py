@@ -11,6 +11,7 @@ from codegen.discretise.program import StepProgram
 from codegen.emit.differentiation import StepDerivatives
 from codegen.emit.lower.events import event_fields, event_kernels, event_lines
 from codegen.emit.lower.kernels import KERNEL, VALUE, Kernel, Line, Output, kernel, needed
+from codegen.emit.lower.loops import looped
 from codegen.emit.lower.module import SimulateModule, arguments_of, record_fields
 from codegen.emit.lower.printer import readable, scalar_code
 from codegen.emit.lower.tables import (
@@ -25,6 +26,7 @@ from codegen.emit.lower.tables import (
 from codegen.runtime.record import Form, Method, SimulationRecord, StepSolver, phrase
 from codegen.symbolic.checks import longer_than
 from codegen.symbolic.derivatives import values_of
+from codegen.symbolic.families import are_many, families
 from codegen.symbolic.functions import tables_of
 from codegen.symbolic.graph import StraightLine
 from codegen.symbolic.tables import TableData
@@ -48,10 +50,11 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     inside = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
     inside |= {symbol: code for symbol, code in codes.items() if symbol not in inside}
     names, values = zip(*program.equations, strict=True)
-    straight = values_of(values) if longer_than(_LONG, values) else StraightLine(values=values)
+    is_long = longer_than(_LONG, values) and not are_many(families([[value] for value in values]))
+    straight = values_of(values) if is_long else StraightLine(values=values)
     kernels = [
         *_step_kernels(program, derivatives),
-        kernel(
+        looped(
             "step_equations",
             "Fill `residual` (STAGES + STATE,) of the equations of the scheme, in the form of the docstring above.",
             ("state", "interval", *_ARGUMENTS[1:], "residual"), inside,
@@ -116,7 +119,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         title=model.title,
         description=tuple(_description(program, kernels, described_tables(tables))),
         metadata=_record(program, derivatives, kernels, tables),
-        constants=(*lines, *table_constants(tables), *range_constants(ranged)),
+        constants=(*lines, *table_constants(tables), *range_constants(ranged), *(t for k in kernels for t in k.tables)),
         kernels=(*table_kernels(tables, len(model.parameters)), *kernels),
         sizes=(),
         public=tuple(sorted((*every, *of_steps, *(("first_outside",) if ranged else ())))),
@@ -139,18 +142,18 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
 
 def _constraints_kernel(program: StepProgram, codes: Mapping[Symbol, str]) -> Kernel:
     """Return the kernel that checks of a state and messages read."""
-    outputs = list[Output]()
-    for constraint in program.constraints:
+    outputs, row_of = list[Output](), list[int]()
+    for row, constraint in enumerate(program.constraints):
         slopes = (f"its derivative by {q}" for q in program.model.coordinates)
         meanings = (constraint.name, "its rate", "scale of its rate", *slopes)
-        for value, meaning in zip(constraint.row, meanings, strict=True):
-            outputs.append(Output(f"values[{len(outputs)}]", value, meaning))
-    return kernel(
+        entries = enumerate(zip(constraint.row, meanings, strict=True), row * len(constraint.row))
+        outputs += [Output(f"values[{i}]", value, meaning) for i, (value, meaning) in entries if value != 0]
+        row_of += [row] * (len(outputs) - len(row_of))
+    return looped(
         "node_constraints",
-        "Fill `values` (constraints, 3 + coordinates): value, rate, scale of the rate, gradient, at a `state`.",
+        "Fill `values` (constraints, 3 + coordinates) but for zeros: value, rate, scale of the rate, gradient.",
         ("state", "t", "parameters", "values"), codes, outputs,
-        decorators=KERNEL,
-        straight_line=needed(program.state_assignments, [output.value for output in outputs]),
+        needed(program.state_assignments, [output.value for output in outputs]), KERNEL, row_of=row_of,
     )  # fmt: skip
 
 
@@ -173,11 +176,11 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
     interval = [Output(f"interval[{i}]", symbol, symbol.name) for i, symbol in enumerate(_interval(program))]
     if not program.unknowns:
         return [
-            kernel(
+            looped(
                 "explicit_step",
                 "Fill `interval` (STAGES + STATE,) with inner stages and the state at the right node, "
                 "from `state` (STATE,).",
-                (*_ARGUMENTS, "interval"), codes, interval, None, program.before, KERNEL,
+                (*_ARGUMENTS, "interval"), codes, interval, program.before, KERNEL,
             )
         ]  # fmt: skip
     guess = [Output(f"unknowns[{i}]", value, names[i]) for i, value in enumerate(program.guess)]
@@ -188,6 +191,7 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
         for j, entry in enumerate(row)
         if entry != 0
     ]
+    row_of = [i for i, row in enumerate(derivatives.jacobian) for entry in row if entry != 0]
     listed = ", ".join(names)
     if len(listed) > _LONGEST_LIST:
         listed = "the unknowns"
@@ -197,26 +201,27 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
     # Long expressions are a straight-line program, which shares all common subexpressions already.
     is_straight = bool(derivatives.assignments)
     return [
-        kernel(
+        looped(
             "predict_step", f"Fill `unknowns` (UNKNOWNS,), {listed}, with the initial guess at `state` (STATE,).",
             (*_ARGUMENTS, "unknowns"), codes, guess,
             decorators=KERNEL, straight_line=needed(program.state_assignments, program.guess),
         ),
-        kernel(
+        looped(
             "step_residual", f"Fill `residual` (UNKNOWNS,) of the equations of a step, a function of {listed}.",
-            ("unknowns", *_ARGUMENTS, "residual"), codes, residual, None,
+            ("unknowns", *_ARGUMENTS, "residual"), codes, residual,
             () if is_straight else of_residual, KERNEL, straight_line=of_residual if is_straight else (),
         ),
-        kernel(
+        looped(
             "step_jacobian",
             f"Fill the residual, and the entries of its `jacobian` (UNKNOWNS UNKNOWNS,) by {listed} that are not zero.",
-            ("unknowns", *_ARGUMENTS, "residual", "jacobian"), codes, [*residual, *entries], None,
+            ("unknowns", *_ARGUMENTS, "residual", "jacobian"), codes, [*residual, *entries],
             () if is_straight else of_both, KERNEL, straight_line=of_both if is_straight else (),
+            row_of=[*range(len(residual)), *row_of],
         ),
-        kernel(
+        looped(
             "complete_step",
             f"Fill `interval` (STAGES + STATE,): inner stages, and the state at the right node, given {listed}.",
-            ("unknowns", *_ARGUMENTS, "interval"), codes, interval, None, (*program.before, *program.after), KERNEL,
+            ("unknowns", *_ARGUMENTS, "interval"), codes, interval, (*program.before, *program.after), KERNEL,
         ),
     ]  # fmt: skip
 

@@ -188,7 +188,8 @@ class Text:
             functions = [node for node in needed if isinstance(node, ast.FunctionDef)]
             for function in functions:
                 _Rewritten().visit(function)
-            module = ast.fix_missing_locations(ast.Module(body=[*functions], type_ignores=[]))
+            tables = [node for node in needed if _is_table(node)]
+            module = ast.fix_missing_locations(ast.Module(body=[*tables, *functions], type_ignores=[]))
             self._codes[key] = compile(module, "<kernels>", "exec")
 
         def compared(operation: Function) -> Function:
@@ -212,7 +213,7 @@ class Text:
             **{"_And": operator.and_, "_Or": operator.or_, "_Not": lambda condition: condition == False},  # noqa: E712
             **{"_power": arithmetic.power, "_where": arithmetic.where, "abs": arithmetic.absolute},
             **{"max": arithmetic.maximum, "min": arithmetic.minimum, "math": _Functions(arithmetic)},
-            **{"np": SimpleNamespace(**{"sign": arithmetic.sign}), "range": range},
+            **{"np": SimpleNamespace(**{"sign": arithmetic.sign, "array": np.array}), "range": range},
         }
         for name, table in self._tables.items():
             namespace[name] = partial(_lookup, table, arithmetic)
@@ -230,6 +231,13 @@ class Text:
                     self._reads[name] = names_read(self._parts[name])
                 waiting += self._reads[name]
         return list(dict.fromkeys(node for name, node in self._parts.items() if name in needed))
+
+
+def _is_table(node: ast.stmt) -> bool:
+    """Return True for an array of numbers, such as the indices of a loop."""
+    return (
+        isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and ast.unparse(node.value.func) == "np.array"
+    )
 
 
 def _lookup(table: TableData, a: Arithmetic, parameters: Operand, *at: Operand) -> tuple[Operand, ...]:

@@ -355,7 +355,7 @@ class _StepKernels:
         def filled(at: Mapping[Symbol, Operand], numbers: Arithmetic) -> list[Operand]:
             kernel = self.text.kernels(("step_jacobian",), numbers)["step_jacobian"]
             heights: list[Operand] = [0] * size
-            matrix: list[Operand] = [0] * size**2
+            matrix: list[Operand] = [_ABSENT] * size**2
             kernel([at[y] for y in unknowns], *self._arguments(at), heights, matrix)
             return [*heights, *matrix]
 
@@ -369,7 +369,7 @@ class _StepKernels:
             exact = [np.broadcast_to(np.asarray(value, kind), (count, size)) for value in read.evaluate(moved, numbers)]
             heights = np.stack([value[:, 0].real for value in exact], axis=1)
             slopes = np.concatenate([value.imag / step for value in exact], axis=1)
-            emitted = [np.asarray(value).reshape(-1) for value in filled(at, numbers)]
+            emitted = [v if v is _ABSENT else np.asarray(v).reshape(-1) for v in filled(at, numbers)]
             return _columns(emitted, count), np.concatenate([heights, slopes], axis=1)
 
         def opinion(entry: int, point: int) -> tuple[Sized, Operand, Operand]:
@@ -413,9 +413,15 @@ class _StepKernels:
 
 
 def _columns(values: Sequence[Operand], count: int) -> Operand:
-    return np.stack([np.broadcast_to(np.asarray(value).real, count) for value in values], axis=1)
+    columns = np.zeros((count, len(values)), np.longdouble)
+    for i, value in enumerate(values):
+        if value is not _ABSENT:
+            columns[:, i] = np.asarray(value).real
+    return columns
 
 
+_ABSENT = 0
+"""An entry that no kernel fills."""
 _PARTICLES = 3
 _SCALES = (0.6, 0.05)
 """Magnitudes of positions and momenta at which loops are compared."""

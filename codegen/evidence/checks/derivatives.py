@@ -126,7 +126,7 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     equations = function_of([*base, *interval], [value for _, value in program.equations])
     energy = None if program.energy is None else function_of(base, [program.energy], program.state_assignments)
     rows = [value for c in program.constraints for value in c.row]
-    held, constraints = np.empty(len(rows)), function_of(base, rows, program.state_assignments)
+    held, constraints = np.zeros(len(rows)), function_of(base, rows, program.state_assignments)
     residuals, heights, closed, constrained = Agreement(), Agreement(), Agreement(), Agreement()
     events = dict[str, tuple[list[str], Callable[..., Any], Agreement]]()
     for kernel, values in rows_of_events(program).items():
@@ -160,6 +160,7 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
                 **point,
                 **{h: shorter * point[h] for h in program.lengths},
                 **_unit_quaternions(point, program),
+                **(_consistent_positions(context, program) if program.model.holonomic else {}),
             }
             arguments = _step_arguments(shortened, program)
             if part_of_step(module.problem.scheme, *arguments, 1e-14, 50, after) < 0:
@@ -212,6 +213,14 @@ def _unit_quaternions(point: Point, program: StepProgram) -> dict[Symbol, float]
         numbers = np.array([point[at_left[q]] for q in quaternion])
         values |= zip([at_left[q] for q in quaternion], map(float, numbers / np.linalg.norm(numbers)), strict=True)
     return values
+
+
+def _consistent_positions(context: Context, program: StepProgram) -> dict[Symbol, float]:
+    """Return the positions at the start with the parameters of the problem: random ones violate the constraints."""
+    grid, parameters = context.module.make_grid(), program.model.parameters
+    positions = program.left_symbols[: len(program.model.coordinates)]
+    values = {program.model.time: 0.0} | dict(zip(positions, map(float, grid.start), strict=False))
+    return values | dict(zip(parameters, map(float, grid.parameters), strict=False))
 
 
 def _step_arguments(point: Point, program: StepProgram) -> tuple[Vector, float, Vector, Vector]:

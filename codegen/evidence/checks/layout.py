@@ -469,7 +469,7 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
         yield from _run(module, "energy", (base[0], base[1], base[3]))
     if program.constraints:
         shape = (sum(len(c.row) for c in program.constraints),)
-        yield from _run(module, "node_constraints", (base[0], base[1], base[3]), values=shape)
+        yield from _run(module, "node_constraints", (base[0], base[1], base[3]), True, values=shape)
     for name, entries in rows_of_events(program).items():
         yield from _run(module, name, (base[0], base[1], base[3]), False, **{EVENT_KERNELS[name][0]: (len(entries),)})
     if not size:

@@ -367,7 +367,7 @@ def constraint_values(grid, state, t=0.0):
     The columns are value, rate, scale of the rate, and gradient. A rolling constraint A v + b has the value zero, the
     rate A v + b and the gradient A.
     """
-    values = np.empty((len(grid.problem.metadata.constraints), 3 + grid.problem.state // 2))
+    values = np.zeros((len(grid.problem.metadata.constraints), 3 + grid.problem.state // 2))
     if grid.problem.constraints is not None:
         grid.problem.constraints(np.array(state, dtype=float), float(t), grid.parameters, values.reshape(-1))
     return values

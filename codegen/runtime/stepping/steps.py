@@ -253,8 +253,8 @@ def iterate(scheme, work, t, lengths_at, tolerance, most, parameters_at):
         if scheme.is_constant:
             call(scheme.residual, (*arguments, work.residual))
         else:
-            for i in range(count):
-                for j in range(count):
+            for i in range(count):  # exchanges of rows have widened the band
+                for j in range(max(0, i - scheme.below), min(count, i + scheme.below + scheme.above + 1)):
                     jacobian[i, j] = 0.0
             call(scheme.jacobian, (*arguments, work.residual, work.jacobian))
         if scheme.is_iterated:
@@ -510,7 +510,7 @@ def largest_constraints(constraints, count, path, times, parameters):
 
     `times` (M,) are the times of the states. `constraints` is the address of the kernel of a `StepProblem`.
     """
-    largest, values = np.zeros((2, count)), np.empty((count, 3 + path.shape[1] // 2))
+    largest, values = np.zeros((2, count)), np.zeros((count, 3 + path.shape[1] // 2))
     for row in range(path.shape[0]):
         state_at = path.ctypes.data + 8 * row * path.shape[1]
         call(constraints, (state_at, times[row], parameters.ctypes.data, values.ctypes.data))
