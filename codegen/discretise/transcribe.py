@@ -66,6 +66,8 @@ def transcribe(
             "end values of a linear control",
             f"use --scheme {' or '.join(resolving)}, or --controls interval",
         )
+    if model.contacts and controls != "interval":
+        raise ArgumentError("contact forces belong to intervals", "leave --controls out")
     if model.joined and controls in ("linear", "nodal"):
         raise ArgumentError("controls at nodes beside delays", "use --controls interval or stages")
     if model.phases:

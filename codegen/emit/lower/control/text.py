@@ -387,6 +387,7 @@ def record(
         unseen_controls=_unseen_controls(program),
         maximised=model.maximised,
         history_jumps=_history_jumps(model.authored),
+        relaxation=model.relaxation.name if model.relaxation else "",
         segments=segments,
         integrals=_integral_multipliers(program),
         inner_times=len(inner.times),
