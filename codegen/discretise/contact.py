@@ -1,20 +1,21 @@
 """Contact-implicit optimal control: contact forces that are unknown in time and sequence.
 
 The normal force n_k >= 0 is constant on an interval, and its impulse h n_k acts at the left node along the gradient of
-the gap g. Friction has forces b_j >= 0 along directions d_j, which are plus and minus the sliding velocities of the
-contact. With the coefficient mu of friction and the speed s_k >= 0, the equations of motion and the contact laws are
+the gap g. Forces f_k of friction act along the directions d of the sliding velocities v_k = d.(q_{k+1} - q_k)/h + b. With
+the coefficient mu of friction, the equations of motion and the contact laws are
 
-    D2 Ld(q_{k-1}, q_k) + D1 Ld(q_k, q_{k+1}) + f+_{k-1} + f-_k + h (n_k dg/dq + sum_j b_jk d_j)(q_k) = 0,
-    0 <= n_k,   g(q_{k+1}) >= 0,               n_k g(q_{k+1}) = 0,
-    0 <= b_jk,  s_k + d_j.v_k >= 0,            b_jk (s_k + d_j.v_k) = 0,
-    0 <= s_k,   mu n_k - sum_j b_jk >= 0,      s_k (mu n_k - sum_j b_jk) = 0
+    D2 Ld(q_{k-1}, q_k) + D1 Ld(q_k, q_{k+1}) + f+_{k-1} + f-_k + h (n_k dg/dq + f_k.d)(q_k) = 0,
+    n_k >= 0,   g(q_{k+1}) >= 0,   n_k g(q_{k+1}) = 0,
+    |f_k| <= mu n_k,   f_k.v_k + mu n_k |v_k| = 0.
 
-with v_k = (q_{k+1} - q_k)/h. The gap is that of the next node, so that an interval in which a body lands absorbs its
-momentum: impacts are inelastic. A force that were divided between both nodes would reverse the velocity after an
-impact. Friction dissipates as much energy as possible. Source: Stewart and Trinkle (1996), An implicit time-stepping
-scheme for rigid body dynamics with inelastic collisions and Coulomb friction; Posa, Cantu and Tedrake (2014), A direct
-method for trajectory optimization of rigid bodies through contact; Manchester, Doshi, Wood and Kuindersma (2019),
-Contact-implicit trajectory optimization using variational integrators.
+The gap is that of the next node, so that an interval in which a body lands absorbs its momentum: impacts are inelastic.
+A force that were divided between both nodes would reverse the velocity after an impact. The last equation is Coulomb's
+law: of all forces in the cone friction dissipates most. It never exceeds zero by itself, and |v| is the largest of v
+and -v, so that two inequalities express it. In space the cone is the pyramid |f_1| + |f_2| <= mu n, with the largest
+component of v in place of |v|. Source: Stewart and Trinkle (1996), An implicit time-stepping scheme for rigid body
+dynamics with inelastic collisions and Coulomb friction; Posa, Cantu and Tedrake (2014), A direct method for trajectory
+optimization of rigid bodies through contact; Manchester, Doshi, Wood and Kuindersma (2019), Contact-implicit trajectory
+optimization using variational integrators.
 
 At the end an impulse of the same kind acts if velocities are prescribed there. It does no work on the gap: n dg/dt = 0
 with the velocity after the impact. The momenta of nodes are those before the impulse.
@@ -29,6 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import sympy
 from sympy import Expr, S, Symbol
@@ -37,7 +39,7 @@ from codegen.discretise.interval import STEP, PathValue, at_nodes
 from codegen.discretise.model.definitions import Condition, Contact, Model, prescribed
 from codegen.discretise.model.smoothness import expected_values
 from codegen.discretise.model.values import values_at_guess
-from codegen.discretise.program import Names, Unknown, occurring
+from codegen.discretise.program import Names, Unknown
 from codegen.errors import BoundaryError
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic.checks import rounded_at, rounding_at
@@ -54,9 +56,7 @@ def with_relaxation(model: Model) -> Model:
     if model.relaxation is None:
         return model
     scale = 10.0 ** round(math.log10(_energy(model)))
-    return replace(
-        model, parameters=(*model.parameters, model.relaxation), defaults=(*model.defaults, LEAST * scale)
-    )
+    return replace(model, parameters=(*model.parameters, model.relaxation), defaults=(*model.defaults, LEAST * scale))
 
 
 def _energy(model: Model) -> float:
@@ -66,7 +66,7 @@ def _energy(model: Model) -> float:
     """
     points = [{**values_at_guess(model), **expected_values(model, share)} for share in _SHARES]
     duration = points[-1][model.time]
-    zeros = {symbol: 0.0 for symbol in (*model.coordinates, *model.rates, *model.controls)}
+    zeros = dict.fromkeys((*model.coordinates, *model.rates, *model.controls), 0.0)
     moves = {q: max(p.get(q, 0.0) for p in points) - min(p.get(q, 0.0) for p in points) for q in model.coordinates}
     speeds = {
         v: max(moves[q] / duration, *(abs(p.get(v, 0.0)) for p in points))
@@ -115,8 +115,7 @@ def force(model: Model) -> list[Expr]:
     """Return the generalised contact forces of all coordinates, in the symbols of the model."""
     total = [S.Zero] * len(model.coordinates)
     for contact in model.contacts:
-        signed = [plus - minus for plus, minus in zip(contact.tangential[::2], contact.tangential[1::2], strict=True)]
-        for size, row in zip((contact.normal, *signed), _directions(model, contact), strict=True):
+        for size, row in zip(contact.forces, _directions(model, contact), strict=True):
             total = [f + size * entry for f, entry in zip(total, row, strict=True)]
     return total
 
@@ -140,16 +139,16 @@ class _Law:
 
 
 def _friction(contact: Contact, slips: Sequence[Expr], relaxation: Expr, scale: Expr) -> Iterator[_Law]:
-    """Yield the laws of friction at the sliding velocities `slips`; products are at most relaxation / scale."""
-    if contact.speed is None:
-        return
-    name, speeds = f"sliding on {contact.name}", [contact.speed + sign * slip for slip in slips for sign in (1, -1)]
-    cone = contact.friction * contact.normal - sympy.Add(*contact.tangential)
-    yield _Law(Kind.FRICTION, f"the cone of {contact.name}", -cone)
-    yield _Law(Kind.COMPLEMENTARITY, f"the cone of {contact.name}", scale * contact.speed * cone - relaxation)
-    for b, speed in zip(contact.tangential, speeds, strict=True):
-        yield _Law(Kind.FRICTION, name, -speed)
-        yield _Law(Kind.COMPLEMENTARITY, name, scale * b * speed - relaxation)
+    """Yield the laws of friction at the sliding velocities `slips`; the dissipation is least to relaxation / scale."""
+    largest = contact.friction * contact.normal
+    for signs in product((1, -1), repeat=len(contact.tangential)):
+        side = sympy.Add(*(sign * f for sign, f in zip(signs, contact.tangential, strict=True)))
+        yield _Law(Kind.FRICTION, contact.name, side - largest)
+    power = sympy.Add(*(f * v for f, v in zip(contact.tangential, slips, strict=True)))
+    for v in slips:
+        for sign in (1, -1):
+            excess = scale * (power + sign * largest * v)
+            yield _Law(Kind.COMPLEMENTARITY, f"friction of {contact.name}", excess - relaxation)
 
 
 def laws(model: Model) -> tuple[PathValue, ...]:
@@ -209,7 +208,7 @@ def end_impulse(model: Model, matched: set[int], values: Mapping[Symbol, Expr], 
     assert model.relaxation is not None, "contacts have a relaxation"
     forces = [f for contact in contacts for f in contact.forces]
     ends = {f: Symbol(names.named("end", f), real=True) for f in forces}
-    conditions = [Condition(f"{f} >= 0 at the end", -f, equality=False) for f in forces]
+    conditions = [Condition(f"{c.normal} >= 0", -c.normal, equality=False) for c in contacts]
     for contact in contacts:
         pairs = zip(model.coordinates, model.rates, strict=True)
         rate = sympy.Add(
@@ -217,10 +216,12 @@ def end_impulse(model: Model, matched: set[int], values: Mapping[Symbol, Expr], 
         )
         work = contact.normal * rate
         products = (contact.normal * contact.expression / model.duration, work, -work)
-        for product in products:
-            conditions.append(Condition(f"the complementarity of {contact.name}", product - model.relaxation, equality=False))
+        for each in products:
+            conditions.append(
+                Condition(f"the complementarity of {contact.name}", each - model.relaxation, equality=False)
+            )
         for law in _friction(contact, contact.slips, model.relaxation, S.One):
-            conditions.append(Condition(law.name, law.value, equality=False))
+            conditions.append(Condition(f"friction of {contact.name}", law.value, equality=False))
     of_contacts = replace(model, contacts=tuple(contacts))
     return EndImpulse(
         tuple(Unknown(ends[f].name, Meaning(Kind.END_IMPULSE, f.name)) for f in forces),

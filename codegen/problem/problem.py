@@ -61,7 +61,9 @@ def refusing(kind: Author) -> Author:
                 if name in ("friction", "slip"):
                     remedy = "contacts of a simulation have no friction; write it as a force, or a Control(...)"
             if kind is Control and name in ("restitution", "events"):
-                remedy = "contacts of a Control are inelastic; write Phases(..., jumps=[...]) for other impacts and events"
+                remedy = (
+                    "contacts of a Control are inelastic; write Phases(..., jumps=[...]) for other impacts and events"
+                )
             raise ProblemFileError(f"{kind.__name__}(...) has no argument {name!r}", remedy)
         for each in fields(kind):
             if not positional and each.name not in named and each.default is each.default_factory is MISSING:

@@ -447,6 +447,10 @@ class ControlRecord(Record):
         conditions that prescribed values decide.
     relaxation : str
         Name of the parameter that bounds the products of contact forces and gaps; empty without contact.
+    contact_forces : tuple of str
+        Names of the controls that are contact forces.
+    end_impulses : tuple of str
+        Names of the unknowns of a node that are contact impulses at the end.
     """
 
     controls: Sites = Sites.INTERVAL
@@ -476,6 +480,8 @@ class ControlRecord(Record):
     dependent_values: tuple[tuple[str, str], ...] = ()
     decided_conditions: tuple[tuple[str, str], ...] = ()
     relaxation: str = ""
+    contact_forces: tuple[str, ...] = ()
+    end_impulses: tuple[str, ...] = ()
 
     task = Task.CONTROL
 

@@ -180,7 +180,9 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
     Values in `inner` that follow from the nodes are left out. `first` counts the unknowns before the multipliers.
     """
     nodal = nodal_conditions(model, equality=False)
-    values = [v for v in inner if v.kind is not Kind.PATH or v.condition not in nodal or not _follows_from_nodes(model, v)]
+    values = [
+        v for v in inner if v.kind is not Kind.PATH or v.condition not in nodal or not _follows_from_nodes(model, v)
+    ]
     values += [PathValue(g, S.One, _at_node(model, g, S.One)) for g in nodal]
     multipliers, slacks, indices, equations = list[Unknown](), list[Unknown](), list[int](), list[Equation]()
     element: Expr = S.Zero

@@ -111,7 +111,7 @@ class Unilateral(ConditionKind):
         raise AssertionError("contacts have symbols, which `added` declares")
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
-        """Return a model with contacts, and their forces as further controls that are not negative."""
+        """Return a model with contacts, and their forces as further controls; normal forces are not negative."""
         gaps = [entry for entry in entries if entry.role == self.argument]
         if not gaps:
             return model
@@ -128,8 +128,7 @@ class Unilateral(ConditionKind):
         for index, gap in enumerate(gaps):
             stem = gap.name.replace(" ", "_") if re.fullmatch(r"[A-Za-z][A-Za-z0-9_ ]*", gap.name) else str(index + 1)
             coefficient, *slips = (e.expression for e in entries if e.role != self.argument and e.name == str(index))
-            signs = [f"{side}_{number}" for number in range(1, len(slips) + 1) for side in ("plus", "minus")]
-            signs = signs if len(slips) > 1 else ["plus", "minus"][: 2 * len(slips)]
+            numbers = [f"_{number}" for number in range(1, len(slips) + 1)] if len(slips) > 1 else [""] * len(slips)
             contacts.append(
                 Contact(
                     gap.name,
@@ -137,8 +136,7 @@ class Unilateral(ConditionKind):
                     coefficient,
                     tuple(slips),
                     symbol(f"normal_{stem}"),
-                    tuple(symbol(f"friction_{stem}_{sign}") for sign in signs),
-                    symbol(f"sliding_{stem}") if slips else None,
+                    tuple(symbol(f"friction_{stem}{number}") for number in numbers),
                 )
             )
         forces = [force for contact in contacts for force in contact.forces]
@@ -147,7 +145,7 @@ class Unilateral(ConditionKind):
             contacts=tuple(contacts),
             relaxation=symbol("relaxation"),
             controls=(*model.controls, *forces),
-            bounds=(*model.bounds, *(Bounds(force, S.Zero, None) for force in forces)),
+            bounds=(*model.bounds, *(Bounds(contact.normal, S.Zero, None) for contact in contacts)),
         )
 
     def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
@@ -176,7 +174,9 @@ class Unilateral(ConditionKind):
 
     def sentences(self, model: Model) -> list[str]:
         lines = [f"0 <= {c.normal}, {sympy.sstr(c.expression)} >= 0 at the next node" for c in model.contacts]
-        lines += [f"{c.normal} ({sympy.sstr(c.expression)} at the next node) <= {model.relaxation}" for c in model.contacts]
+        lines += [
+            f"{c.normal} ({sympy.sstr(c.expression)} at the next node) <= {model.relaxation}" for c in model.contacts
+        ]
         return lines
 
     def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:

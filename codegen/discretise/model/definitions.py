@@ -149,8 +149,8 @@ class Contact:
     """A gap `expression` >= 0 of a control problem, whose contact forces are unknowns; `name` is the author's.
 
     `slips` are sliding velocities along the surface, affine in the velocities, and `friction` is the coefficient of
-    friction. The symbols are controls: the `normal` force, two `tangential` forces for each sliding velocity, and the
-    `speed` of sliding. Without friction there are neither tangential forces nor a speed.
+    friction. The symbols are controls: the `normal` force, which is not negative, and a `tangential` force for each
+    sliding velocity.
     """
 
     name: str
@@ -159,12 +159,11 @@ class Contact:
     slips: tuple[sympy.Expr, ...]
     normal: sympy.Symbol
     tangential: tuple[sympy.Symbol, ...]
-    speed: sympy.Symbol | None
 
     @property
     def forces(self) -> tuple[sympy.Symbol, ...]:
-        """All symbols, each of which is at least zero."""
-        return (self.normal, *self.tangential, *([] if self.speed is None else [self.speed]))
+        """The normal force and the tangential forces."""
+        return (self.normal, *self.tangential)
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ unstable. A search from the motion therefore follows only if the search from the
 import numpy as np
 from numba import njit
 
-from codegen.runtime.search.bounds import bounds_of, with_slacks
 from codegen.runtime.search import contact
+from codegen.runtime.search.bounds import bounds_of, with_slacks
 from codegen.runtime.search.cascade import least_delta_w, minimise, varied_guess
 from codegen.runtime.search.descent import FLAT, WORTH_MEASURING
 from codegen.runtime.search.grid import NONE, with_pinned_values

@@ -388,6 +388,8 @@ def record(
         maximised=model.maximised,
         history_jumps=_history_jumps(model.authored),
         relaxation=model.relaxation.name if model.relaxation else "",
+        end_impulses=tuple(u.name for u in program.node if u.kind is Kind.END_IMPULSE),
+        contact_forces=tuple(f.name for each in model.contacts for f in each.forces),
         segments=segments,
         integrals=_integral_multipliers(program),
         inner_times=len(inner.times),
