@@ -1,8 +1,8 @@
 """Contact-implicit optimal control: contact forces that are unknown in time and sequence.
 
 The normal force n_k >= 0 is constant on an interval, and its impulse h n_k acts at the left node along the gradient of
-the gap g. Forces f_k of friction act along the directions d of the sliding velocities v_k = d.(q_{k+1} - q_k)/h + b. With
-the coefficient mu of friction, the equations of motion and the contact laws are
+the gap g. Forces f_k of friction act along the directions d of the sliding velocities
+v_k = d.(q_{k+1} - q_k)/h + b. With the coefficient mu of friction, the equations of motion and the contact laws are
 
     D2 Ld(q_{k-1}, q_k) + D1 Ld(q_k, q_{k+1}) + f+_{k-1} + f-_k + h (n_k dg/dq + f_k.d)(q_k) = 0,
     n_k >= 0,   g(q_{k+1}) >= 0,   n_k g(q_{k+1}) = 0,
@@ -140,6 +140,8 @@ class _Law:
 
 def _friction(contact: Contact, slips: Sequence[Expr], relaxation: Expr, scale: Expr) -> Iterator[_Law]:
     """Yield the laws of friction at the sliding velocities `slips`; the dissipation is least to relaxation / scale."""
+    if not contact.slips:
+        return
     largest = contact.friction * contact.normal
     for signs in product((1, -1), repeat=len(contact.tangential)):
         side = sympy.Add(*(sign * f for sign, f in zip(signs, contact.tangential, strict=True)))

@@ -38,8 +38,11 @@ LARGE_MULTIPLIERS = 100.0
 """Mean modulus of the multipliers above which the tolerance of the optimality conditions is scaled with this mean."""
 SMALL_BESIDE_COST, STILL_FALLS = 1e-7, 1e-5
 """Relative to the scaled cost: tolerances that are not small, and decreases by one more Newton step that matter."""
-LARGE_PRODUCT = 1e-4
-"""Largest product of a contact force and a gap, relative to the largest of both, without a warning."""
+LARGE_PRODUCT = 1e4
+"""Largest product of a contact force and a gap, relative to the default relaxation, without a warning.
+
+The default is 1e-8 of an estimate of the energy, so that larger products change the motion visibly.
+"""
 MANY_TERMS = 100
 """Least number of terms of a sum for which the accumulation of rounding errors is taken into account."""
 
@@ -159,7 +162,7 @@ def _largest_control(metadata: ControlRecord, u: Matrix) -> dict[str, float]:
 class Contact:
     """The gaps (N,) at the ends of all intervals by name, and the largest product of a contact law.
 
-    `relative` is this product in relation to the largest force times the largest gap, or times the largest speed.
+    `relative` is this product in relation to the default relaxation.
     """
 
     gaps: dict[str, Vector]
@@ -171,8 +174,8 @@ class Contact:
         """A warning if the contact laws hold only approximately."""
         if self.relative <= LARGE_PRODUCT:
             return ()
-        finding = f"the contact laws hold to {self.relative:.1e} of force times gap only"
-        return (f"{finding}: give a smaller relaxation",)
+        finding = f"products of contact forces and gaps reach {self.complementarity:.1e}"
+        return (f"{finding}, {self.relative:.1e} times the default relaxation: give a smaller one",)
 
 
 def contact_of(module: ControlModule, grid: Grid, unknowns: Vector) -> Contact:
@@ -187,9 +190,7 @@ def contact_of(module: ControlModule, grid: Grid, unknowns: Vector) -> Contact:
             gaps[meaning.of] = values[name].copy()
         elif meaning.kind is Kind.COMPLEMENTARITY_SLACK:
             products.append(float((relaxation - values[name]).max()))
-    largest = max((max_norm(values[name]) for name in metadata.contact_forces), default=0.0)
-    size = largest * max(map(max_norm, gaps.values()), default=0.0)
-    return Contact(gaps, max(products), max(products) / size if size > 0.0 else 0.0)
+    return Contact(gaps, max(products), max(products) / float(metadata.parameters[metadata.relaxation]))
 
 
 def control_outline(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt) -> Outline:
