@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-FIRST, SETTLED = 1e9, 2e6  # relaxations, relative to the final relaxation
+FIRST, SETTLED = 1e9, 2e4  # relaxations, relative to the final relaxation
 SLOWLY, QUICKLY = math.sqrt(10.0), 100.0  # factors by which larger and smaller relaxations are reduced
 LEAST_FACTOR = 1.2  # least factor of a reduction after failures
 LOOSE = 1e-6  # tolerance of all searches but the last

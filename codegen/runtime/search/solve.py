@@ -12,9 +12,9 @@ unstable. A search from the motion therefore follows only if the search from the
 import numpy as np
 from numba import njit
 
-from codegen.runtime.search import contact
 from codegen.runtime.search.bounds import bounds_of, with_slacks
 from codegen.runtime.search.cascade import least_delta_w, minimise, varied_guess
+from codegen.runtime.search.contact import relaxed
 from codegen.runtime.search.descent import FLAT, WORTH_MEASURING
 from codegen.runtime.search.grid import NONE, with_pinned_values
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
@@ -61,7 +61,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     forces and gaps are relaxed first, see `contact`.
     """
     if grid.problem.metadata.relaxation:
-        return contact.relaxed(optimise_varied, grid, unknowns, tolerance, max_iterations, warm, scaling, log)
+        return relaxed(optimise_varied, grid, unknowns, tolerance, max_iterations, warm, scaling, log)
     return optimise_varied(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
 
 

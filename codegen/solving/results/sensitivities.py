@@ -22,11 +22,8 @@ UNSOLVED = "the problem was not solved"
 
 
 def require_sensitive(module: Any) -> None:
-    """Raise ArgumentError if a module for optimal control has contact, or no code for sensitivities."""
+    """Raise ArgumentError if a module for optimal control was built without code for sensitivities."""
     task, problem = module.metadata.task, module.metadata.problem
-    if task == Task.CONTROL and module.metadata.relaxation:
-        finding = f"{problem} has contact forces, whose sequence changes with the parameters"
-        raise ArgumentError(finding, "solve again with other parameters, or sweep")
     if task == Task.CONTROL and module.metadata.sensitivities is None:
         finding = f"the module of {problem} has no sensitivities"
         raise ArgumentError(finding, "build it with --sensitivities, or give the problem file")
