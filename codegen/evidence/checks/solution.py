@@ -1,9 +1,10 @@
 """Checks of a computed solution: its motion, its optimality and its sensitivities.
 
-Motion: holonomic constraints at all nodes, contact laws on all intervals, and the author's conditions at inner times. Nodes, coordinates and rates
-come from the solution, not from tables or kernels of the module. A motion with delays is integrated from its history by
-DOP853 under the controls of the solution. The integrated equations are the author's, with delayed values; only the
-module divides the motion into segments. The distance between both motions must decrease at the order of the scheme.
+Motion: holonomic constraints at all nodes, contact laws on all intervals, and the author's conditions at inner times.
+Nodes, coordinates and rates come from the solution, not from tables or kernels of the module. A motion with delays is
+integrated from its history by DOP853 under the controls of the solution. The integrated equations are the author's,
+with delayed values; only the module divides the motion into segments. The distance between both motions must decrease
+at the order of the scheme.
 
 Optimum: the costs of the module must converge to the optimum of the maximum principle, at least at the order of the
 scheme. The expected order is at most 2, because controls are constant on each interval or averaged over the interval.
