@@ -111,9 +111,12 @@ class Unilateral(ConditionKind):
         raise AssertionError("contacts have symbols, which `added` declares")
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
-        """Return a model with contacts, and their forces as further controls; normal forces are not negative."""
+        """Return a model with contacts, and their forces as further controls; normal forces are not negative.
+
+        Gaps of a simulation have impacts instead, see `codegen.discretise.model.events`.
+        """
         gaps = [entry for entry in entries if entry.role == self.argument]
-        if not gaps:
+        if not gaps or model.task == "simulate":
             return model
         quantities = (*model.coordinates, *model.rates, *model.controls, *model.parameters, model.time)
         taken = {symbol.name for symbol in quantities}
@@ -127,7 +130,9 @@ class Unilateral(ConditionKind):
         contacts = list[Contact]()
         for index, gap in enumerate(gaps):
             stem = gap.name.replace(" ", "_") if re.fullmatch(r"[A-Za-z][A-Za-z0-9_ ]*", gap.name) else str(index + 1)
-            coefficient, *slips = (e.expression for e in entries if e.role != self.argument and e.name == str(index))
+            coefficient, *slips = (
+                e.expression for e in entries if e.role in ("friction", "slip") and e.name == str(index)
+            )
             numbers = [f"_{number}" for number in range(1, len(slips) + 1)] if len(slips) > 1 else [""] * len(slips)
             contacts.append(
                 Contact(
