@@ -218,6 +218,14 @@ REFERENCES = (
         limit=291.68484,
     ),
     Reference(
+        "pushed_block",
+        {n: 12 * n**2 / (n**2 - 1) + 2.943**2 for n in (15, 30, 60)},
+        value=12 + 2.943**2,
+        error=0.06,
+        source="closed form, 12 m^2 d^2/T^3 + (mu m g)^2 T; discrete optimum with 12 N^2/(N^2 - 1)",
+        limit=12 + 2.943**2,
+    ),
+    Reference(
         "snakeboard",
         {40: 0.079076194923, 80: 0.0778035644047, 160: 0.0774883470721},
         value=0.0773835,

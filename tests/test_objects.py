@@ -31,6 +31,7 @@ CASES = {
     "several different bodies": ("convoy", {}, {}),
     "conditions at inner times": ("drone_gates", {}, {}),
     "a holonomic constraint": ("four_bar", {}, {}),
+    "contact forces": ("shove", {}, {}),
     "rolling constraints": ("snakeboard", {}, {}),
     "a simulation with rolling constraints": ("rolling_disc", {}, {"scheme": "trapezoidal"}),
     "a simulation with holonomic constraints": ("double_pendulum_cartesian", {}, {"scheme": "trapezoidal"}),

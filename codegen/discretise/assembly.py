@@ -14,7 +14,7 @@ from codegen.discretise.conditions.linking import Shared
 from codegen.discretise.conditions.measurements import sample_element
 from codegen.discretise.conditions.path import NodalTerms, bounded_stages, interval_terms, stage_inequalities
 from codegen.discretise.determined_values import with_determined_values
-from codegen.discretise.interval import STEP, OneStepInterval, VariationalInterval, at_nodes
+from codegen.discretise.interval import STEP, OneStepInterval, PathValue, VariationalInterval, at_nodes
 from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.guesses import DURATION, at_guess, inner_guess
 from codegen.discretise.program import (
@@ -36,7 +36,8 @@ class Motion:
     """The discrete equations of motion: unknowns of nodes and intervals, and expressions of the scheme.
 
     `element` is the contribution of an interval to the Lagrangian of the optimisation problem. In it, the unknowns of
-    nodes have the suffixes `_k` and `_k1`. `left_rates` returns the rates at the left node of an interval.
+    nodes have the suffixes `_k` and `_k1`. `left_rates` returns the rates at the left node of an interval. `contacts`
+    are the inequalities of contact forces.
     """
 
     method: str
@@ -50,6 +51,7 @@ class Motion:
     node_guess: tuple[Expr, ...]
     left_rates: Callable[[], tuple[Expr, ...]]
     stage_guess: tuple[Expr, ...] = ()
+    contacts: tuple[PathValue, ...] = ()
 
 
 def assemble(
@@ -89,7 +91,7 @@ def assemble(
     end += End(aliases=shared.end_aliases) + end_share(integrals) + pinned_at_zero(nodal.end_pins)
     discrete, sites = motion.discrete, motion.discrete.q
     stages = bounded_stages(model, discrete.inside, motion.interval)
-    on_interval = (*discrete.path, *stage_inequalities(model, discrete.inside))
+    on_interval = (*discrete.path, *stage_inequalities(model, discrete.inside), *motion.contacts)
     path = interval_terms(model, on_interval, len(stages), names)
     before = with_bounds((*motion.node, *nodal.unknowns), model)
     controls = _controls(model, len(sites.stage_controls))

@@ -24,6 +24,7 @@ from sympy import Dummy, Expr, Rational, S, Symbol
 
 from codegen.discretise.model.definitions import Condition, Model
 from codegen.discretise.schemes.base import Scheme
+from codegen.runtime.record import Kind
 from codegen.symbolic.derivatives import gradient, variation
 
 _ABSCISSA = Symbol("abscissa", real=True)
@@ -128,12 +129,15 @@ class Sites:
 
 @dataclass(frozen=True)
 class PathValue:
-    """The value of a path condition, or of the bound of a state, at an abscissa in [0, 1] of an interval."""
+    """The value of a path condition, a bound of a state or a contact law, at an abscissa in [0, 1] of an interval.
+
+    `kind` is the kind of the multiplier.
+    """
 
     condition: Condition
     abscissa: Expr
     value: Expr
-    is_bound: bool = False
+    kind: Kind = Kind.PATH
 
 
 @dataclass(frozen=True)

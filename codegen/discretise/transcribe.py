@@ -72,6 +72,8 @@ def transcribe(
             "the controls, the KKT matrix is singular, and searches stall",
             "use --controls interval, which has the same motions, or --scheme trapezoidal",
         )
+    if model.contacts and controls != "interval":
+        raise ArgumentError("contact forces belong to intervals", "leave --controls out")
     if model.joined and controls in ("linear", "nodal"):
         raise ArgumentError("controls at nodes beside delays", "use --controls interval or stages")
     if model.phases:

@@ -14,11 +14,12 @@ optimal control: an analysis.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from sympy import Expr, S, Symbol
 
+from codegen.discretise import contact
 from codegen.discretise.assembly import Motion, assemble
 from codegen.discretise.conditions import path
 from codegen.discretise.conditions.ends import End, conditioned_end, pinned_at_zero, with_bounds
@@ -80,7 +81,8 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
         require_constraints_return(model, periodic, values)
     shared = shared_unknowns(model, periodic, guesses, names)
     assert model.end is not None, "a control problem has an end"
-    at_start = (*model.start_conditions, *path.start_inequalities(model), *periodic.start_conditions)
+    with_gaps = replace(model, path=(*model.path, *contact.gaps(model)))
+    at_start = (*model.start_conditions, *path.start_inequalities(with_gaps), *periodic.start_conditions)
     at_end = (*model.end_conditions, *periodic.end_conditions)
     aliased = [frozenset(name for name, *_ in each) for each in (periodic.start_aliases, periodic.end_aliases)]
     momenta = dict(periodic.start_momenta), dict(periodic.end_momenta)
@@ -88,7 +90,8 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
         EndConditions("_k", 1, model.start, at_start, S.Zero, momenta[0], aliased[0]),
         EndConditions("_k1", -1, model.end, at_end, model.terminal_cost, momenta[1], aliased[1]),
     )
-    matched = [_matched_indices(model, e, constraints) for e in ends]
+    matched = [_matched_indices(model, e, (*constraints.touched, *contact.touched(model))) for e in ends]
+    contact.require_matched_start(model, matched[0] | set(momenta[0]))
     optimised = {own.symbol for own in shared.all}
     start, end = (
         _momentum_end(model, e, indices, constraints, values, optimised, names)
@@ -106,18 +109,18 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
     )
 
 
-def _matched_indices(model: Model, end: EndConditions, constraints: Constraints) -> set[int]:
+def _matched_indices(model: Model, end: EndConditions, touched: Sequence[set[int]]) -> set[int]:
     """Return the indices of coordinates whose discrete momentum at an end matches the momentum of a velocity.
 
-    The velocity is prescribed, or a condition, the terminal cost, another matched momentum, or a constraint with a
-    matched velocity, depends on it.
+    The velocity is prescribed, or a condition, the terminal cost, another matched momentum, or a constraint or contact
+    with a matched velocity, depends on it. Each of `touched` has the coordinates on which the forces of one act.
     """
     momentum = gradient(model.function, model.rates)
     matched = {i for i, value in enumerate(end.boundary.rates) if value is not None}
     matched |= occurring(model.rates, end.cost, *(condition.expression for condition in end.conditions))
     while True:
         further = occurring(model.rates, *(momentum[i] for i in matched))
-        further |= {i for touched in constraints.touched if touched & matched for i in touched}
+        further |= {i for indices in touched if indices & matched for i in indices}
         if further <= matched:
             return matched
         matched |= further
@@ -149,24 +152,30 @@ def _momentum_end(
     substitution: dict[Symbol, Expr] = {**positions, **fixed_rates, **velocities}
     momentum = gradient(model.function, model.rates)
     momenta = {i: momentum[i].xreplace(substitution) for i in sorted(matched)} | dict(sorted(end.momenta.items()))
+    impact = contact.end_impulse(model, matched, values, names) if end.suffix == "_k1" else contact.EndImpulse()
+    own_names = [unknown.name for unknown in impact.unknowns]
+    of_impact = dict(zip((Symbol(n, real=True) for n in own_names), symbols(own_names, end.suffix), strict=True))
+    substitution |= of_impact
     multiplier_names = [f"lambda_{q.name}" for q in model.coordinates]
     multipliers = symbols(multiplier_names, end.suffix)
     matching = End(
         pins=tuple((q.name, value) for q, value in prescribed.items() if value is not None),
-        extra=tuple(Unknown(v.name, Meaning(Kind.END_VELOCITY, v.name)) for v in free_rates),
-        element=sum((end.sign * multipliers[i] * p for i, p in momenta.items()), S.Zero),
+        extra=(*(Unknown(v.name, Meaning(Kind.END_VELOCITY, v.name)) for v in free_rates), *impact.unknowns),
+        element=sum((end.sign * multipliers[i] * p for i, p in momenta.items()), S.Zero)
+        + sum((multipliers[i] * f.xreplace(substitution) for i, f in enumerate(impact.impulses)), S.Zero),
         conditions=tuple(Equation(p, f"p_{model.coordinates[i].name}", momentum=True) for i, p in momenta.items()),
     )
     unmatched = [name for i, name in enumerate(multiplier_names) if i not in momenta]
     free = {q: symbol for q, symbol in positions.items() if prescribed[q] is None} | velocities
     bounded = with_bounds([Unknown(x.name, Meaning(Kind.COORDINATE, x.name)) for x in free], model)
     own = {s: u for s, u in zip(free.values(), bounded, strict=True) if u.name not in end.aliased}
+    own |= dict(zip(of_impact.values(), impact.unknowns, strict=True))
     imposed = conditioned_end(
-        (*end.conditions, *constraints.tangency(end.boundary, matched, values)),
+        (*end.conditions, *constraints.tangency(end.boundary, matched, values), *impact.conditions),
         end.cost,
         substitution,
         end.suffix,
-        {*free.values(), *shared},
+        {*free.values(), *of_impact.values(), *shared},
         names,
         own,
         model.parameters,
@@ -183,7 +192,8 @@ def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraint
     inner_multipliers = [f"lambda_{q.name}" for q in interval.inner]
     inner = symbols(inner_multipliers, "_k")
     displacements = (*symbols(multipliers, "_k"), *symbols(multipliers, "_k1"), *inner)
-    impulses = (*constraints.force("_k"), *constraints.force("_k1"), *(S.Zero for _ in inner))
+    at_left = (f + impulse for f, impulse in zip(constraints.force("_k"), contact.impulses(model), strict=True))
+    impulses = (*at_left, *constraints.force("_k1"), *(S.Zero for _ in inner))
     guess = coordinate_guess(model)
     forces = (
         *((f"f-_{n}", f) for n, f in zip(names, interval.force_minus, strict=True)),
@@ -212,6 +222,7 @@ def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraint
         node_guess=guess,
         left_rates=lambda: _left_velocities(model, interval),
         stage_guess=guess * (len(interval.inner) // len(names)),
+        contacts=contact.laws(model),
     )
 
 

@@ -368,6 +368,9 @@ def require_sensitive(model: Model | PairwiseModel) -> None:
     if model.task != "control":
         raise ArgumentError(f"a problem to {model.task} has no sensitivities", "leave them out: only optima have them")
     assert isinstance(model, Model), "particles are no optimisation"
+    if model.contacts:
+        finding = "the sequence of contacts changes with the parameters, and sensitivities keep it"
+        raise ArgumentError(finding, "leave sensitivities out, and solve again with other parameters")
     parts = model.phases or (model,)
     times = [part.duration for part in parts]
     times += [point.time for part in parts for point in part.inner_times if point.time is not None]

@@ -131,6 +131,7 @@ def interface_of(module: Any) -> Interface:
         (metadata.segments is not None, "has values of the past", "write them as states of their own"),
         (bool(metadata.inner_times), "has conditions at inner times", "write them as path=, or as a cost"),
         ("duration" not in keywords, "has a free duration", "give duration= a number, or solve it once"),
+        (bool(metadata.contact_forces), "has contact forces among its controls", "write them as forces of springs"),
         (metadata.controls != Sites.INTERVAL, f"has controls at {sites}", "build it with controls='interval'"),
     )
     for is_present, feature, remedy in unsupported:

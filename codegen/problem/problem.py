@@ -58,6 +58,12 @@ def refusing(kind: Author) -> Author:
             remedy = perhaps(name, known) or f"use one of {', '.join(known)}"
             if kind is Simulate and name in [argument.name for argument in fields(Control)]:
                 remedy = "a simulation follows the motion from its start; write a Control(...) for costs and conditions"
+                if name in ("friction", "slip"):
+                    remedy = "contacts of a simulation have no friction; write it as a force, or a Control(...)"
+            if kind is Control and name in ("restitution", "events"):
+                remedy = (
+                    "contacts of a Control are inelastic; write Phases(..., jumps=[...]) for other impacts and events"
+                )
             raise ProblemFileError(f"{kind.__name__}(...) has no argument {name!r}", remedy)
         for each in fields(kind):
             if not positional and each.name not in named and each.default is each.default_factory is MISSING:
@@ -245,6 +251,15 @@ class Control(Problem):
         Holonomic constraints c(q) = 0 of a Lagrangian system.
     rolling : list of expressions
         Constraints a(q, t) dq + b(q, t) = 0 on the velocities of a Lagrangian system, as for `Simulate`.
+    unilateral : relations
+        Gaps that never become negative, as in `{"floor": y >= 0}`, in coordinates and time of a Lagrangian system. The
+        contact forces are unknown in time and sequence. They are further controls, such as `normal_floor`, without
+        influence on the cost. Impacts are inelastic. The scheme is midpoint, trapezoidal or rectangle.
+    friction : expression, or list with one for each gap
+        Coefficient of Coulomb friction, a number or parameter.
+    slip : list
+        Velocity of the point of contact along the surface for each gap with friction, as in `[dx - r*dphi]`. In space
+        it is a pair of velocities, and the cone of friction is a pyramid.
     periodic : list or dict
         Quantities that have the same value at T and at 0; a dict has the value at T minus the value at 0 for each.
     history : dict
@@ -282,6 +297,9 @@ class Control(Problem):
     waypoints: Sequence[Relations | Waypoint] = ()
     constraint: Sequence[Expression] = ()
     rolling: Sequence[Expression] = ()
+    unilateral: Relations = ()
+    friction: Expression | Sequence[Expression] = 0
+    slip: Sequence[Expression | Sequence[Expression]] = ()
     periodic: Values | Sequence[Expression] = ()
     history: Values = field(default_factory=dict)
     bodies: int = 1

@@ -137,12 +137,16 @@ class Kind(StrEnum):
     FREE_PARAMETER = Role.VALUE, "free parameter {}", Place.OWN
     START_VALUE = Role.VALUE, "{}", Place.START
     END_VALUE = Role.VALUE, "{}", Place.END
+    END_IMPULSE = Role.VALUE, "impulse of {}", Place.END
     START_MOMENTUM = Role.VALUE, "momentum of {}", Place.START
 
     MOTION = Role.MULTIPLIER, "the equation of motion of {}", Place.OWN
     STEP = Role.MULTIPLIER, "the step of {}", Place.OWN
     PATH = Role.MULTIPLIER, "{}", Place.INTERVAL
     BOUND = Role.MULTIPLIER, "the bound {}", Place.INTERVAL
+    GAP = Role.MULTIPLIER, "the gap {}", Place.INTERVAL
+    FRICTION = Role.MULTIPLIER, "the friction of {}", Place.INTERVAL
+    COMPLEMENTARITY = Role.MULTIPLIER, "the complementarity of {}", Place.INTERVAL
     NODAL = Role.MULTIPLIER, "{}", Place.OWN
     CONSTRAINT = Role.MULTIPLIER, "the constraint {}", Place.OWN
     ROLLING = Role.MULTIPLIER, "the rolling constraint {} before a node", Place.OWN
@@ -162,6 +166,9 @@ class Kind(StrEnum):
 
     PATH_SLACK = Role.SLACK, "{}", Place.INTERVAL
     BOUND_SLACK = Role.SLACK, "the bound {}", Place.INTERVAL
+    GAP_SLACK = Role.SLACK, "the gap {}", Place.INTERVAL
+    FRICTION_SLACK = Role.SLACK, "the friction of {}", Place.INTERVAL
+    COMPLEMENTARITY_SLACK = Role.SLACK, "the complementarity of {}", Place.INTERVAL
     START_SLACK = Role.SLACK, "{}", Place.START
     END_SLACK = Role.SLACK, "{}", Place.END
     SWITCH_SLACK = Role.SLACK, "{}", Place.SWITCH
@@ -441,6 +448,12 @@ class ControlRecord(Record):
     dependent_values, decided_conditions : tuple
         Pairs (quantity, end) of prescribed values that follow from other values, and pairs (condition, end) of
         conditions that prescribed values decide.
+    relaxation : str
+        Name of the parameter that bounds the products of contact forces and gaps; empty without contact.
+    contact_forces : tuple of str
+        Names of the controls that are contact forces.
+    end_impulses : tuple of str
+        Names of the unknowns of a node that are contact impulses at the end.
     """
 
     controls: Sites = Sites.INTERVAL
@@ -469,6 +482,9 @@ class ControlRecord(Record):
     redundant_conditions: tuple[tuple[int, str], ...] = ()
     dependent_values: tuple[tuple[str, str], ...] = ()
     decided_conditions: tuple[tuple[str, str], ...] = ()
+    relaxation: str = ""
+    contact_forces: tuple[str, ...] = ()
+    end_impulses: tuple[str, ...] = ()
 
     task = Task.CONTROL
 

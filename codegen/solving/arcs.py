@@ -52,6 +52,8 @@ CLOSE = 1e-3
 """Distance to a bound, relative to the distance between two bounds, below which the bound is active."""
 NEGLIGIBLE = 1e-12
 """Magnitude of a quantity below which its absolute error is used in place of its relative error."""
+AT_REST = 1e-6
+"""Magnitude below which the absolute error is used for quantities that contact forces hold at zero."""
 STEPS, CONTRACTION, SETTLED = 4, 0.5, 0.1
 """Limits of Newton's method on double steps.
 
@@ -217,10 +219,10 @@ def trajectories(module: ControlModule, result: Result) -> tuple[Matrix, tuple[s
     return table[:, finite], tuple(names[i] for i in finite)
 
 
-def scales_of(table: Matrix) -> Vector:
+def scales_of(table: Matrix, has_contact: bool) -> Vector:
     """Return the largest absolute value of each column of a table; 1 if this value is negligible."""
     scales = np.abs(table).max(axis=0)
-    return np.where(scales > NEGLIGIBLE, scales, 1.0)
+    return np.where(scales > (AT_REST if has_contact else NEGLIGIBLE), scales, 1.0)
 
 
 def compared(module: ControlModule, coarse: Result, fine: Result, without: Sequence[Gap] = ()) -> Estimate:
@@ -233,7 +235,7 @@ def compared(module: ControlModule, coarse: Result, fine: Result, without: Seque
     before, _ = trajectories(module, coarse)
     if before.shape[1] != table.shape[1]:
         return Estimate(np.inf, "a state", 0.0)
-    differences = np.abs(table[::2] - before) / scales_of(table)
+    differences = np.abs(table[::2] - before) / scales_of(table, bool(module.metadata.relaxation))
     nodes = time_grid(module, coarse.steps, coarse.grid).nodes
     for gap in without:
         first = gap.phase * coarse.steps
@@ -262,7 +264,7 @@ def interval_errors(module: ControlModule, fine: Result, order: int) -> Matrix:
     least distance is used. A kink at a node then does not affect neighbouring intervals.
     """
     table, _ = trajectories(module, fine)
-    table = table / scales_of(table)
+    table = table / scales_of(table, bool(module.metadata.relaxation))
     phases, steps = module.metadata.phases, fine.steps // 2
     errors = np.empty((phases, steps))
     for phase in range(phases):
@@ -425,7 +427,7 @@ def _error(module: ControlModule, result: Result, grid: Grid, optimum: Vector, r
     table, coarse = np.column_stack([result.q, result.p]), np.column_stack([q, p])
     names, times = [*result.names["q"], *result.names["p"]], result.t[rows]
     finite = [i for i in range(table.shape[1]) if np.isfinite(table[:, i]).all()]
-    changes = np.abs(coarse - table[rows])[:, finite] / scales_of(table[:, finite])
+    changes = np.abs(coarse - table[rows])[:, finite] / scales_of(table[:, finite], bool(module.metadata.relaxation))
     node, column = np.unravel_index(int(np.argmax(changes)), changes.shape)
     states, quantity, time = float(changes[node, column]), names[finite[column]], float(times[node])
     free = module.metadata.free_parameters

@@ -74,7 +74,16 @@ SILENT = {
     },  # first-order system
 }
 SILENT = {
-    problem: {*names, "rolling constraints", "integrals", "tables", "measurements", "delays", "sensitivities"}
+    problem: {
+        *names,
+        "rolling constraints",
+        "contact",
+        "integrals",
+        "tables",
+        "measurements",
+        "delays",
+        "sensitivities",
+    }
     for problem, names in SILENT.items()
 }
 """Checks that do not apply: a simulation has no boundary value problem, and so on; see test_phase_checks for phases."""

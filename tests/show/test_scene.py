@@ -22,9 +22,9 @@ from codegen.solving.results.result import Result
 
 DRAWN = (
     "acrobot brachistochrone cart_pendulum cart_pole chain chaplygin_sleigh convoy crane double_pendulum_cartesian "
-    "drone_in_space dzhanibekov four_bar heavy_top hovercraft linear_pendulum low_thrust n_link_pendulum newton_cradle "
-    "orbital_transfer pendulum pendulum_swing_up point_vortices quadrotor resting_ball rolling_disc snakeboard "
-    "spherical_pendulum two_link_arm"
+    "drone_in_space dzhanibekov four_bar heavy_top hopper hovercraft linear_pendulum low_thrust n_link_pendulum "
+    "newton_cradle orbital_transfer pendulum pendulum_swing_up point_vortices pushed_block quadrotor resting_ball "
+    "rolling_disc shove snakeboard spherical_pendulum two_link_arm"
 ).split()
 
 

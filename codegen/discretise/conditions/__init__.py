@@ -11,6 +11,7 @@ from codegen.discretise.conditions.measurements import Observations
 from codegen.discretise.conditions.path import Path
 from codegen.discretise.conditions.periodic import PeriodicKind
 from codegen.discretise.conditions.rolling import Rolling
+from codegen.discretise.conditions.unilateral import Unilateral
 
 SIMULATED: tuple[Holonomic | Rolling, ...] = (Holonomic(), Rolling())
 """The kinds of conditions that simulations have."""
@@ -18,6 +19,7 @@ SIMULATED: tuple[Holonomic | Rolling, ...] = (Holonomic(), Rolling())
 CONDITIONS: tuple[ConditionKind, ...] = (
     Path(),
     *SIMULATED,
+    Unilateral(),
     Integrals(),
     AtTimes(),
     Waypoints(),

@@ -222,6 +222,11 @@ def rates(model: Model) -> tuple[Expr, ...]:
 
 def require_no_inner_points(model: Model, inner: Sequence[Symbol], scheme: str) -> None:
     """Raise SchemeError if a scheme with inner points is to discretise a model with constraints."""
+    if inner and model.contacts:
+        raise SchemeError(
+            f"scheme {scheme!r} has inner points, where gaps and contact forces are not imposed",
+            "use midpoint, trapezoidal or rectangle",
+        )
     if inner and (model.holonomic or model.rolling):
         words = "holonomic" if model.holonomic else "rolling"
         raise SchemeError(
@@ -232,6 +237,9 @@ def require_no_inner_points(model: Model, inner: Sequence[Symbol], scheme: str) 
 
 def refuse(model: Model, method: str) -> None:
     """Raise ArgumentError for a model with constraints: the method has no discrete constraint forces."""
+    if model.contacts:
+        finding = f"the {method} method has no contact forces, and {model.contacts[0].name} is a gap"
+        raise ArgumentError(finding, "use --method variational")
     kinds = (("holonomic", model.holonomic, ", or generalised coordinates"), ("rolling", model.rolling, ""))
     for words, constraints, alternative in kinds:
         if constraints:

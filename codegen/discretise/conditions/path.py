@@ -170,7 +170,7 @@ def stage_inequalities(model: Model, inside: Sequence[StateValue]) -> tuple[Path
                     "give every body the same bound, or use scheme midpoint",
                 )
             value = condition.expression.xreplace({state.quantity: state.value})
-            values.append(PathValue(condition, state.abscissa, value, is_bound=True))
+            values.append(PathValue(condition, state.abscissa, value, Kind.BOUND))
     return tuple(values)
 
 
@@ -180,14 +180,16 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
     Values in `inner` that follow from the nodes are left out. `first` counts the unknowns before the multipliers.
     """
     nodal = nodal_conditions(model, equality=False)
-    values = [v for v in inner if v.is_bound or v.condition not in nodal or not _follows_from_nodes(model, v)]
+    values = [
+        v for v in inner if v.kind is not Kind.PATH or v.condition not in nodal or not _follows_from_nodes(model, v)
+    ]
     values += [PathValue(g, S.One, _at_node(model, g, S.One)) for g in nodal]
     multipliers, slacks, indices, equations = list[Unknown](), list[Unknown](), list[int](), list[Equation]()
     element: Expr = S.Zero
     for value in values:
-        condition, kind = value.condition, Kind.BOUND if value.is_bound else Kind.PATH
-        others = {(other.condition, other.is_bound) for other in values if other.abscissa != value.abscissa}
-        yields = (condition, value.is_bound) in others
+        condition, kind = value.condition, value.kind
+        others = {(other.condition, other.kind) for other in values if other.abscissa != value.abscissa}
+        yields = (condition, kind) in others
         least = -YIELDING if yields and value.value == _at_node(model, condition, S.One) else S.Zero
         (multiplier, *slack), term, equation = imposed(
             condition, value.value, names, kind, "_k", float(value.abscissa), least

@@ -74,14 +74,7 @@ class Rolling(ConditionKind):
         if all(identically_zero(slope) for slope in slopes):
             remedy = "write it in constraint, whose force acts along its gradient"
             raise ExpressionError(f"{entry.what} has no velocity", remedy)
-        for v, slope in zip(velocities, slopes, strict=True):
-            for w in velocities:
-                if slope.has(w) and not identically_zero(sympy.diff(slope, w)):
-                    product = f"{v} twice" if v == w else f"{v} and {w}"
-                    raise ExpressionError(
-                        f"{entry.what} is not linear in the velocities: its derivative by {product} is not zero",
-                        "write a(q, t) v + b(q, t) = 0, as the principle of Lagrange and d'Alembert requires",
-                    )
+        require_affine(entry, "write a(q, t) v + b(q, t) = 0, as the principle of Lagrange and d'Alembert requires")
 
     def conditions(self, entries: Sequence[Entry]) -> tuple[Expr, ...]:
         return tuple(condition.expression for condition in conditions_of(entries, self.argument))
@@ -153,6 +146,19 @@ def _require_consistent(model: Model, end: str) -> None:
                         f"{end} violates rolling {text(constraint)} = 0 for other values of {parameter}",
                         f"write velocities in {parameter}, or leave out a velocity, which the constraint determines",
                     )
+
+
+def require_affine(entry: Entry, remedy: str) -> None:
+    """Raise ExpressionError with the remedy unless an expression is affine in the velocities."""
+    velocities = sorted((s for s in entry.expression.free_symbols if isinstance(s, Velocity)), key=str)
+    for v in velocities:
+        slope = sympy.diff(entry.expression, v)
+        for w in velocities:
+            if slope.has(w) and not identically_zero(sympy.diff(slope, w)):
+                product = f"{v} twice" if v == w else f"{v} and {w}"
+                raise ExpressionError(
+                    f"{entry.what} is not linear in the velocities: its derivative by {product} is not zero", remedy
+                )
 
 
 _CHANGES = (1.07, 0.85)

@@ -145,6 +145,28 @@ class Gap:
 
 
 @dataclass(frozen=True)
+class Contact:
+    """A gap `expression` >= 0 of a control problem, whose contact forces are unknowns; `name` is the author's.
+
+    `slips` are sliding velocities along the surface, affine in the velocities, and `friction` is the coefficient of
+    friction. The symbols are controls: the `normal` force, which is not negative, and a `tangential` force for each
+    sliding velocity.
+    """
+
+    name: str
+    expression: sympy.Expr
+    friction: sympy.Expr
+    slips: tuple[sympy.Expr, ...]
+    normal: sympy.Symbol
+    tangential: tuple[sympy.Symbol, ...]
+
+    @property
+    def forces(self) -> tuple[sympy.Symbol, ...]:
+        """The normal force and the tangential forces."""
+        return (self.normal, *self.tangential)
+
+
+@dataclass(frozen=True)
 class Segments:
     """The division of a motion with delays into `number` segments of equal length, integrated simultaneously.
 
@@ -205,7 +227,8 @@ class Model:
     parameters. Both are negated where the author asked for a maximum (`maximised`). `holonomic` constraints c(q) = 0
     and `rolling` constraints A(q) v + b(q) = 0 hold at every time. `rotations` are quadruples of coordinates, the unit
     quaternions of attitudes; their lengths are constraints too. `attitudes` are the names of all attitudes, also of
-    those that are states. A simulation may have `events` and `gaps`. The `loss`
+    those that are states. A simulation may have `events` and `gaps`, and a control problem `contacts`. Products of
+    contact forces and gaps do not exceed the parameter `relaxation`. The `loss`
     of the differences between `observed` expressions and `measurements` is added to the cost. The measurements are
     files with the same layout, one file for each body.
     `periodic` gives pairs (coordinate or rate, shift): the value at the end is the value at the start plus the shift.
@@ -258,6 +281,8 @@ class Model:
     attitudes: tuple[str, ...] = ()
     events: tuple[MotionEvent, ...] = ()
     gaps: tuple[Gap, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    relaxation: sympy.Symbol | None = None
     rolling: tuple[sympy.Expr, ...] = ()
     periodic: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
     joined: tuple[tuple[sympy.Symbol, sympy.Symbol], ...] = ()

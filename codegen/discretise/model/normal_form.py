@@ -10,7 +10,7 @@ from numbers import Integral
 import sympy
 
 from codegen import identifiers
-from codegen.discretise import degenerate
+from codegen.discretise import contact, degenerate
 from codegen.discretise.conditions import CONDITIONS, SIMULATED
 from codegen.discretise.conditions.measurements import measurements_of
 from codegen.discretise.model import delays, events, scope, smoothness, values
@@ -57,7 +57,8 @@ def normalise(problem: Problem, declared: Sequence[Quantity] = (), name: str = "
     values.require_agreement(model)
     events.require_agreement(model)
     model = with_positive_durations(replace(model, unused=unused, units=units_of(used, entries, plain)))
-    return in_segments(with_regular_guesses(scope.with_drawing(model, drawing, plain)))
+    model = contact.with_relaxation(scope.with_drawing(model, drawing, plain))
+    return in_segments(with_regular_guesses(model))
 
 
 def with_positive_durations(model: Model) -> Model:

@@ -77,6 +77,7 @@ _CONSTANT = (
     "scale",
     "periodic",
     "restitution",
+    "friction",
 )
 """Roles whose values are computed before tables are available, so that tables must not occur."""
 

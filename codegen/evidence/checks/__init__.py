@@ -75,6 +75,7 @@ _ROWS = (
     _of_control("path between nodes", null_spaces.check_path_modes, "has no path conditions"),
     Check("holonomic drift", solution.check_holonomic_drift),
     Check("rolling constraints", solution.check_rolling),
+    _of_control("contact", solution.check_contact, "has impacts in place of contact forces"),
     _of_control("inner times", solution.check_inner_times, "has no conditions on the way"),
     Check("switches", discrete_equations.check_switches),
     _of_control("delays", solution.check_delays, "has no values of the past"),

@@ -156,6 +156,7 @@ def _node_sides(model: Model, program: ControlProgram | StepProgram, scheme: Dis
         rate = sympy.diff(momentum, model.time)
         rate += sum(sympy.diff(momentum, y) * z for y, z in zip((*q, *v), (*v, *a), strict=True))
         normal = sum((y * row[i] for y, row in zip(forces, _normals(model), strict=True)), S.Zero)
+        normal += sum((force * row[i] for force, row in _contact_forces(model)), S.Zero)
         continuous.append(sympy.diff(model.function, x) - rate + f + normal)
     return discrete, continuous, [*v, *a, *forces]
 
@@ -176,6 +177,14 @@ def _node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], 
     equations = program.equations[-len(momenta) :]
     values = [p - equation for p, (_, equation) in zip(momenta, equations, strict=True)]
     return [-value for value in values[:dimension]], values[dimension:]
+
+
+def _contact_forces(model: Model) -> Iterator[tuple[Symbol, list[Expr]]]:
+    """Yield pairs of a contact force and its direction: the gradient of a gap, or the coefficients of a velocity."""
+    for contact in model.contacts:
+        yield contact.normal, [sympy.diff(contact.expression, q) for q in model.coordinates]
+        for friction, slip in zip(contact.tangential, contact.slips, strict=True):
+            yield friction, [sympy.diff(slip, v) for v in model.rates]
 
 
 def _normals(model: Model) -> list[list[Expr]]:
@@ -370,6 +379,12 @@ def _matching(context: Context) -> Iterator[Finding]:
         pairs = list(zip(_constraint_multipliers(context.program, suffix), _normals(model), strict=True))
         count = range(len(model.coordinates))
         impulses.append([sum((STEP / 2 * y * row[i].xreplace(node) for y, row in pairs), S.Zero) for i in count])
+        if suffix == "_k":  # contact impulses act at the left node
+            node |= dict(zip(model.controls, at_nodes(model.controls, "_k"), strict=True))
+            for force, row in _contact_forces(model):
+                impulses[0] = [
+                    p + (STEP * force * row[i]).xreplace(node) for p, i in zip(impulses[0], count, strict=True)
+                ]
     for i, q in enumerate(model.coordinates):
         minus = -sympy.diff(interval.lagrangian, interval.q.left[i]) - interval.force_minus[i] - impulses[0][i]
         plus = sympy.diff(interval.lagrangian, interval.q.right[i]) + interval.force_plus[i] + impulses[1][i]

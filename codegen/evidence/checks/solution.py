@@ -1,9 +1,10 @@
 """Checks of a computed solution: its motion, its optimality and its sensitivities.
 
-Motion: holonomic constraints at all nodes, and the author's conditions at inner times. Nodes, coordinates and rates
-come from the solution, not from tables or kernels of the module. A motion with delays is integrated from its history by
-DOP853 under the controls of the solution. The integrated equations are the author's, with delayed values; only the
-module divides the motion into segments. The distance between both motions must decrease at the order of the scheme.
+Motion: holonomic constraints at all nodes, contact laws on all intervals, and the author's conditions at inner times.
+Nodes, coordinates and rates come from the solution, not from tables or kernels of the module. A motion with delays is
+integrated from its history by DOP853 under the controls of the solution. The integrated equations are the author's,
+with delayed values; only the module divides the motion into segments. The distance between both motions must decrease
+at the order of the scheme.
 
 Optimum: the costs of the module must converge to the optimum of the maximum principle, at least at the order of the
 scheme. The expected order is at most 2, because controls are constant on each interval or averaged over the interval.
@@ -174,6 +175,48 @@ def check_rolling(context: Context) -> Iterator[Finding]:
             worst, scale = np.abs(values).max(axis=0)
             detail = f"its value is at most {worst:.1g} at all {solution.t.size} nodes"
             yield Finding("rolling constraints", subject, worst <= _HELD * max(1.0, scale), detail)
+
+
+_DISSOLVED = 1e-6  # product of a contact law, relative to the largest force times the largest gap or speed
+
+
+def check_contact(context: Context) -> Iterator[Finding]:
+    """Check the contact laws at the solution: gaps at nodes, forces, and their products on each interval.
+
+    Gaps are the author's at the nodes of the solution, and sliding velocities come from differences of positions.
+    """
+    model, solution = context.model, context.solution
+    if solution.status != "solved":
+        yield not_measured("contact", "all contacts", solution.message)
+        return
+    data = data_at_solution(context)
+    q, t, h = solution.q, solution.t, np.diff(solution.t)
+    left = [*q[:-1].T, *(np.diff(q, axis=0) / h[:, None]).T, t[:-1], *data.values()]
+    symbols = [*model.coordinates, *model.rates, model.time, *data]
+    forces = dict(zip(model.controls, solution.u.T, strict=True))
+    for contact in model.contacts:
+        gap = sympy.lambdify([*model.coordinates, model.time, *data], contact.expression)(*q.T, t, *data.values())
+        gaps, normal = gap * np.ones(t.size), forces[contact.normal]
+        size, largest = max(1.0, float(np.abs(gaps).max())), float(normal.max())
+        worst, least = float(gaps.min()), float(normal.min())
+        detail = f"it is at least {worst:.1g} at all nodes"
+        yield Finding("contact", f"gap {contact.name}", worst >= -_HELD * size, detail)
+        product = float(np.abs(normal * gaps[1:]).max())
+        detail = f"force times gap at the next node is at most {product:.1g}, with forces up to {largest:.2g}"
+        passed = product <= _DISSOLVED * max(size * largest, 1e-300) and least >= -_HELD * max(1.0, largest)
+        yield Finding("contact", f"normal force of {contact.name}", passed, detail)
+        if not contact.slips:
+            continue
+        (mu,) = sympy.lambdify([*data], [contact.friction])(*data.values())
+        speeds = [sympy.lambdify(symbols, slip)(*left) * np.ones(h.size) for slip in contact.slips]
+        tangential = [forces[f] for f in contact.tangential]
+        beyond = float((np.sum(np.abs(tangential), axis=0) - mu * normal).max())
+        fastest = np.max(np.abs(speeds), axis=0)
+        power = float(np.abs(np.sum(np.multiply(tangential, speeds), axis=0) + mu * normal * fastest).max())
+        largest_power = max(float(fastest.max()) * mu * largest, 1e-300)
+        detail = f"it exceeds the cone by {beyond:.1g}, and the greatest dissipation by {power:.1g}"
+        passed = beyond <= _HELD * max(1.0, largest) and power <= _DISSOLVED * max(1.0, largest_power)
+        yield Finding("contact", f"friction of {contact.name}", passed, detail)
 
 
 _MET = 1e-7  # violation of a condition relative to its terms

@@ -596,6 +596,8 @@ def solve_stack(stack, options, log):
     tolerance, max_iterations, is_warm, scaling, _ = options
     whole, residuals, found = solve_at_once(stack, options)
     problem, is_found = stack.grid.problem, found.is_found
+    if problem.metadata.relaxation and not is_warm:
+        is_found[:] = False  # without the continuation a search ends at a poor minimum
     messages = {}
     status = np.where(is_found, SOLVED, "").astype(LONGEST_STATUS)
     optima = Optima(status, found.costs, residuals, found.stationarities, found.iterations, whole, messages)

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.addresses import call_loop
-from codegen.runtime.search.grid import multiplier_unknowns, primal_unknowns
+from codegen.runtime.search.grid import multiplier_unknowns, primal_unknowns, views
 from codegen.runtime.search.linear_system import allocate_system, filled_entries
 
 
@@ -120,6 +120,10 @@ def discrete_momenta(grid, unknowns):
     The momentum at a node is p_k = -(D1 Ld + f-) of the interval after the node, or D2 Ld + f+ of the last interval.
     The equations of motion are linear in their multipliers. In the contribution of an interval to the Lagrangian, the
     factors of these multipliers are the terms above.
+
+    Contact forces act at nodes. The momentum of an inner node is then the mean of the momenta before and after the
+    impulse. At the end it is the momentum after the impulse there; without such an impulse, half of the impulse of the
+    last interval is added.
     """
     s = grid.problem.structure
     parts = np.empty((s.bodies, grid.steps, s.element + s.shared + 1))
@@ -128,6 +132,25 @@ def discrete_momenta(grid, unknowns):
         grid.problem.parts.address, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, s.equations, s.stride,
         parts, momenta,
     )  # fmt: skip
+    metadata = grid.problem.metadata
+    if metadata.contact_forces:
+        after, without = np.empty_like(momenta), unknowns.copy()
+        nodes, intervals = views(grid, without)
+        intervals[:, :, [metadata.interval.index(name) for name in metadata.contact_forces]] = 0.0
+        fill_momenta(
+            grid.problem.parts.address, without, grid.steps, grid.h, grid.nodes, grid.parameters, s.equations,
+            s.stride, parts, after,
+        )  # fmt: skip
+        impulses = after[:, :-1] - momenta[:, :-1]
+        momenta[:, 1:-1] += impulses[:, 1:] / 2
+        if metadata.end_impulses:
+            # The equation of the end node contains the impulse, which is linear in the forces.
+            without[:] = unknowns
+            nodes[:, -1, [metadata.node.index(name) for name in metadata.end_impulses]] = 0.0
+            change = evaluate(grid, unknowns).gradient - evaluate(grid, without).gradient
+            momenta[:, -1] += views(grid, change)[0][:, -1, s.equations]
+        else:
+            momenta[:, -1] += impulses[:, -1] / 2
     return momenta
 
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.runtime.record import ControlRecord
+from codegen.runtime.record import ControlRecord, Kind
 from codegen.runtime.search import point as derivatives
 from codegen.runtime.search.batch import Optimum
 from codegen.runtime.search.bounds import bounds_of, prescribed_beyond
@@ -38,6 +38,11 @@ LARGE_MULTIPLIERS = 100.0
 """Mean modulus of the multipliers above which the tolerance of the optimality conditions is scaled with this mean."""
 SMALL_BESIDE_COST, STILL_FALLS = 1e-7, 1e-5
 """Relative to the scaled cost: tolerances that are not small, and decreases by one more Newton step that matter."""
+LARGE_PRODUCT = 1e4
+"""Largest product of a contact force and a gap, relative to the default relaxation, without a warning.
+
+The default is 1e-8 of an estimate of the energy, so that larger products change the motion visibly.
+"""
 MANY_TERMS = 100
 """Least number of terms of a sum for which the accumulation of rounding errors is taken into account."""
 
@@ -125,11 +130,13 @@ def control_result(
             for body, values in enumerate(nodes):
                 of_body = f" of body {body}" if len(nodes) > 1 else ""
                 named[f"multiplier of {name}{of_body}"] = float(values[grid.inner[int(number)], int(index)])
+    contact = contact_of(module, grid, unknowns) if metadata.relaxation else None
     summary = {
         **({"maximum": -verdict.cost} if metadata.maximised else {}),
         "duration": float(t[-1] - t[0]),
         "final_state_miss": max(max_norm(_misses(module, grid, unknowns)), max_norm(equations)),
-        **({"largest_control": max_norm(u)} if u.size else {}),
+        **_largest_control(metadata, u),
+        **({} if contact is None else {"complementarity": contact.complementarity}),
         "stationarity": verdict.stationarity,
         **named,
         **({f"waypoint_{i}": float(t[k]) for i, k in enumerate(grid.inner, 1)} if metadata.waypoints else {}),
@@ -139,8 +146,51 @@ def control_result(
         **origin(metadata, driver, run, attempt, seconds), **asdict(verdict), t=t, q=q, p=p, u=u,
         multipliers=multipliers, log=attempt.log, unknowns=unknowns, names=component_names(metadata),
         stage_abscissae=metadata.stage_abscissae, summary=summary, grid=run.grid, estimates=estimates,
-        labels={name: name for name in named},
+        labels={name: name for name in named}, gaps={} if contact is None else contact.gaps,
+        notes=() if contact is None else contact.notes,
     )  # fmt: skip
+
+
+def _largest_control(metadata: ControlRecord, u: Matrix) -> dict[str, float]:
+    """Return the largest control that is no contact force, if there are such controls."""
+    own = [name not in metadata.contact_forces for name in metadata.control_names]
+    columns = u[:, np.tile(own, metadata.bodies)] if u.size else u
+    return {"largest_control": max_norm(columns)} if columns.size else {}
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The gaps (N,) at the ends of all intervals by name, and the largest product of a contact law.
+
+    `relative` is this product in relation to the default relaxation.
+    """
+
+    gaps: dict[str, Vector]
+    complementarity: float
+    relative: float
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A warning if the contact laws hold only approximately."""
+        if self.relative <= LARGE_PRODUCT:
+            return ()
+        finding = f"products of contact forces and gaps reach {self.complementarity:.1e}"
+        return (f"{finding}, {self.relative:.1e} times the default relaxation: give a smaller one",)
+
+
+def contact_of(module: ControlModule, grid: Grid, unknowns: Vector) -> Contact:
+    """Return the gaps and the violation of the contact laws at `unknowns` (n,), whose equations hold."""
+    metadata = module.metadata
+    _, intervals = module.views(grid, unknowns)
+    values = {name: intervals[0, :, i] for i, name in enumerate(metadata.interval)}
+    relaxation = float(grid.parameters[0, list(metadata.parameters).index(metadata.relaxation)])
+    gaps, products = dict[str, Vector](), [0.0]
+    for name, meaning in metadata.meanings.items():
+        if meaning.kind is Kind.GAP_SLACK:
+            gaps[meaning.of] = values[name].copy()
+        elif meaning.kind is Kind.COMPLEMENTARITY_SLACK:
+            products.append(float((relaxation - values[name]).max()))
+    return Contact(gaps, max(products), max(products) / float(metadata.parameters[metadata.relaxation]))
 
 
 def control_outline(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt) -> Outline:

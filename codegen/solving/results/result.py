@@ -414,6 +414,8 @@ class Result(Display):
     accuracy, error, estimates, sensitivity
         Outcome of a solve with a requested accuracy; estimated discretisation error; standard errors of free
         parameters; derivatives of the solution, which the method `sensitivities` returns.
+    gaps : dict
+        Gaps (N,) at the ends of all intervals by name, for a problem with contact forces.
     by_segments : Result or None
         For a problem with delays, the same result with separate columns for each segment.
     background : Background or None
@@ -459,6 +461,7 @@ class Result(Display):
     accuracy: Accuracy | None = None
     error: DiscretisationError | None = None
     estimates: Estimates | None = None
+    gaps: Mapping[str, Vector] = field(default_factory=dict)
     by_segments: Result | None = None
     sensitivity: Sensitivities | None = None
     background: Background | None = field(default=None, compare=False)
