@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -179,7 +180,7 @@ def swept_and_controlled(solver: Solver) -> tuple[list[float], list[float]]:
     again = codegen.sweep(solver, {"m": [1.0, 2.0]}, workers=1)
     many: codegen.Solutions = codegen.solve_many(solver, {"m": [1.0, 2.0]}, threads=1)
     assert many.solved.all()
-    motions: codegen.Motions = codegen.solve_many(oscillator(), {"duration": [1.0, 2.0]}, threads=1)
+    motions: codegen.Motions = codegen.solve_many(replace(oscillator(), events={}), {"m": [1.0, 2.0]}, threads=1)
     assert motions.q.shape[0] == 2
     controller: Controller = solver.controller(steps=10)
     loop = codegen.close_loop(controller, lambda state, inputs, t, h: state, samples=2)
