@@ -29,7 +29,7 @@ KINDS = {
 explicit scheme with a free duration, phases, stages, stages with bounds, and several bodies."""
 MOTIONS = {
     "pendulum": ({}, 60, 1, "start.p", [0.1, 0.2, 0.3]),
-    "pendulum.py": ({"scheme": "stormer-verlet"}, 120, 7, "start.p", [0.5, 1.4]),
+    "pendulum explicitly": ({"scheme": "stormer-verlet"}, 120, 7, "start.p", [0.5, 1.4]),
     "heavy_top": ({}, 6, 1, "m", [0.9, 1.1]),
     "dzhanibekov": ({"scheme": "suzuki-4-of-midpoint"}, 4, 3, "duration", [1.0, 2.0, -1.0]),
 }
@@ -89,7 +89,7 @@ print(json.dumps(results))
 def simulated():
     """The comparisons of all KINDS, from one process with numba's simulator."""
     kinds = [(str(PROBLEMS / f"{name}.py"), *of_kind) for name, of_kind in KINDS.items()]
-    motions = [(f"{PROBLEMS / name.removesuffix('.py')}.py", name, *of_kind) for name, of_kind in MOTIONS.items()]
+    motions = [(f"{PROBLEMS / name.split()[0]}.py", name, *of_kind) for name, of_kind in MOTIONS.items()]
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, json.dumps(kinds), json.dumps(motions)],
         env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}, capture_output=True, text=True, check=False,
