@@ -2,7 +2,8 @@
 
 The flow moves no point on the rim of its disc, so rotation and scaling of the image would count as deformation. The
 alignment removes rotation and scaling, and its inverse is exact. Similarities without reflection follow Umeyama (1991),
-IEEE Trans. Pattern Anal. Mach. Intell. 13(4); affine maps are fitted by least squares.
+IEEE Trans. Pattern Anal. Mach. Intell. 13(4); affine maps are fitted by least squares. Rotations in space are matrices
+from a singular value decomposition; rotations in the plane are complex numbers.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ Kind: TypeAlias = Literal["auto", "none", "similarity", "affine"]
 KINDS: tuple[Kind, ...] = ("none", "similarity", "affine")
 """The kinds of alignment that `align` fits; for "auto", `chosen_alignment` selects one of these kinds."""
 
-MIRRORED = 0.2  # the ratio of squared residuals, mirrored to proper similarity, below which landmarks count as mirrored
+MIRRORED = 0.2
+"""The ratio of squared residuals, mirrored to proper similarity, below which landmarks count as mirrored."""
 
 _NEEDED = {
     2: ("two landmarks", "three landmarks that are not on one line"),
@@ -29,7 +31,8 @@ _NEEDED = {
 }
 """The landmarks that a similarity and an affine map need, by dimension."""
 
-THIN = 1e-6  # the largest ratio of width to length at which landmarks count as collinear
+THIN = 1e-6
+"""The largest ratio of width to length at which landmarks count as collinear."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,10 @@ class Alignment:
     @property
     def determinant(self) -> float:
         """The factor by which the map enlarges areas, or volumes in space."""
-        return float(np.linalg.det(self.matrix))
+        if len(self.shift) == 3:
+            return float(np.linalg.det(self.matrix))
+        (a, b), (c, d) = self.matrix
+        return float(a * d - b * c)
 
     def apply(self, points: PointArray) -> PointArray:
         """Map points of the moving image, shape (n, d), to the fixed image."""
@@ -72,7 +78,10 @@ class Alignment:
     @property
     def inverse_matrix(self) -> NDArray[np.float64]:
         """The inverse of the matrix."""
-        return np.asarray(np.linalg.inv(self.matrix))
+        if len(self.shift) == 3:
+            return np.asarray(np.linalg.inv(self.matrix))
+        (a, b), (c, d) = self.matrix
+        return np.array([[d, -b], [-c, a]]) / self.determinant
 
     def tangent(self, points: PointArray) -> NDArray[np.float64]:
         """Return an orthonormal basis, shape (n, d, number), of the displacements that parameter changes cause."""
@@ -150,14 +159,19 @@ def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
 def require_unmirrored(pairs: LandmarkPairs) -> None:
     """Raise LandmarkError for landmarks that a mirrored similarity fits much better than a proper similarity.
 
-    Squared residuals follow equation (33) of Umeyama (1991).
+    Squared residuals follow equation (33) of Umeyama (1991), in the plane with complex numbers.
     """
     if len(pairs) <= pairs.dimension or _is_thin(pairs.moving) or _is_thin(pairs.fixed):
         return
     x, y = (points - points.mean(axis=0) for points in (pairs.moving, pairs.fixed))
-    left, (*others, least), right = np.linalg.svd(y.T @ x)
-    whole, spread, sign = float((y**2).sum()), float((x**2).sum()), np.linalg.det(left) * np.linalg.det(right)
-    turned, mirrored = (whole - (sum(others) + s * least) ** 2 / spread for s in (sign, -sign))
+    if pairs.dimension == 2:
+        before, after = x[:, 0] + 1j * x[:, 1], y[:, 0] + 1j * y[:, 1]
+        whole, spread = float((np.abs(after) ** 2).sum()), float((np.abs(before) ** 2).sum())
+        turned, mirrored = (whole - abs((z * after).sum()) ** 2 / spread for z in (before.conj(), before))
+    else:
+        left, (a, b, c), right = np.linalg.svd(y.T @ x)
+        whole, spread, sign = float((y**2).sum()), float((x**2).sum()), np.linalg.det(left) * np.linalg.det(right)
+        turned, mirrored = (whole - (a + b + s * c) ** 2 / spread for s in (sign, -sign))
     if mirrored < MIRRORED * turned:
         remedy = "use --flip, or mirror the moving image and its landmarks (codegen.registration.flipped)"
         if pairs.dimension == 3:
@@ -172,21 +186,28 @@ def _is_thin(points: PointArray, axis: int = -1) -> bool:
 
 
 def _similarity(pairs: LandmarkPairs) -> Alignment:
-    """Fit a similarity by equations (40) to (42) of Umeyama, or a translation if landmarks determine no similarity."""
+    """Fit a similarity by equations (40) to (42) of Umeyama, or a translation if landmarks determine no similarity.
+
+    In the plane one complex number represents rotation and scaling.
+    """
     before, after, dimension = pairs.moving.mean(axis=0), pairs.fixed.mean(axis=0), pairs.dimension
     shift = (pairs.fixed - pairs.moving).mean(axis=0)
     reason = f"a similarity needs {_NEEDED[dimension][0]}; translation instead"
     translation = Alignment("translation", np.eye(dimension), shift, reason)
-    if len(pairs) < dimension or (dimension == 3 and (_is_thin(pairs.moving, 1) or _is_thin(pairs.fixed, 1))):
+    if len(pairs) < dimension:
         return translation
     x, y = pairs.moving - before, pairs.fixed - after
     spread = float((x**2).sum())
-    left, values, right = np.linalg.svd(y.T @ x)
-    signs = np.ones(dimension)
-    signs[-1] = np.sign(np.linalg.det(left) * np.linalg.det(right))
-    scale = (signs * values).sum() / spread
-    if scale * np.sqrt(spread) <= THIN * np.sqrt((y**2).sum()):
+    if dimension == 3:
+        if _is_thin(pairs.moving, 1) or _is_thin(pairs.fixed, 1):
+            return translation
+        left, values, right = np.linalg.svd(y.T @ x)
+        signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+        matrix = (left * signs) @ right * ((signs * values).sum() / spread)
+        return Alignment("similarity", matrix, after - matrix @ before)
+    cosine, sine = (x * y).sum() / spread, (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]).sum() / spread
+    if np.hypot(cosine, sine) * np.sqrt(spread) <= THIN * np.sqrt((y**2).sum()):
         # All rotations fit equally well, for instance for mirrored landmarks.
         return replace(translation, message="no similarity fits the landmarks; translation instead")
-    matrix = (left * signs) @ right * scale
+    matrix = np.array([[cosine, -sine], [sine, cosine]])
     return Alignment("similarity", matrix, after - matrix @ before)

@@ -155,11 +155,6 @@ def test_unusable_arguments_are_refused_in_one_line(name):
     assert "\n" not in str(caught.value)
 
 
-def test_simulations_are_refused_with_the_command_that_takes_them():
-    with pytest.raises(ArgumentError, match=r"codegen\.sweep"):
-        codegen.solve_many(PROBLEMS / "pendulum.py", {"start.q": [0.1, 0.2]})
-
-
 def test_the_interpreter_finds_the_same_optima_without_machine_code():
     code = "import codegen, sys\nprint(*codegen.solve_many(sys.argv[1], {'x_f': [1.0, 2.0]}, steps=4).cost)"
     words = [sys.executable, "-c", code, str(PROBLEMS / "double_integrator_effort.py")]

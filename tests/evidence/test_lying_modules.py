@@ -10,9 +10,9 @@ from stress_cases import PLAIN, every_case
 
 from codegen.emit.naming import Choices
 from codegen.errors import NumericsError
+from codegen.evidence.stress.cases import PROBLEMS as OWN_PROBLEMS
 from codegen.evidence.stress.cases import classify, newton_distance
 from codegen.evidence.stress.measure import measure
-from codegen.evidence.stress.motions import PROBLEMS as OWN_PROBLEMS
 from codegen.evidence.stress.motions import VERLET, oscillation
 from codegen.evidence.stress.systems import FORCES, frequency, plate_gradient, spectral_radius
 from codegen.solving import api
@@ -25,7 +25,7 @@ def verlet():
     """The text of the oscillator's Störmer-Verlet module."""
     case = next(c for c in every_case() if c.setup == PLAIN.setup and c.name.endswith("h omega = 0.01"))
     case = replace(case, steps=100, values=(("omega", 100.0), ("duration", 0.01)), limit=False)
-    return generate(OWN_PROBLEMS / "oscillator.py", {}, Choices("stormer-verlet", "hamiltonian")), case
+    return generate(OWN_PROBLEMS, {"system": "oscillator"}, Choices("stormer-verlet", "hamiltonian")), case
 
 
 def test_an_honest_module_is_accurate_and_its_limit_is_two(verlet):
@@ -80,8 +80,8 @@ def test_numbers_that_are_none_are_refused_by_name(verlet):
 
 
 def test_a_prescribed_value_beyond_its_bound_is_refused():
-    module = without_compilation(generate(OWN_PROBLEMS / "walled_cart.py", {}, Choices()))
-    walled = [replace(case, steps=6) for case in every_case() if case.setup.file.stem == "walled_cart"]
+    module = without_compilation(generate(OWN_PROBLEMS, {"system": "walled_cart"}, Choices()))
+    walled = [replace(case, steps=6) for case in every_case() if case.setup.problem == "walled_cart"]
     behind = next(case for case in walled if case.name == "cart, wall behind the start")
     seen = measure(module, behind)
     assert seen.status == "infeasible"
@@ -92,7 +92,7 @@ def test_a_prescribed_value_beyond_its_bound_is_refused():
 
 def test_a_step_of_particles_that_fails_is_named():
     case = next(case for case in every_case() if case.name == "two bodies at the same place")
-    module = load(build(case.setup.file, scheme=case.setup.scheme).path)
+    module = load(build(case.setup.file, dict(case.setup.arguments), scheme=case.setup.scheme).path)
     seen = measure(module, replace(case, steps=4))
     assert classify(case, seen).outcome == "refused"
     assert "step 1 of 4, from t = 0 to 0.25" in seen.message
@@ -100,7 +100,7 @@ def test_a_step_of_particles_that_fails_is_named():
 
 def test_a_flat_arc_along_a_wall_is_optimal():
     """The cost by IPOPT of CasADi at tolerance 1e-12; a cart that leaves the wall by 0.036 costs 1.5e-4 more."""
-    module = load(build(OWN_PROBLEMS / "walled_cart.py").path)
+    module = load(build(OWN_PROBLEMS, {"system": "walled_cart"}).path)
     result = api.solve(module, "newton", steps=6000, parameters={"wall": 1e-3})
     assert result.solved
     assert result.cost == pytest.approx(444.78764598, rel=1e-6)
@@ -109,7 +109,7 @@ def test_a_flat_arc_along_a_wall_is_optimal():
 
 def test_the_distance_from_the_root_is_that_of_a_shifted_optimum():
     """The problem is linear-quadratic: one Newton step leads back, whatever the unknowns."""
-    module = without_compilation(generate(OWN_PROBLEMS / "linear_regulator.py", {}, Choices()))
+    module = without_compilation(generate(OWN_PROBLEMS, {"system": "linear_regulator"}, Choices()))
     solved = api.solve(module, "newton", steps=8)
     assert newton_distance(module, solved) < 1e-14
     shifted = solved.unknowns.copy()
@@ -125,7 +125,7 @@ def test_the_distance_from_the_root_is_that_of_a_shifted_optimum():
 @pytest.mark.parametrize("problem", FORCES)
 def test_forces_written_by_hand_are_those_of_the_problem_file(problem):
     """Against the gradient of the generated energy, by complex-free central differences."""
-    module = without_compilation(generate(OWN_PROBLEMS / f"{problem}.py", {}, Choices("explicit-euler", "hamiltonian")))
+    module = without_compilation(generate(OWN_PROBLEMS, {"system": problem}, Choices("explicit-euler", "hamiltonian")))
     grid = module.make_grid(1)
     random = np.random.default_rng(3)
     q, p = 1.0 + 0.1 * random.standard_normal((2, len(grid.start) // 2))

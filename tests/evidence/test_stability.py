@@ -8,8 +8,8 @@ from stress_cases import every_case
 
 from codegen.discretise.schemes import METHODS
 from codegen.emit.naming import Choices
+from codegen.evidence.stress.cases import PROBLEMS as OWN_PROBLEMS
 from codegen.evidence.stress.motions import MECHANICAL, SYMPLECTIC_EULER, VERLET, expectation, registered
-from codegen.evidence.stress.motions import PROBLEMS as OWN_PROBLEMS
 from codegen.evidence.stress.systems import GROWTH, area, growth, limit, spectral_radius, stable_limit, swing, turn
 from codegen.solving.compiler import generate
 
@@ -96,7 +96,7 @@ def test_energies_of_explicit_schemes_swing_as_what_they_keep_says(x):
 
 @pytest.mark.parametrize("name", ["yoshida-4", "blanes-moan-6"])
 def test_generated_steps_are_as_stable_as_the_tables_say(name):
-    module = without_compilation(generate(OWN_PROBLEMS / "oscillator.py", {}, Choices(name, "hamiltonian")))
+    module = without_compilation(generate(OWN_PROBLEMS, {"system": "oscillator"}, Choices(name, "hamiltonian")))
     case = next(c for c in every_case() if c.setup.scheme == name and c.reference == "stable_step")
     assert stable_limit(module, case) == pytest.approx(limit(registered(("hamiltonian", name))), rel=1e-3)
     for x in (0.4, 1.4):
