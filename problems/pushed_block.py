@@ -27,5 +27,9 @@ def problem() -> Control:
         friction=mu,
         slip=[dx],
         steps=30,
-        drawing=[Ground((-0.2, 0), (1.2, 0)), Mass((x, y), 0.05), Arrow((x, y), (u / 20, 0), label="force")],
+        drawing=[
+            Ground((-0.2, 0), (1.2, 0)),
+            Mass((x, y + 0.05), 0.05),
+            Arrow((x, y + 0.05), (u / 20, 0), label="force"),
+        ],
     )
