@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
@@ -44,8 +45,8 @@ NUMBERS = 1_000_000
 """Number of stored numbers of a block of cases, after each of which an interrupt is seen."""
 
 
-class Cases:
-    """What the results of many cases have in common: statuses, messages, and the parameters of each case."""
+class Cases(ABC):
+    """Base class of the results of many cases: their statuses, and the parameters of each case."""
 
     status: NDArray[np.str_]
     parameters: Mapping[str, Vector]
@@ -64,8 +65,9 @@ class Cases:
     def __len__(self) -> int:
         return int(self.status.size)
 
+    @abstractmethod
     def __getitem__(self, index: int) -> Result:
-        raise NotImplementedError
+        """Return the Result of a case; raises IndexError beyond the end."""
 
     def __iter__(self) -> Iterator[Result]:
         return (self[i] for i in range(len(self)))

@@ -387,7 +387,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         "rounding does not come before the asymptotic range. The number of steps N grows by a third of a doubling at a "
         f"time until the orders between neighbours agree within {orders.SETTLED:g} ({orders.SETTLED_HIGH:g} for high "
         f"orders) over a range of {orders.LEAST_RANGE:g} or more in N, at {orders.ABOVE_REFERENCE:g} times the "
-        "reference's error or above; the finest such range counts. Where there is none, convergence is called not "
+        "reference's error or above. The finest such range counts. Without such a range, convergence is called not "
         "asymptotic."
     )
     # Orders, least errors, and the times to trajectory errors of 1e-3 and 1e-6.
