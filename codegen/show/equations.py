@@ -13,7 +13,7 @@ import sympy
 from sympy import Add, Expr, Symbol, expand_mul
 from sympy.simplify.fu import TR8
 
-from codegen.discretise import schemes, transcribe
+from codegen.discretise import contact, schemes, transcribe
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.conditions.holonomic import Constraints
 from codegen.discretise.conditions.rolling import discrete
@@ -363,10 +363,11 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
             shift |= dict(zip(sites.right_controls, sites.left_controls, strict=True))
         shift[side.time] = side.time - STEP
         balances, constraints = [], Constraints(side, Names(side))
-        normal = [2 * impulse for impulse in constraints.force("_k")]
+        acting = zip(constraints.force("_k"), contact.impulses(side), strict=True)
+        impulses = [2 * of_constraints + of_contact for of_constraints, of_contact in acting]
         for i in own:
             before = _shortest(interval.right_momentum[i].xreplace(shift))
-            balances.append((_named("0"), _shortest(before - _shortest(interval.left_momentum[i]) + normal[i])))
+            balances.append((_named("0"), _shortest(before - _shortest(interval.left_momentum[i]) + impulses[i])))
         heading = ("Forced discrete" if any(side.force) else "Discrete") + " Euler-Lagrange equations"
         yield Block(heading, tuple(balances), (_CONSTRAINED_BALANCE if constraints.kappa else _BALANCE,))
         if means := tuple((_named("0"), _shortest(mean)) for mean in discrete(side, scheme) if side.rolling):

@@ -16,7 +16,7 @@ from itertools import chain
 import sympy
 from sympy import Dummy, Symbol, cos, expand, sin
 
-from codegen.discretise import schemes
+from codegen.discretise import contact, schemes
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.interval import at_nodes
 from codegen.discretise.model.definitions import Model, expressions_of, prescribed
@@ -211,7 +211,14 @@ def _balance(program: ControlProgram) -> Iterator[list[str]]:
     if kappa := ", ".join(u.name for u in program.node if u.kind is Kind.NORMAL_FORCE):
         lead += f", with G the derivative of the constraints and kappa of entries {kappa}"
         force, left, right = (f" {part} G(q_k)^T kappa_k" for part in ("+ h", "- h/2", "+ h/2"))
-    lines = [f"0 = D2 Ld(q_{{k-1}}, q_k) + D1 Ld(q_k, q_{{k+1}}){both}{force}"]
+    impulses = zip(program.model.coordinates, contact.impulses(program.model), strict=True)
+    acting_impulses = [f"c_{q} = {sympy.sstr(impulse)}" for q, impulse in impulses if impulse != 0]
+    if acting_impulses:
+        lead += ", with the impulses c_k of contact"
+        force, left = " + c_k", " - c_k"
+    if at_end := ", ".join(u.name for u in program.node if u.kind is Kind.END_IMPULSE):
+        right = f" + c of {at_end}"
+    lines = [f"0 = D2 Ld(q_{{k-1}}, q_k) + D1 Ld(q_k, q_{{k+1}}){both}{force}", *acting_impulses]
     inner = [u.name for u in program.interval if u.kind is Kind.INNER_VALUE]
     equations = chain(program.equations, *(phase.equations for phase in program.phases))
     acting = {equation.left for equation in equations}
@@ -222,7 +229,7 @@ def _balance(program: ControlProgram) -> Iterator[list[str]]:
     lines += [f"p at the end = {before}"] * any(e.momentum for e in program.end.conditions)
     switched = any(e.momentum for phase in program.phases for e in phase.switch_equations)
     lines += [f"p before a switch = {before}", f"p after a switch = {after}"] * switched
-    if len(lines) > 1 + len(inner):
+    if len(lines) > 1 + len(inner) + len(acting_impulses):
         lead += ", and prescribed momenta"
     yield _block(f"{lead}:", lines)
 
