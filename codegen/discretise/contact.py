@@ -21,8 +21,8 @@ At the end an impulse of the same kind acts if velocities are prescribed there. 
 with the velocity after the impact. The momenta of nodes are those before the impulse.
 
 Products are not zero, but at most epsilon, the parameter `relaxation`, an energy. The search begins with a large
-epsilon and reduces it. Source: Scholtes (2001), Convergence properties of a regularization scheme for mathematical
-programs with complementarity constraints.
+epsilon, which falls with the weight of its barrier, see `codegen.runtime.search.contact`. Source: Scholtes (2001),
+Convergence properties of a regularization scheme for mathematical programs with complementarity constraints.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import sympy
-from sympy import Expr, S, Symbol
+from sympy import Add, Expr, S, Symbol
 
 from codegen.discretise.interval import STEP, PathValue, at_nodes
 from codegen.discretise.model.definitions import Condition, Contact, Model, prescribed
@@ -45,8 +45,12 @@ from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic.checks import rounded_at, rounding_at
 from codegen.symbolic.derivatives import gradient
 
-LEAST = 1e-8
+LEAST = 1e-7
 """Least relaxation, relative to the energy of the motion."""
+FASTER = 2.0
+"""Largest velocity of a motion from rest to rest, relative to its mean, at least."""
+CLOSED = 1e-9
+"""Largest gap that counts as closed, relative to its terms."""
 _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Fractions of the duration at which the energy of the expected motion is estimated."""
 
@@ -60,16 +64,18 @@ def with_relaxation(model: Model) -> Model:
 
 
 def _energy(model: Model) -> float:
-    """Return an estimate of the energy of the expected motion: of its velocity, its potential, or the work of contact.
+    """Return an estimate of the energy of the motion: kinetic, potential, or the work of contact.
 
-    The work is that of the force on a closed gap along the largest gap.
+    Velocities are FASTER times those of the expected motion, which is often the straight line between both ends. The
+    work is that of the force on a closed gap along the largest gap. If the gap stays closed, for example that of a foot
+    under a leg, its largest term takes its place.
     """
     points = [{**values_at_guess(model), **expected_values(model, share)} for share in _SHARES]
     duration = points[-1][model.time]
     zeros = dict.fromkeys((*model.coordinates, *model.rates, *model.controls), 0.0)
     moves = {q: max(p.get(q, 0.0) for p in points) - min(p.get(q, 0.0) for p in points) for q in model.coordinates}
     speeds = {
-        v: max(moves[q] / duration, *(abs(p.get(v, 0.0)) for p in points))
+        v: max(FASTER * moves[q] / duration, *(abs(p.get(v, 0.0)) for p in points))
         for q, v in zip(model.coordinates, model.rates, strict=True)
     }
     at_rest = [{**zeros, **p, **dict.fromkeys(model.rates, 0.0)} for p in points]
@@ -81,7 +87,10 @@ def _energy(model: Model) -> float:
     energies = [abs(value(model.function, {**p, **speeds}) - value(model.function, p)) for p in at_rest]
     energies += [abs(value(model.function, p) - first) for p in at_rest]
     for contact in model.contacts:
-        gap = max(abs(value(contact.expression, p)) for p in at_rest)
+        sizes = [[value(term, p) for term in Add.make_args(contact.expression)] for p in at_rest]
+        gap = max(abs(sum(terms)) for terms in sizes)
+        if gap <= CLOSED * (largest := max(abs(term) for terms in sizes for term in terms)):
+            gap = largest
         for p in at_rest:
             normal = [value(slope, p) for slope in gradient(contact.expression, model.coordinates)]
             force = [value(slope, p) for slope in gradient(model.function, model.coordinates)]
@@ -144,9 +153,9 @@ def _friction(contact: Contact, slips: Sequence[Expr], relaxation: Expr, scale: 
         return
     largest = contact.friction * contact.normal
     for signs in product((1, -1), repeat=len(contact.tangential)):
-        side = sympy.Add(*(sign * f for sign, f in zip(signs, contact.tangential, strict=True)))
+        side = Add(*(sign * f for sign, f in zip(signs, contact.tangential, strict=True)))
         yield _Law(Kind.FRICTION, contact.name, side - largest)
-    power = sympy.Add(*(f * v for f, v in zip(contact.tangential, slips, strict=True)))
+    power = Add(*(f * v for f, v in zip(contact.tangential, slips, strict=True)))
     for v in slips:
         for sign in (1, -1):
             excess = scale * (power + sign * largest * v)
@@ -213,7 +222,7 @@ def end_impulse(model: Model, matched: set[int], values: Mapping[Symbol, Expr], 
     conditions = [Condition(f"{c.normal} >= 0", -c.normal, equality=False) for c in contacts]
     for contact in contacts:
         pairs = zip(model.coordinates, model.rates, strict=True)
-        rate = sympy.Add(
+        rate = Add(
             sympy.diff(contact.expression, model.time), *(sympy.diff(contact.expression, q) * v for q, v in pairs)
         )
         work = contact.normal * rate

@@ -274,11 +274,12 @@ def _continuous(authored: Model, method: str) -> Iterator[Block]:
         q, v = model.coordinates, model.rates
         accelerations = [_named(f"acceleration {x}") for x in q]
         balances, constraints = [], Constraints(model, Names(model))
-        for x, w, f, normal in zip(q, v, model.force, constraints.along, strict=True):
+        acting = zip(model.force, constraints.along, contact.force(model), strict=True)
+        for x, w, force in zip(q, v, map(sum, acting), strict=True):
             momentum = sympy.diff(model.function, w)
             rate = sympy.diff(momentum, model.time)
             rate += sum(sympy.diff(momentum, y) * z for y, z in zip((*q, *v), (*v, *accelerations), strict=True))
-            balances.append((_named("0"), _shortest(rate - sympy.diff(model.function, x) - f - normal)))
+            balances.append((_named("0"), _shortest(rate - sympy.diff(model.function, x) - force)))
         remark = _CONSTRAINED if constraints.kappa else _EULER_LAGRANGE
         yield Block(f"{forced}Euler-Lagrange equations", tuple(balances), (remark,))
     elif letter == "H":

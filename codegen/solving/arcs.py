@@ -84,9 +84,12 @@ def order_of_optima(module: ControlModule) -> int:
 
     At a minimum the error of the cost is a square of the error of the control. A smooth control is approximated at
     order 1 by constants on intervals, and at order 2 by lines between nodes. With bounds the order of lines is 2,
-    because a control may turn or jump inside an interval. Controls at stages do not limit the order.
+    because a control may turn or jump inside an interval. Controls at stages do not limit the order. Contact begins and
+    ends at nodes, so that the order is 1.
     """
     order, metadata = int(module.metadata.order), module.metadata
+    if metadata.relaxation:
+        return 1
     if not metadata.control_names or metadata.controls == Sites.STAGES:
         return order
     return min(order, 4 if metadata.controls == Sites.LINEAR and not metadata.inequalities else 2)

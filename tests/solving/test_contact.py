@@ -6,7 +6,18 @@ from conftest import PROBLEMS
 from sympy import Eq, Symbol
 
 import codegen
-from codegen import Control, Phases, Simulate, controls, coordinates, free_parameter, parameters, states
+from codegen import (
+    Control,
+    Phases,
+    Simulate,
+    control,
+    controls,
+    coordinate,
+    coordinates,
+    free_parameter,
+    parameters,
+    states,
+)
 from codegen.emit.naming import Choices
 from codegen.errors import (
     ArgumentError,
@@ -111,6 +122,32 @@ def test_the_pyramid_of_friction_acts_on_the_faster_component_first():
     assert result.q[-1, 0] == pytest.approx(0.5 * first + 0.25 * second, rel=0.01)
     assert result.q[-1, 1] == pytest.approx(-1.0 * first - 0.25 * second, rel=0.01)
     assert np.abs(result.q[:, 2]).max() < SMALL
+
+
+@pytest.mark.parametrize(("n", "part"), [(40, 0.045), (160, 0.025)])
+def test_a_mass_waits_on_the_floor_and_is_lifted_with_the_least_effort(n, part):
+    """The force m (g + a) without waiting has the cost m^2 (g^2 T + 12 d^2 / T^3), which is least for T^2 = 6 d / g."""
+    y, dy = coordinate("y")
+    u = control("u")
+    m, height = 2, 0.5
+    problem = Control(
+        lagrangian=m * dy**2 / 2 - m * G * y,
+        force={y: u},
+        cost=u**2,
+        duration=1,
+        start={y: 0, dy: 0},
+        end={y: height, dy: 0},
+        bounds={u: (0, 60)},
+        unilateral={"floor": y >= 0},
+        steps=n,
+    )
+    result = codegen.solve(problem)
+    assert result.solved, result.message
+    time = np.sqrt(6 * height / G)
+    exact = 4 / 3 * m**2 * G**2 * time
+    assert exact < result.cost < (1 + part) * exact
+    assert result.q[result.t < 0.9 * (1 - time), 0] == pytest.approx(0, abs=SMALL)
+    assert result.summary["cost_error"] > 0.3 * (result.cost / exact - 1)
 
 
 def test_a_block_is_pushed_with_the_least_effort_at_second_order():
@@ -218,7 +255,8 @@ def relaxed_by_ipopt(casadi, result, relaxation):
     opti.set_initial(u, result.u[:, 0])
     opti.set_initial(normal, result.u[:, 1])
     quiet = {"print_time": False, "ipopt.print_level": 0, "ipopt.tol": 1e-10, "ipopt.bound_relax_factor": 0.0}
-    opti.solver("ipopt", quiet | {"ipopt.mu_init": 1e-6})
+    close = dict.fromkeys(("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac"), 1e-9)
+    opti.solver("ipopt", quiet | {"ipopt.mu_init": 1e-9} | {f"ipopt.{name}": value for name, value in close.items()})
     solution = opti.solve()
     return solution.value(opti.f), solution.value(q)
 
@@ -271,7 +309,7 @@ def test_all_checks_pass():
 
 @pytest.mark.parametrize("scheme", ["trapezoidal", "rectangle"])
 def test_other_schemes_have_the_same_contact_laws(scheme):
-    result = codegen.solve(pushed(steps=30), scheme=scheme)
+    result = codegen.solve(pushed(steps=15), scheme=scheme)
     assert result.solved, result.message
     assert result.cost == pytest.approx(12 + (MU * G) ** 2, rel=0.02)
     assert np.abs(result.gaps["floor"]).max() < SMALL
@@ -282,12 +320,6 @@ def test_a_large_relaxation_is_named():
     assert result.solved
     assert any("default relaxation" in note for note in result.notes)
     assert result.summary["complementarity"] == pytest.approx(1e-2, rel=1e-6)
-
-
-def test_a_search_that_ends_early_names_the_relaxation():
-    result = codegen.solve(SHOVE, steps=20, max_iterations=60)
-    assert result.status == "iteration limit"
-    assert "of the contact laws" in result.message
 
 
 def test_warm_starts_sweeps_and_several_guesses():

@@ -94,6 +94,15 @@ def first_beyond(bodies, stride, node, steps, unknowns, units, lower, upper, uns
     return -1, -1
 
 
+def determined_slacks(grid):
+    """Return the mask (n,) of slacks that equations determine; the bounds of these slacks are below zero."""
+    s, slacks = grid.problem.structure, np.zeros(grid.is_multiplier.size)
+    _, intervals = views(grid, slacks)
+    intervals[:, :, s.slacks - s.node] = 1.0
+    lower, _ = bounds_of(grid)
+    return (slacks > 0.0) & (lower < 0.0)
+
+
 def with_slacks(grid, unknowns):
     """Return `unknowns` (n,) with slacks that satisfy their equations, or are zero for violated inequalities."""
     s, unknowns = grid.problem.structure, unknowns.copy()

@@ -1,64 +1,47 @@
-"""The continuation of problems with contact forces: the relaxation of products of forces and gaps is reduced.
+"""The continuation of problems with contact forces: the relaxation of their products falls with the barrier's weight.
 
-The parameter epsilon of the grid is the final relaxation. The first search has the relaxation FIRST times epsilon, and
-each further search begins with the solution of the search before it. The first reductions are small, because contacts
-form and part; below SETTLED times epsilon they rarely do. If a search fails, the relaxation is reduced by smaller
-factors. Source: Scholtes (2001), Convergence properties of a regularization scheme for mathematical programs
-with complementarity constraints, SIAM Journal on Optimization 11.
+Products of contact forces and gaps are at most epsilon, the parameter `relaxation`. The grid has its final value. A
+search begins with a large relaxation and reduces it whenever the weight mu of the barrier falls, so that one path of
+optima leads to the solution. Source: Raghunathan and Biegler (2005), An interior point method for mathematical programs
+with complementarity constraints (MPCCs), SIAM Journal on Optimization 15.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-FIRST, SETTLED = 1e9, 2e4  # relaxations, relative to the final relaxation
-SLOWLY, QUICKLY = math.sqrt(10.0), 100.0  # factors by which larger and smaller relaxations are reduced
-LEAST_FACTOR = 1.2  # least factor of a reduction after failures
-LOOSE = 1e-6  # tolerance of all searches but the last
+FIRST = 1e7  # relaxation at the weight AT, relative to the final relaxation
+AT = 0.1
+LEAST = 1e-9  # largest weight with the final relaxation, unless the tolerance is larger
 
 
-def relaxation_column(grid):
-    """Return the index of the relaxation among the parameters of a grid."""
-    metadata = grid.problem.metadata
-    return list(metadata.parameters).index(metadata.relaxation)
+class Relaxation(NamedTuple):
+    """The relaxation of a search: its values (nodes,) among the parameters of the grid, and its `final` value."""
+
+    values: np.ndarray
+    final: float
+
+    def at(self, mu, tolerance):
+        """Return the relaxation for the weight `mu` of the barrier."""
+        least = max(LEAST, tolerance)
+        power = math.log(FIRST) / math.log(AT / least)
+        return self.final * max(1.0, (mu / least) ** power)
+
+    def follow(self, mu, tolerance):
+        """Set the relaxation for the weight `mu`."""
+        self.values[:] = self.at(mu, tolerance)
 
 
-def with_relaxation(grid, value):
-    """Return a grid with another relaxation."""
-    parameters = grid.parameters.copy()
-    parameters[:, relaxation_column(grid)] = value
-    return grid._replace(parameters=parameters, bounds=())
+def relaxation_of(grid):
+    """Return (grid, Relaxation) for a grid with contact forces, otherwise (grid, None).
 
-
-def relaxed(search, grid, unknowns, tolerance, max_iterations, warm, scaling, log):
-    """Minimise with smaller and smaller relaxations by `search`; return as `search`, which is `optimise_varied`.
-
-    A warm start begins with the final relaxation. If that fails, all searches follow.
+    The grid returned has its own parameters, so that the relaxation of the argument stays final.
     """
-    final, total = float(grid.parameters[0, relaxation_column(grid)]), 0
-    if warm:
-        outcome = search(grid, unknowns, tolerance, max_iterations, True, scaling, log)
-        total = outcome[3]
-        if outcome[0] == "solved" or total >= max_iterations:
-            return outcome
-    reached, value, factor, begin = math.inf, FIRST * final, SLOWLY, unknowns
-    while True:
-        is_last = value <= final * (1.0 + 1e-9)
-        relaxed_grid = grid if is_last else with_relaxation(grid, value)
-        status, message, point, iterations, scaled = search(
-            relaxed_grid, begin, tolerance if is_last else max(tolerance, LOOSE), max_iterations - total,
-            reached < math.inf, scaling, log,
-        )  # fmt: skip
-        total += iterations
-        if status == "solved" and is_last:
-            return status, message, point, total, scaled
-        if status == "solved":
-            reached, begin = value, np.array(point.unknowns)
-            factor = SLOWLY if reached > SETTLED * final else QUICKLY
-        else:
-            factor = math.sqrt(factor)
-            if reached == math.inf or factor < LEAST_FACTOR or status == "time limit" or total >= max_iterations:
-                until = "not even the first" if reached == math.inf else f"only the relaxation {reached:.1e}"
-                message = f"{message}; of the contact laws, {until} was reached, and {final:.1e} was asked"
-                return status, message, point, total, scaled
-        value = max(final, reached / factor)
+    metadata = grid.problem.metadata
+    if not metadata.relaxation:
+        return grid, None
+    column = list(metadata.parameters).index(metadata.relaxation)
+    grid = grid._replace(parameters=grid.parameters.copy())
+    values = grid.parameters[:, column]
+    return grid, Relaxation(values, float(values[0]))

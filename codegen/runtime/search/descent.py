@@ -29,8 +29,8 @@ from codegen.runtime.search.point import measured_gradient
 
 # Results of `descend`: the reason why it returns.
 (
-    CONTINUE, SOLVED, SADDLE, NON_FINITE, UNBOUNDED, INFEASIBLE, RANK_DEFICIENT, STALLED, RESTORE, ROOM, GROSS,
-) = range(11)  # fmt: skip
+    CONTINUE, SOLVED, SADDLE, NON_FINITE, UNBOUNDED, INFEASIBLE, RANK_DEFICIENT, STALLED, RESTORE, ROOM, GROSS, WEIGHT,
+) = range(12)  # fmt: skip
 WORDS = (
     "iteration limit", "solved", "saddle point", "non-finite", "unbounded", "infeasible", "rank-deficient", "stalled",
 )  # fmt: skip
@@ -49,7 +49,8 @@ BARRIERS = 10
 # Indices of the state of a search, between calls: floats, then integers. LOOSE_... is the iterate before bounds are
 # relaxed less for the first time, and WATCH_... the iterate to which the watchdog may return. KNOWN is the cost of a
 # saddle point. LATE, SHORTENED, IN_VAIN, IN_TURN and AT_REST count iterations in turn. DOUBTFUL counts steps whose
-# linear system may be solved inaccurately, and ENOUGH is the number of such steps that calls for a measurement.
+# linear system may be solved inaccurately, and ENOUGH is the number of such steps that calls for a measurement. With
+# FOLLOWED, the equations depend on the barrier's weight: the search returns WEIGHT after each change of it.
 (
     MU, LEAST_RELAXATION, SHORTEST, SMALL_VIOLATION, FIRST_COST, DELTA_W, LAST_DELTA_W, DAMPING, LENGTH, LAST_ERROR,
     WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, KNOWN, COST, RESIDUAL, VIOLATION,
@@ -59,9 +60,9 @@ REALS = 27
 (
     PAIRS, REFUSED, IN_TURN, EMPTIED, LATE, SHORTENED, WATCHING, IN_VAIN, DOUBTFUL, ENOUGH, LOWERED, WAS_SINGULAR,
     ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS, AT_REST, SEEN, STAGE, ON_PATH,
-    LOOKS, IS_BESIDE,
-) = range(25)  # fmt: skip
-INTEGERS = 25
+    LOOKS, IS_BESIDE, FOLLOWED,
+) = range(26)  # fmt: skip
+INTEGERS = 26
 
 # The stage of a search. It continues, or it begins with an iterate, with primal unknowns, or with the unknowns of a
 # neighbour. A neighbour is the solution of a similar problem; `begin_beside` makes an iterate of its unknowns.
@@ -101,6 +102,7 @@ VAIN = 20  # full steps in turn without effect on the violation, after which equ
 # The barrier.
 ERROR_FACTOR = 10.0  # the barrier parameter mu decreases if the error is below this multiple of mu
 DECREASE, POWER = 0.2, 1.5  # the next parameter is the smaller of DECREASE * mu and mu**POWER
+FOLLOWED_DECREASE = 0.4  # smallest ratio of two weights if the equations depend on the weight
 LEAST_PART = 0.025  # the last weight, relative to the tolerance; with 0.1, the cost of a crane problem is off by 2e-9
 RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # largest and least relaxation of a bound, relative to max(1, |bound|)
 PER_WEIGHT = 1e-2  # the relaxation between these limits, relative to the barrier's weight
@@ -1012,6 +1014,8 @@ def descend(
         if m > 0:
             scaled = max(stationarity / max(1.0, mean / 100.0), residual)
             new = lower_barrier(mu, least_mu, scaled, max(1.0, mean_dual / 100.0), lowest, highest)
+            if integers[FOLLOWED]:
+                new = max(new, FOLLOWED_DECREASE * mu)
             if new < mu:
                 integers[PAIRS], integers[REFUSED], integers[IN_TURN] = 1, 0, 0
                 integers[SHORTENED], integers[WATCHING] = 0, 0
@@ -1035,6 +1039,9 @@ def descend(
                         cost, residual, violation, stationarity, error = measures
                         _, gap, lowest, highest, mean, mean_dual, largest = measured
                 reals[MU] = mu = new
+                if integers[FOLLOWED]:
+                    status = WEIGHT
+                    break
             if mu <= least_mu:
                 integers[LATE] += 1
         objective, small = cost - mu * logarithms, reals[SMALL_VIOLATION]

@@ -12,6 +12,7 @@ from numba import njit
 
 from codegen.runtime.search import descent
 from codegen.runtime.search.bounds import bounds_of
+from codegen.runtime.search.contact import Relaxation, relaxation_of
 from codegen.runtime.search.descent import COST, DISTANCE, DUALS, LARGEST_DUAL, LEAST_RELAXED, MU, G, X
 from codegen.runtime.search.grid import NONE, Grid, layout_of, multiplier_unknowns, with_pinned_values
 from codegen.runtime.search.linear_system import System, allocate_system, with_entry_factors
@@ -136,7 +137,7 @@ class Search(NamedTuple):
     """The constant data of a search: grid, bounds, storage of the linear system, and work space.
 
     `arguments` are the first four arguments of the compiled search. Bounds are relaxed by at least `least`, relative to
-    their magnitudes.
+    their magnitudes. With contact forces, `relaxation` follows the weight of the barrier.
     """
 
     grid: Grid
@@ -145,6 +146,7 @@ class Search(NamedTuple):
     work: Workspace
     arguments: tuple[tuple[Any, ...], ...]
     least: float = LEAST_RELAXED
+    relaxation: Relaxation | None = None
 
     @property
     def is_bounded(self):
@@ -182,6 +184,7 @@ class Step(NamedTuple):
 
 def search_on(grid):
     """Return the Search on a grid, with kept or new storage; the grid of the Search includes the bounds."""
+    grid, relaxation = relaxation_of(grid)
     bounds = NO_BOUNDS
     if grid.problem.variable_bounds is not None:
         box = bounds_of(grid)
@@ -192,7 +195,8 @@ def search_on(grid):
         system, work = allocate_system(grid), Workspace(grid.is_multiplier.size, bounds.side.size)
     else:
         system, work = with_entry_factors(grid, kept[0]), kept[1]
-    return Search(grid, bounds, system, work, (*arguments_of(grid, system), tuple(bounds)))
+    arguments = *arguments_of(grid, system), tuple(bounds)
+    return Search(grid, bounds, system, work, arguments, relaxation=relaxation)
 
 
 def keep_storage(search):
@@ -261,6 +265,13 @@ def stored(search):
     vectors, barriers = work.vectors[: G + 1].copy(), work.barriers[: DUALS + 1].copy()
     point = Point(vectors[X], vectors[G], *work.reals[COST : COST + 5].tolist())
     return Iterate(point, float(work.reals[MU]), barriers[DISTANCE], barriers[DUALS])
+
+
+def with_relaxation(search, tolerance):
+    """Return the iterate in the work space of a search with contact forces, with the relaxation for its weight."""
+    iterate = stored(search)
+    search.relaxation.follow(iterate.mu, tolerance)
+    return iterate._replace(point=evaluate(search.grid, iterate.point.unknowns))
 
 
 def pushed_inside(search, unknowns, push):

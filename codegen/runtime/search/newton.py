@@ -1,7 +1,7 @@
 """Calls of the compiled search until the search ends, with feasibility restorations between the calls."""
 
 from codegen.runtime.search import descent
-from codegen.runtime.search.descent import CONTINUE, GROSS, RESTORE, ROOM, WITH_ITERATE, WITH_NEIGHBOUR, WORDS
+from codegen.runtime.search.descent import CONTINUE, GROSS, RESTORE, ROOM, WEIGHT, WITH_ITERATE, WITH_NEIGHBOUR, WORDS
 from codegen.runtime.search.iterates import (
     Iterate,
     central_duals,
@@ -9,6 +9,7 @@ from codegen.runtime.search.iterates import (
     measured_point,
     stored,
     with_least_squares_multipliers,
+    with_relaxation,
 )
 from codegen.runtime.search.point import evaluate
 from codegen.runtime.search.restoration import restore
@@ -40,17 +41,22 @@ def descend(
     # Escapes from a saddle point keep the flag of the search that has led there.
     is_beside = integers[descent.IS_BESIDE] if stage == WITH_ITERATE else 0
     reals[:], integers[:], integers[descent.IS_BESIDE] = 0.0, 0, is_beside
+    integers[descent.FOLLOWED] = search.relaxation is not None
     if stage == WITH_ITERATE:
         load(search, start)
     else:
         work.vectors[descent.X] = start
         reals[descent.MU], reals[descent.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
         integers[descent.ON_PATH], integers[descent.LOOKS] = attempt.on_path, 1
+        if search.relaxation is not None:
+            search.relaxation.follow(0.0 if stage == WITH_NEIGHBOUR else attempt.weight, tolerance)
     if stage == WITH_NEIGHBOUR:
         problem, data, _, bounds = search.arguments
         reals[descent.LEAST_RELAXATION], integers[descent.IS_FACTORED] = search.least, is_factored
         descent.begin_beside(problem, data, bounds, tolerance, reals, integers, work.vectors, work.barriers)
         stage, is_factored = WITH_ITERATE, integers[descent.IS_FACTORED]
+    if stage == WITH_ITERATE and search.relaxation is not None:
+        load(search, with_relaxation(search, tolerance))
     integers[descent.STAGE] = stage
     reals[descent.SHORTEST], reals[descent.FUNNEL] = attempt.shortest, attempt.funnel
     reals[descent.LEAST_RELAXATION] = search.least
@@ -64,6 +70,9 @@ def descend(
         iterations = int(integers[descent.ITERATIONS])
         if status == GROSS:
             return "gross", stored(search), 0
+        if status == WEIGHT:
+            load(search, with_relaxation(search, tolerance))
+            continue
         if status == RESTORE:
             iterate = stored(search)
             outcome, feasible = restored(search, iterate, 0.9, work.pairs[: integers[descent.PAIRS]], log)
@@ -124,7 +133,7 @@ def run(search, tolerance, max_iterations, log, until):
         return status, False
     count = int(work.integers[descent.ITERATIONS]) - before
     # The next call writes the log row of the last iterate again, because it continues from there.
-    is_over = status != CONTINUE or int(work.integers[descent.ITERATIONS]) >= max_iterations
+    is_over = status not in (CONTINUE, WEIGHT) or int(work.integers[descent.ITERATIONS]) >= max_iterations
     log.extend(search, work.log[: count + 1 if is_over else count])
     is_late = log.is_late()
     if is_late and not is_over:

@@ -14,7 +14,6 @@ from numba import njit
 
 from codegen.runtime.search.bounds import bounds_of, with_slacks
 from codegen.runtime.search.cascade import least_delta_w, minimise, varied_guess
-from codegen.runtime.search.contact import relaxed
 from codegen.runtime.search.descent import FLAT, WORTH_MEASURING
 from codegen.runtime.search.grid import NONE, with_pinned_values
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
@@ -57,16 +56,8 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
 
     `scaled` is the grid with the scaling factors of the guess. A search may stall, for example from a symmetric guess
     through the middle of an obstacle. Searches from up to VARIED varied guesses then follow. The message names the
-    guess that has succeeded, or the number of guesses that have failed. Where contact forces exist, the products of
-    forces and gaps are relaxed first, see `contact`.
+    guess that has succeeded, or the number of guesses that have failed.
     """
-    if grid.problem.metadata.relaxation:
-        return relaxed(optimise_varied, grid, unknowns, tolerance, max_iterations, warm, scaling, log)
-    return optimise_varied(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
-
-
-def optimise_varied(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
-    """Minimise from the guess, and from varied guesses if the search stalls; return as `optimise` does."""
     outcome = optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
     status, message, point, iterations, scaled = outcome
     is_linear = grid.problem.structure.linear_quadratic

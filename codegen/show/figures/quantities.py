@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from codegen.runtime.record import Form, Meaning, Method, Place
+from codegen.runtime.record import Form, Kind, Meaning, Method, Place
 from codegen.runtime.search.grid import free_unknowns
 from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solving.results.result import Result
@@ -165,7 +165,11 @@ def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
 
 
 def _distances(module: ControlModule, result: Result) -> list[Inequality]:
-    """Return the path inequalities of a result as distances, without bounds."""
+    """Return the path inequalities of a result as distances, without bounds.
+
+    Of several inequalities with one name at one time, such as both sides of a cone of friction, the least distance
+    counts. Products of contact forces are left out: they vanish everywhere.
+    """
     metadata = module.metadata
     names = vars(module)  # only some modules have slacks
     if result.unknowns is None or "SLACKS" not in names:
@@ -178,19 +182,22 @@ def _distances(module: ControlModule, result: Result) -> list[Inequality]:
     first = len(metadata.node)
     for phase, meanings in enumerate(metadata.slack_meanings):
         rows = slice(phase * result.steps, (phase + 1) * result.steps)
-        by_meaning: dict[Meaning, list[tuple[float, Matrix]]] = {}
+        by_meaning: dict[Meaning, dict[float, Matrix]] = {}
         for slack, multiplier in zip(names["SLACKS"] - first, names["SLACK_MULTIPLIERS"] - first, strict=True):
             meaning = meanings.get(metadata.interval[slack])
             if meaning is None or meaning.kind.place != Place.INTERVAL:
                 continue  # a condition of another phase
+            if meaning.kind is Kind.COMPLEMENTARITY_SLACK:
+                continue
             # The equation g + s = 0 may have a residual, so the slack alone would hide a violation.
-            distance = intervals[:, rows, slack] - residuals[:, rows, multiplier]
-            by_meaning.setdefault(replace(meaning, at=0), []).append((meaning.at, _finite(distance).T))
+            distance = _finite(intervals[:, rows, slack] - residuals[:, rows, multiplier]).T
+            points = by_meaning.setdefault(replace(meaning, at=0), {})
+            points[meaning.at] = np.minimum(points.get(meaning.at, np.inf), distance)
         for meaning, points in by_meaning.items():
             # Sort the points of all intervals by time.
-            times = np.concatenate([result.t[:-1][rows] + c * np.diff(result.t)[rows] for c, _ in points])
+            times = np.concatenate([result.t[:-1][rows] + c * np.diff(result.t)[rows] for c in points])
             order = np.argsort(times, kind="stable")
-            values = np.concatenate([values for _, values in points])
+            values = np.concatenate(list(points.values()))
             columns.setdefault(meaning, []).append((times[order], values[order]))
             spans.setdefault(meaning, []).append((float(result.t[rows.start]), float(result.t[rows.stop])))
     out = []

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from codegen.runtime.record import ControlRecord, Kind
 from codegen.runtime.search import point as derivatives
 from codegen.runtime.search.batch import Optimum
-from codegen.runtime.search.bounds import bounds_of, prescribed_beyond
+from codegen.runtime.search.bounds import bounds_of, determined_slacks, prescribed_beyond
 from codegen.runtime.search.grid import plain_grid
 from codegen.runtime.search.messages import OUTSIDE_TABLE, REMEDIES, tables_beyond, worst_row
 from codegen.runtime.search.scaling import scaled_grid
@@ -267,6 +267,7 @@ class _Conditions:
         self._module, self._grid = module, grid
         self._misses = _misses(module, grid, unknowns)
         self._distances = bound_distances(module, scaled, unknowns) if module.metadata.inequalities else None
+        self._is_determined = determined_slacks(scaled)[module.primal_unknowns(grid)] if self._distances else None
 
     def norms(self, scales: Vector | None = None, weight: float = 1.0) -> tuple[float, float]:
         """Return the max-norm of all equations and bounds, and the max-norm of the stationarity.
@@ -287,9 +288,11 @@ class _Conditions:
         if self._distances is not None:
             violations.append(np.maximum(0.0, -np.minimum(*self._distances)) / primal)
             # Complementarity: a slope of the Lagrangian is permitted at an active bound if the cost falls beyond the
-            # bound. The error is the slope times the distance to the bound in scaled units, which is at most 1.
+            # bound. The error is the slope times the distance to the bound in scaled units, which is at most 1. The
+            # multiplier of a determined slack is arbitrary, because its equation depends on others.
             below, above = (np.clip(distance / primal, 0.0, 1.0) for distance in self._distances)
             slopes = np.where(slopes > 0.0, slopes * below, slopes * above)
+            slopes[self._is_determined] = 0.0
         return max(max_norm(values) for values in violations), max_norm(weight * primal * slopes)
 
 
