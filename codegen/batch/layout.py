@@ -35,7 +35,7 @@ NUMBERS = {"cost": "f8", "residual": "f8", "iterations": "i4", "seconds": "f8"}
 JUMPS = {"improvement": "f8", "jump": "i4"}
 """Additional numbers of each case if jumps are detected: the reduction of the cost by a new start, and 1 at a jump."""
 WORDS = ("status", "message")
-_COLUMNS = {
+COLUMNS = {
     "q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier",
     "event_counts": "event", "event_times": "event",
 }  # fmt: skip
@@ -53,7 +53,7 @@ _RATES = ("t", "q", "p", "u", "multipliers")
 """Arrays whose derivatives can be stored."""
 RESERVED = frozenset(
     (
-        *(*_ALL, *NUMBERS, *JUMPS, *WORDS, *_COLUMNS.values(), "node", "interval", "stage", "case"),
+        *(*_ALL, *NUMBERS, *JUMPS, *WORDS, *COLUMNS.values(), "node", "interval", "stage", "case"),
         *(BY, f"{RATE}cost", f"{RATE}message", *(f"{RATE}{name}" for name in _RATES)),
     )
 )
@@ -84,7 +84,7 @@ class Shapes:
         """Return the number of intervals between stored nodes, for a number of time steps."""
         if self.segments:
             return self.segments * -(-steps // self.segments)
-        return self.parts * (steps // self.every)
+        return -(-self.parts * steps // self.every)
 
 
 def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: int = 0) -> Shapes:
@@ -167,22 +167,20 @@ class Layout:
         return 8 * sum(math.prod(shape) for shape in self.shapes.values())
 
     def placed(self, name: str, array: Matrix, columns: Sequence[str]) -> Matrix:
-        """Return an array of a case, with these columns, in the shape common to all cases; missing entries are NaN."""
-        dims = self.dims[name]
+        """Return an array of a case, with these columns, in the shape common to all cases; missing entries are NaN.
+
+        Arrays of simulations may have the index of a case in front.
+        """
+        dims, shape = self.dims[name], self.shapes[name]
         if "stage" in dims:
             array = array.reshape(-1, self.sizes["stage"], array.shape[1])
         names = self.names.get(dims[-1])
-        if array.shape == self.shapes[name] and names in (None, columns):
+        if array.shape[-len(shape) :] == shape and names in (None, columns):
             return array
-        whole = np.full(self.shapes[name], np.nan)
-        if names is None:
-            whole[: array.size] = array
-            return whole
-        own = [names.index(column) for column in columns]
-        if array.ndim == 1:
-            whole[own] = array
-        else:
-            whole[: len(array), ..., own] = array
+        cases = array.shape[: array.ndim - len(shape)]
+        whole, (*inner, last) = np.full((*cases, *shape), np.nan), array.shape[len(cases) :]
+        own = slice(last) if names is None else [names.index(column) for column in columns]
+        whole[(..., *map(slice, inner), own)] = array
         return whole
 
     def placed_rates(self, name: str, rates: NDArray[np.float64], shapes: Shapes) -> NDArray[np.float64]:
@@ -242,8 +240,8 @@ def _layout_with(shapes: Sequence[Shapes], steps: int | None, keep: Sequence[str
         own_dims = _ROWS.get(row, ("interval", "stage"))
         sizes |= {"stage": int(row)} if "stage" in own_dims else {}
         dims[name] = own_dims
-        if name in _COLUMNS:
-            column = _COLUMNS[name]
+        if name in COLUMNS:
+            column = COLUMNS[name]
             dims[name] = (*own_dims, column)
             names[column] = tuple(dict.fromkeys(word for own in shapes for word in own.columns.get(name, ())))
             sizes[column] = len(names[column])
@@ -257,14 +255,14 @@ def _layout_with(shapes: Sequence[Shapes], steps: int | None, keep: Sequence[str
 
 def _row_kinds(shapes: Iterable[Shapes], name: str) -> set[str | int]:
     """Return the different kinds of rows, as in `Shapes.rows`, of an array in the modules that have the array."""
-    return {own.rows[name] for own in shapes if name in own.rows and (name not in _COLUMNS or own.columns.get(name))}
+    return {own.rows[name] for own in shapes if name in own.rows and (name not in COLUMNS or own.columns.get(name))}
 
 
 MOST = 4096
 """Largest number of cases of a chunk; the time of the search for neighbours grows with its square."""
 OVERHEAD = 3e-4
-"""Seconds that a case takes in addition to its iterations."""
-CONTROL_RATE, SIMULATE_RATE, CONNECT_RATE = 1.6e-8, 3e-7, 5e-9
+"""Seconds that an optimisation takes in addition to its iterations."""
+CONTROL_RATE, SIMULATE_RATE, CONNECT_RATE = 1.6e-8, 1e-7, 5e-9
 """Seconds per unit of work. The work of an optimisation is iterations * intervals * (unknowns of an interval)^2, of a
 simulation steps * coordinates, and of connected particles iterations * steps * (all coordinates)^2.
 """
@@ -351,13 +349,13 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
     if metadata.task == Task.CONTROL:
         width = len(metadata.node) + len(metadata.interval)
         intervals = run.steps * metadata.bodies * metadata.phases
-        seconds = CONTROL_RATE * (iterations + RATES * has_rates) * intervals * width**2
+        seconds = OVERHEAD + CONTROL_RATE * (iterations + RATES * has_rates) * intervals * width**2
     elif metadata.task == Task.CONNECT:
         assert run.points is not None, "there are points to connect"
-        seconds = CONNECT_RATE * max(iterations, 1) * run.steps * run.points.start.size**2
+        seconds = OVERHEAD + CONNECT_RATE * max(iterations, 1) * run.steps * run.points.start.size**2
     else:
         seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata.coordinates)
-    return max(1, min(MOST, int(1.0 / (OVERHEAD + seconds * (1.0 if DRIVERS[driver].generated else SLOWER)))))
+    return max(1, min(MOST, int(1.0 / (seconds if DRIVERS[driver].generated else SLOWER * seconds))))
 
 
 def serpentine(shape: Sequence[int]) -> NDArray[np.intp]:

@@ -196,9 +196,8 @@ def outcome_of(
             solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded,
             is_on_device=request.is_on_device,
         )  # fmt: skip
-        if request.is_on_device and not work.is_compiled:
-            finding = "a GPU solves optimal control problems by newton, without warm starts and sensitivities"
-            raise ArgumentError(f"--executor cuda: {finding}", "leave --executor out")
+        if request.is_on_device:
+            work.require_on_device()
         frame = Frame(cases, layout, _attributes(request, modules, work))
         require(frame.outlined())
         is_store = request.out is not None and request.out.suffix in STORES  # written during the sweep
