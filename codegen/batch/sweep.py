@@ -77,8 +77,8 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
         derivatives are stored. If all arrays would take more than 250 MB without compression, p, multipliers and energy
         are left out.
     workers : int, optional
-        Number of threads, or of processes where Python code takes much of the time; by default the number of
-        processors. Results do not depend on this number. Where processes are spawned, as on Windows and macOS, a script
+        Number of threads, or of processes where Python code takes much of the time, as for particles; by default the
+        number of processors. Results do not depend on this number. Where processes are spawned, as on Windows and macOS, a script
         needs `if __name__ == "__main__"`.
     executor : {"threads", "cuda"}
         The threads and processes of this machine, or its GPU, as for `codegen.solve_many`.
