@@ -167,13 +167,10 @@ class Layout:
         return 8 * sum(math.prod(shape) for shape in self.shapes.values())
 
     def placed(self, name: str, array: Matrix, columns: Sequence[str]) -> Matrix:
-        """Return an array of a case, with these columns, in the shape common to all cases; missing entries are NaN.
-
-        Arrays of simulations may have the index of a case in front.
-        """
+        """Return arrays (..,) of cases with these columns in the shape common to all cases; missing entries are NaN."""
         dims, shape = self.dims[name], self.shapes[name]
         if "stage" in dims:
-            array = array.reshape(-1, self.sizes["stage"], array.shape[1])
+            array = array.reshape(*array.shape[:-2], -1, self.sizes["stage"], array.shape[-1])
         names = self.names.get(dims[-1])
         if array.shape[-len(shape) :] == shape and names in (None, columns):
             return array
@@ -187,10 +184,8 @@ class Layout:
         """Return derivatives (m, ...) with respect to the m quantities `shapes.by` in the shape common to all cases."""
         whole = np.full(self.shapes[name], np.nan)
         of = name.removeprefix(RATE)
-        columns = shapes.columns.get(of, ())
-        for quantity, row in zip(shapes.by, rates, strict=True):
-            place = self.names[BY].index(quantity)
-            whole[place] = self.placed(of, row, columns) if of in self.dims else row
+        places = [self.names[BY].index(quantity) for quantity in shapes.by]
+        whole[places] = self.placed(of, rates, shapes.columns.get(of, ())) if of in self.dims else rates
         return whole
 
 

@@ -231,8 +231,8 @@ def solve_many(
     Returns
     -------
     Solutions, or Motions of a simulation
-        Status, cost, unknowns, motions and events of all cases as arrays. The results are those of `codegen.solve`. A case that
-        cannot be solved has another status than "solved", and raises nothing.
+        Status, cost, unknowns, motions and events of all cases as arrays. The results are those of `codegen.solve`. A
+        case that cannot be solved has another status than "solved", and raises nothing.
 
     Raises
     ------

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +80,7 @@ from codegen.solving.results.result import Outline, Run
 from codegen.solving.results.sensitivities import UNSOLVED, require_sensitive
 
 if TYPE_CHECKING:
+    from codegen.batch.store import Store
     from codegen.problem.points import PointSet
     from codegen.solving.loading import GeneratedModule
 
@@ -197,16 +198,6 @@ def _checked_quantities(
     return varied
 
 
-class Sink(Protocol):
-    """A store for the rows of chunks that any worker process can write to."""
-
-    def write(self, region: tuple[slice, ...], rows: Rows) -> None:
-        """Write the rows of the chunk at `region` of the grid of cases."""
-
-    def mark(self) -> tuple[int, ...]:
-        """Return an identification of the store; a machine with the same identification can write to the store."""
-
-
 @dataclass(frozen=True, eq=False)
 class Work:
     """The data that the solves of all chunks need.
@@ -225,7 +216,7 @@ class Work:
     layout: Layout
     chunks: Chunks
     warm_starts: bool
-    sink: Sink | None = None
+    sink: Store | None = None
     module: GeneratedModule | None = None
     is_on_device: bool = False
 
@@ -289,7 +280,7 @@ class Work:
         assert varied is not None, "a case that is solved has a module"
         if not DRIVERS[self.driver].generated:  # external drivers call other functions of the module
             varied.task.warm_up(varied.module, varied.run.steps)
-        values = self._module_values(self.cases.values(np.array([index]))[0])
+        values = self._module_values(rows_of(self.cases.chosen(np.array([index])))[0])
         if is_ensemble(varied):
             columns = {own: np.array([value]) for own, value in values.items()}
             motions = followed(varied, columns, steps_of(varied, values), 1, lambda: True)
