@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from codegen.errors import ArgumentError, clause
 from codegen.runtime.record import Form, Task
 from codegen.solving.drivers import DRIVERS
-from codegen.solving.loading import GeneratedModule, Matrix, few_steps
+from codegen.solving.loading import GeneratedModule, Matrix, few_steps, is_of_particles
 from codegen.solving.results.motions import FIRST_TIMES, event_labels, particle_names
 from codegen.solving.results.result import Run, component_names
 from codegen.solving.results.segments import multiplier_names, segments_of
@@ -256,8 +256,8 @@ def _row_kinds(shapes: Iterable[Shapes], name: str) -> set[str | int]:
 MOST = 4096
 """Largest number of cases of a chunk; the time of the search for neighbours grows with its square."""
 OVERHEAD = 3e-4
-"""Seconds that an optimisation takes in addition to its iterations."""
-CONTROL_RATE, SIMULATE_RATE, CONNECT_RATE = 1.6e-8, 1e-7, 5e-9
+"""Seconds that a case takes in addition to its iterations, unless it is followed in an ensemble."""
+CONTROL_RATE, SIMULATE_RATE, ENSEMBLE_RATE, CONNECT_RATE = 1.6e-8, 3e-7, 1e-7, 5e-9
 """Seconds per unit of work. The work of an optimisation is iterations * intervals * (unknowns of an interval)^2, of a
 simulation steps * coordinates, and of connected particles iterations * steps * (all coordinates)^2.
 """
@@ -340,17 +340,19 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
 
     The number follows from counts and not from measured times. So a sweep has the same chunks and results on every run.
     """
-    metadata: Any = module.metadata
+    metadata, is_generated, seconds = cast("Any", module.metadata), DRIVERS[driver].generated, OVERHEAD
     if metadata.task == Task.CONTROL:
         width = len(metadata.node) + len(metadata.interval)
         intervals = run.steps * metadata.bodies * metadata.phases
-        seconds = OVERHEAD + CONTROL_RATE * (iterations + RATES * has_rates) * intervals * width**2
+        seconds += CONTROL_RATE * (iterations + RATES * has_rates) * intervals * width**2
     elif metadata.task == Task.CONNECT:
         assert run.points is not None, "there are points to connect"
-        seconds = OVERHEAD + CONNECT_RATE * max(iterations, 1) * run.steps * run.points.start.size**2
+        seconds += CONNECT_RATE * max(iterations, 1) * run.steps * run.points.start.size**2
     else:
-        seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata.coordinates)
-    return max(1, min(MOST, int(1.0 / (seconds if DRIVERS[driver].generated else SLOWER * seconds))))
+        is_ensemble, work = is_generated and not is_of_particles(module), max(iterations, run.steps)
+        rate, seconds = (ENSEMBLE_RATE, 0.0) if is_ensemble else (SIMULATE_RATE, OVERHEAD)
+        seconds += rate * work * len(metadata.coordinates)
+    return max(1, min(MOST, int(1.0 / (seconds if is_generated else SLOWER * seconds))))
 
 
 def serpentine(shape: Sequence[int]) -> NDArray[np.intp]:
