@@ -27,6 +27,8 @@ from codegen.solving.results.result import Run, component_names
 from codegen.solving.results.segments import multiplier_names, segments_of
 from codegen.solving.tasks import task_of
 
+Rows = dict[str, NDArray[Any]]
+"""The results of a chunk: arrays by name, with a row for each case in the order of the cases."""
 KEPT = ("t", "q", "u", "event_counts", "event_times")
 """Arrays that are stored by default when all arrays would take too much space."""
 FITS = 250_000_000

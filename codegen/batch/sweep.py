@@ -26,10 +26,10 @@ from codegen.batch.cases import Cases
 from codegen.batch.executors import Progress, Team, Working, connected, silent
 from codegen.batch.executors.chunks import Done, Tally, counted, only_one
 from codegen.batch.jumps import Costs, along, jumps_of
-from codegen.batch.layout import MOST, Chunks, Layout, about_a_second, blocks_of, layout_of
+from codegen.batch.layout import MOST, Chunks, Layout, Rows, about_a_second, blocks_of, layout_of
 from codegen.batch.request import GUESS, OPTIONS, STEPS, STORES, SweepRequest, sweep_request
 from codegen.batch.store import Frame, Store, resumable, write_netcdf
-from codegen.batch.work import Modules, Rows, Work, modules_of
+from codegen.batch.work import Modules, Work, modules_of
 from codegen.errors import ArgumentError, ExtraError
 from codegen.machine import versions
 from codegen.problem.sources import ProblemFile, ProblemObject

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from codegen.batch.case import (
     NOT_BUILT,
@@ -60,6 +59,7 @@ from codegen.batch.layout import (
     Chunks,
     Layout,
     Piece,
+    Rows,
     free_label,
     nearest_chain,
     serpentine,
@@ -86,8 +86,6 @@ if TYPE_CHECKING:
 
 MOST_MODULES = 100
 """Largest number of modules of a sweep: each takes seconds to derive and compile."""
-Rows = dict[str, NDArray[Any]]
-"""The results of a chunk: arrays by name, with a row for each case in the order of the cases."""
 APART = 1e6
 """Artificial distance between cases of different modules or guesses, relative to the ranges of quantities."""
 
