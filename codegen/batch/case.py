@@ -23,11 +23,13 @@ from numpy.typing import NDArray
 
 from codegen.batch.executors.chunks import LOST, SOLVED
 from codegen.batch.layout import Shapes
+from codegen.batch.motions import UNUSABLE, Motions, empty_motions, follow_motions, unusable_message
 from codegen.batch.optima import Limits, optima
 from codegen.batch.request import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
 from codegen.errors import CodegenError, one_line
 from codegen.runtime.search.batch import Optimum
 from codegen.runtime.search.problem import ControlProblem
+from codegen.runtime.stepping.problem import StepProblem
 from codegen.solving.drivers import find
 from codegen.solving.drivers.newton import TOLERANCE
 from codegen.solving.loading import ControlModule, Matrix, Vector, is_connect
@@ -124,7 +126,7 @@ class Continuation:
         return Start(last, self._solved[path[-2]], factor, last.has_tangent)
 
 
-UNUSABLE, NOT_BUILT = "unusable", "not built"
+NOT_BUILT = "not built"
 OF_SWEEPS = {
     UNUSABLE: "a number of the case cannot be used, as a duration that is negative",
     NOT_BUILT: "the module of the case could not be derived",
@@ -193,9 +195,7 @@ def failed(status: str, message: str) -> Attempt:
 
 def unusable(error: Exception, values: Mapping[Quantity, float]) -> Attempt:
     """Return the attempt at a case whose numbers raise an error."""
-    reason = error.args[-1] if error.args else type(error).__name__
-    described = ", ".join(f"{quantity.name} = {value:g}" for quantity, value in values.items())
-    return failed(UNUSABLE, f"{UNUSABLE}: {reason} ({described})")
+    return failed(UNUSABLE, unusable_message(error, {quantity.name: value for quantity, value in values.items()}))
 
 
 class Varied:
@@ -233,7 +233,7 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start | 
     """
     module = varied.given(values)
     of_kind = {quantity.kind: value for quantity, value in values.items()}
-    steps = _steps(varied, values)
+    steps = steps_of(varied, values)
     try:
         begin = time.perf_counter()
         run = replace(varied.run, steps=steps)
@@ -262,7 +262,22 @@ Solved: TypeAlias = tuple[Optimum | Exception, float, Any]
 
 def is_batched(varied: Varied) -> bool:
     """Return True if `solve_batch` can solve cases of a module: optimisations by the generated solver."""
-    return varied.driver == "newton" and isinstance(varied.module.problem, ControlProblem)
+    return varied.driver == "newton" and isinstance(getattr(varied.module, "problem", None), ControlProblem)
+
+
+def is_ensemble(varied: Varied) -> bool:
+    """Return True if `followed` can solve cases of a module: simulations but of particles, by the generated solver."""
+    return varied.driver == "newton" and isinstance(getattr(varied.module, "problem", None), StepProblem)
+
+
+def followed(
+    varied: Varied, columns: Mapping[Quantity, Vector], steps: int, number: int, is_wanted: Callable[[], bool]
+) -> Motions:
+    """Return the motions of `number` cases, whose quantities have the values (number,) in `columns`."""
+    run, limits = varied.run, Limits(max_iterations=varied.run.max_iterations, is_on_device=varied.is_on_device)
+    motions = empty_motions(varied.module, columns, steps, run.every, limits, number)
+    follow_motions(motions, slice(0, number), is_wanted)
+    return motions
 
 
 def solve_batch(
@@ -273,7 +288,7 @@ def solve_batch(
     `attempt_of` makes an attempt of it. The seconds of a case are its part of the time of its block. Raises Abandoned
     once `is_wanted` returns False.
     """
-    steps, run = _steps(varied, cases[0]), varied.run
+    steps, run = steps_of(varied, cases[0]), varied.run
     guesses = [_guess(varied, steps, values) for values in cases]
     limits = Limits(run.tolerance, run.max_iterations, run.time_limit, run.scaling, is_on_device=varied.is_on_device)
     found, begin = list[Solved](), time.perf_counter()
@@ -288,7 +303,7 @@ def solve_batch(
     return found
 
 
-def _steps(varied: Varied, values: Mapping[Quantity, float]) -> int:
+def steps_of(varied: Varied, values: Mapping[Quantity, float]) -> int:
     """Return the number of intervals of a case, in each phase or segment."""
     steps = int(next((value for own, value in values.items() if own.kind == STEPS), varied.run.steps))
     segments = segments_of(varied.module.metadata)
@@ -310,7 +325,7 @@ def attempt_of(
     """
     if isinstance(found, Exception):
         return unusable(found, values)
-    steps, is_whole = _steps(varied, values), segments_of(varied.module.metadata) is None
+    steps, is_whole = steps_of(varied, values), segments_of(varied.module.metadata) is None
     if found.status == SOLVED and is_whole and varied.wanted is None:  # the most frequent case
         grid = varied.module.make_grid(steps, **given_to(values)) if grid is None else grid
         return Attempt(outline_of_optimum(varied.module, grid, found), steps, found.iterations, seconds)

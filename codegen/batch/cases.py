@@ -67,18 +67,10 @@ class Cases:
         """Return "FILE:LINE: " as a prefix of messages about a row, or an empty text for cases without a file."""
         return "" if self.lines is None else f"{self.file}:{self.lines[row]}: "
 
-    def places(self, indices: NDArray[np.intp]) -> dict[str, NDArray[np.intp]]:
-        """Return, for each quantity, the indices (n,) into its column for the cases with these indices (n,)."""
-        along = np.unravel_index(indices, self.shape)
-        return {name: np.asarray(along[axis]) for name, axis in self.axes.items()}
-
     def chosen(self, indices: NDArray[np.intp]) -> dict[str, Values]:
         """Return the values (n,) of each quantity for the cases with these indices (n,)."""
-        return {name: self.columns[name][place] for name, place in self.places(indices).items()}
-
-    def values(self, indices: NDArray[np.intp]) -> list[dict[str, float | str]]:
-        """Return a mapping of names to values for each of the cases with these indices (n,)."""
-        return rows_of(self.chosen(indices))
+        along = np.unravel_index(indices, self.shape)
+        return {name: self.columns[name][along[axis]] for name, axis in self.axes.items()}
 
     def points(self, indices: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return the cases with these indices (n,) as points (n, quantities); each quantity is scaled by its range."""
@@ -304,22 +296,11 @@ class Distribution(Protocol):
         """Return the quantiles of probabilities."""
 
 
-def _uniform(low: float, high: float) -> Distribution:
-    from scipy import stats
-
-    frozen: Distribution = stats.uniform(low, high - low)
-    return frozen
-
-
-def _normal(mean: float, deviation: float) -> Distribution:
-    from scipy import stats
-
-    frozen: Distribution = stats.norm(mean, deviation)
-    return frozen
-
-
-PLAIN: dict[str, Callable[..., Distribution]] = {"uniform": _uniform, "normal": _normal}
-"""Distributions with arguments other than in scipy: uniform(low, high), normal(mean, deviation)."""
+PLAIN: dict[str, Callable[[float, float], tuple[str, float, float]]] = {
+    "uniform": lambda low, high: ("uniform", low, high - low),
+    "normal": lambda mean, deviation: ("norm", mean, deviation),
+}
+"""Distributions with arguments other than in scipy, which give the name, location and scale there."""
 
 
 def samples(distributions: Mapping[str, object], number: int, sampling: str, seed: int) -> Cases:
@@ -374,15 +355,15 @@ def _distribution(name: str, distribution: object) -> Distribution:
         close = difflib.get_close_matches(family, known, 3)
         remedy = f"did you mean {' or '.join(close)}?" if close else "take one of scipy.stats, such as lognorm"
         raise ArgumentError(clause(f"--sample {name}: there is no distribution {family}"), remedy)
-    constructor = PLAIN[family] if family in PLAIN else getattr(stats, family)
     try:
-        frozen = constructor(*positional, **named)
+        name_there, *plain = PLAIN[family](*positional, **named) if family in PLAIN else (family, *positional)
+        frozen: Distribution = getattr(stats, str(name_there))(*plain, **({} if family in PLAIN else named))
         frozen.ppf(0.5)
     except TypeError:  # its message names internal functions: write another one
         if family in PLAIN:
-            arguments = list(inspect.signature(constructor).parameters)
+            arguments = list(inspect.signature(PLAIN[family]).parameters)
         else:
-            shapes = (getattr(constructor, "shapes", None) or "").split(",")
+            shapes = (getattr(getattr(stats, family), "shapes", None) or "").split(",")
             arguments = [*filter(None, map(str.strip, shapes)), "loc=0", "scale=1"]
         form = f"{family}({', '.join(arguments)})"
         finding = clause(f"--sample {name}={distribution} has other arguments than {form}")

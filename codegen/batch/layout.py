@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 from codegen.errors import ArgumentError, clause
 from codegen.runtime.record import Form, Task
 from codegen.solving.drivers import DRIVERS
-from codegen.solving.loading import GeneratedModule, Matrix, few_steps
+from codegen.solving.loading import GeneratedModule, Matrix, few_steps, is_of_particles
 from codegen.solving.results.motions import FIRST_TIMES, event_labels, particle_names
 from codegen.solving.results.result import Run, component_names
 from codegen.solving.results.segments import multiplier_names, segments_of
 from codegen.solving.tasks import task_of
 
+Rows = dict[str, NDArray[Any]]
+"""The results of a chunk: arrays by name, with a row for each case in the order of the cases."""
 KEPT = ("t", "q", "u", "event_counts", "event_times")
 """Arrays that are stored by default when all arrays would take too much space."""
 FITS = 250_000_000
@@ -35,7 +37,7 @@ NUMBERS = {"cost": "f8", "residual": "f8", "iterations": "i4", "seconds": "f8"}
 JUMPS = {"improvement": "f8", "jump": "i4"}
 """Additional numbers of each case if jumps are detected: the reduction of the cost by a new start, and 1 at a jump."""
 WORDS = ("status", "message")
-_COLUMNS = {
+COLUMNS = {
     "q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier",
     "event_counts": "event", "event_times": "event",
 }  # fmt: skip
@@ -53,7 +55,7 @@ _RATES = ("t", "q", "p", "u", "multipliers")
 """Arrays whose derivatives can be stored."""
 RESERVED = frozenset(
     (
-        *(*_ALL, *NUMBERS, *JUMPS, *WORDS, *_COLUMNS.values(), "node", "interval", "stage", "case"),
+        *(*_ALL, *NUMBERS, *JUMPS, *WORDS, *COLUMNS.values(), "node", "interval", "stage", "case"),
         *(BY, f"{RATE}cost", f"{RATE}message", *(f"{RATE}{name}" for name in _RATES)),
     )
 )
@@ -84,7 +86,7 @@ class Shapes:
         """Return the number of intervals between stored nodes, for a number of time steps."""
         if self.segments:
             return self.segments * -(-steps // self.segments)
-        return self.parts * (steps // self.every)
+        return -(-self.parts * steps // self.every)
 
 
 def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: int = 0) -> Shapes:
@@ -167,32 +169,25 @@ class Layout:
         return 8 * sum(math.prod(shape) for shape in self.shapes.values())
 
     def placed(self, name: str, array: Matrix, columns: Sequence[str]) -> Matrix:
-        """Return an array of a case, with these columns, in the shape common to all cases; missing entries are NaN."""
-        dims = self.dims[name]
+        """Return arrays (..,) of cases with these columns in the shape common to all cases; missing entries are NaN."""
+        dims, shape = self.dims[name], self.shapes[name]
         if "stage" in dims:
-            array = array.reshape(-1, self.sizes["stage"], array.shape[1])
+            array = array.reshape(*array.shape[:-2], -1, self.sizes["stage"], array.shape[-1])
         names = self.names.get(dims[-1])
-        if array.shape == self.shapes[name] and names in (None, columns):
+        if array.shape[-len(shape) :] == shape and names in (None, columns):
             return array
-        whole = np.full(self.shapes[name], np.nan)
-        if names is None:
-            whole[: array.size] = array
-            return whole
-        own = [names.index(column) for column in columns]
-        if array.ndim == 1:
-            whole[own] = array
-        else:
-            whole[: len(array), ..., own] = array
+        cases = array.shape[: array.ndim - len(shape)]
+        whole, (*inner, last) = np.full((*cases, *shape), np.nan), array.shape[len(cases) :]
+        own = slice(last) if names is None else [names.index(column) for column in columns]
+        whole[(..., *map(slice, inner), own)] = array
         return whole
 
     def placed_rates(self, name: str, rates: NDArray[np.float64], shapes: Shapes) -> NDArray[np.float64]:
         """Return derivatives (m, ...) with respect to the m quantities `shapes.by` in the shape common to all cases."""
         whole = np.full(self.shapes[name], np.nan)
         of = name.removeprefix(RATE)
-        columns = shapes.columns.get(of, ())
-        for quantity, row in zip(shapes.by, rates, strict=True):
-            place = self.names[BY].index(quantity)
-            whole[place] = self.placed(of, row, columns) if of in self.dims else row
+        places = [self.names[BY].index(quantity) for quantity in shapes.by]
+        whole[places] = self.placed(of, rates, shapes.columns.get(of, ())) if of in self.dims else rates
         return whole
 
 
@@ -242,8 +237,8 @@ def _layout_with(shapes: Sequence[Shapes], steps: int | None, keep: Sequence[str
         own_dims = _ROWS.get(row, ("interval", "stage"))
         sizes |= {"stage": int(row)} if "stage" in own_dims else {}
         dims[name] = own_dims
-        if name in _COLUMNS:
-            column = _COLUMNS[name]
+        if name in COLUMNS:
+            column = COLUMNS[name]
             dims[name] = (*own_dims, column)
             names[column] = tuple(dict.fromkeys(word for own in shapes for word in own.columns.get(name, ())))
             sizes[column] = len(names[column])
@@ -257,14 +252,14 @@ def _layout_with(shapes: Sequence[Shapes], steps: int | None, keep: Sequence[str
 
 def _row_kinds(shapes: Iterable[Shapes], name: str) -> set[str | int]:
     """Return the different kinds of rows, as in `Shapes.rows`, of an array in the modules that have the array."""
-    return {own.rows[name] for own in shapes if name in own.rows and (name not in _COLUMNS or own.columns.get(name))}
+    return {own.rows[name] for own in shapes if name in own.rows and (name not in COLUMNS or own.columns.get(name))}
 
 
 MOST = 4096
 """Largest number of cases of a chunk; the time of the search for neighbours grows with its square."""
 OVERHEAD = 3e-4
-"""Seconds that a case takes in addition to its iterations."""
-CONTROL_RATE, SIMULATE_RATE, CONNECT_RATE = 1.6e-8, 3e-7, 5e-9
+"""Seconds that a case takes in addition to its iterations, unless it is followed in an ensemble."""
+CONTROL_RATE, SIMULATE_RATE, ENSEMBLE_RATE, CONNECT_RATE = 1.6e-8, 3e-7, 1e-7, 5e-9
 """Seconds per unit of work. The work of an optimisation is iterations * intervals * (unknowns of an interval)^2, of a
 simulation steps * coordinates, and of connected particles iterations * steps * (all coordinates)^2.
 """
@@ -347,17 +342,19 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
 
     The number follows from counts and not from measured times. So a sweep has the same chunks and results on every run.
     """
-    metadata: Any = module.metadata
+    metadata, is_generated, seconds = cast("Any", module.metadata), DRIVERS[driver].generated, OVERHEAD
     if metadata.task == Task.CONTROL:
         width = len(metadata.node) + len(metadata.interval)
         intervals = run.steps * metadata.bodies * metadata.phases
-        seconds = CONTROL_RATE * (iterations + RATES * has_rates) * intervals * width**2
+        seconds += CONTROL_RATE * (iterations + RATES * has_rates) * intervals * width**2
     elif metadata.task == Task.CONNECT:
         assert run.points is not None, "there are points to connect"
-        seconds = CONNECT_RATE * max(iterations, 1) * run.steps * run.points.start.size**2
+        seconds += CONNECT_RATE * max(iterations, 1) * run.steps * run.points.start.size**2
     else:
-        seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata.coordinates)
-    return max(1, min(MOST, int(1.0 / (OVERHEAD + seconds * (1.0 if DRIVERS[driver].generated else SLOWER)))))
+        is_ensemble, work = is_generated and not is_of_particles(module), max(iterations, run.steps)
+        rate, seconds = (ENSEMBLE_RATE, 0.0) if is_ensemble else (SIMULATE_RATE, OVERHEAD)
+        seconds += rate * work * len(metadata.coordinates)
+    return max(1, min(MOST, int(1.0 / (seconds if is_generated else SLOWER * seconds))))
 
 
 def serpentine(shape: Sequence[int]) -> NDArray[np.intp]:

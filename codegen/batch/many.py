@@ -10,16 +10,25 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from codegen.batch.executors import team_size
-from codegen.batch.motions import UNUSABLE, Cases, Motions, empty_motions, follow_motions, require_motions
+from codegen.batch.motions import (
+    UNUSABLE,
+    Cases,
+    Motions,
+    empty_motions,
+    follow_motions,
+    require_motions,
+    unusable_message,
+)
 from codegen.batch.optima import THREADS, Limits, Outcomes, optima, part_of, require_place
-from codegen.errors import ArgumentError, ExtraError, NumericsError, clause, one_line
+from codegen.batch.request import given_to, quantities
+from codegen.errors import ArgumentError, NumericsError, clause, one_line
 from codegen.problem.problem import Control, Phases, Simulate
 from codegen.runtime.search.batch import LONGEST_STATUS, SOLVED, is_ready
 from codegen.runtime.search.messages import solved_message
@@ -29,14 +38,11 @@ from codegen.solving import compiler, loading
 from codegen.solving.loading import ControlModule, Matrix, Vector, is_control, is_simulation
 from codegen.solving.machine_code import processes
 from codegen.solving.progress import building, shown_from_call
-from codegen.solving.request import Request, overridable, require_options, with_values
+from codegen.solving.request import Request, require_options, with_values
 from codegen.solving.results.control import control_result
 from codegen.solving.results.result import ControlAttempt, Result, Run, component_names
 from codegen.solving.results.segments import put_together, segments_of
 from codegen.solving.results.sensitivities import rates_at, require_sensitive
-
-if TYPE_CHECKING:
-    from xarray import Dataset
 
 MOST_AT_ONCE, LEAST_PARTS = 2000, 8
 """Largest number of cases that a thread takes at a time; least number of such parts for each thread."""
@@ -70,6 +76,7 @@ class Solutions(Cases):
         The generated module.
     """
 
+    numbers_of_cases = ("cost", "residual", "stationarity", "iterations")
     status: NDArray[np.str_]
     cost: Vector
     residual: Vector
@@ -163,11 +170,11 @@ class Solutions(Cases):
     def _motions(self) -> dict[str, NDArray[np.float64]]:
         """The arrays of all motions by name; they are computed from the unknowns on first use."""
         names, is_whole = ("t", "q", "p", "u", "multipliers"), segments_of(self.module.metadata) is None
-        keys = overridable(self.module)
+        varied = quantities(self.parameters, self.module, ())
         parts: dict[int, Any] = {}
         for i in np.flatnonzero(self.solved).tolist():
             if is_whole:
-                own = given(keys, self._values(i))
+                own = given_to(dict(zip(varied, self._values(i).values(), strict=True)))
                 parts[i] = self.module.unpack(self.module.make_grid(self.steps, **own), self.unknowns[i])
             else:
                 parts[i] = [getattr(self[i], name) for name in names]
@@ -178,32 +185,6 @@ class Solutions(Cases):
             for i, part in parts.items():
                 arrays[name][i] = part[j]
         return arrays
-
-    def to_dataset(self) -> Dataset:
-        """Return the solutions as an xarray data set with the dimension `case`; raises ExtraError without xarray."""
-        try:
-            import xarray
-        except ImportError:
-            raise ExtraError("to_dataset needs xarray, which is not installed", "pip install xarray") from None
-        columns = {"q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier"}
-        data: dict[str, Any] = {
-            name: ("case", getattr(self, name)) for name in ("status", "cost", "residual", "stationarity", "iterations")
-        }
-        data["message"] = ("case", self.message.astype(np.str_))
-        data |= {name: ("case", values) for name, values in self.free.items()}
-        coordinates: dict[str, Any] = {name: ("case", values) for name, values in self.parameters.items()}
-        names = self.names
-        nodes = self.t.shape[1]
-        for name, dim in columns.items():
-            array = getattr(self, name)
-            if not array.size:
-                continue
-            rows = "node" if array.shape[1] == nodes else "interval" if array.shape[1] == nodes - 1 else f"{name} row"
-            data[name] = (("case", rows, dim), array)
-            if name in names:
-                coordinates[dim] = (dim, list(names[name]))
-        coordinates["t"] = (("case", "node"), self.t)
-        return xarray.Dataset(data, coordinates, {"problem": self.module.metadata.problem, "steps": self.steps})
 
 
 @overload
@@ -250,14 +231,14 @@ def solve_many(
     Returns
     -------
     Solutions, or Motions of a simulation
-        Status, cost, unknowns and motions of all cases as arrays. The results are those of `codegen.solve`. A case that
-        cannot be solved has another status than "solved", and raises nothing.
+        Status, cost, unknowns, motions and events of all cases as arrays. The results are those of `codegen.solve`. A
+        case that cannot be solved has another status than "solved", and raises nothing.
 
     Raises
     ------
     ArgumentError
-        For an unknown name or option, arrays of different lengths, a simulation of particles or with events, and a
-        problem of connections.
+        For an unknown name or option, arrays of different lengths, a simulation of particles, and a problem of
+        connections.
     NumericsError
         For guesses of another shape.
     DeviceError
@@ -278,7 +259,12 @@ def solve_many(
     module = _module(request, building)
     columns = _columns(module, parameters)
     number = next((column.size for column in columns.values()), 1)
-    arguments, count = given(overridable(module), columns), module.metadata.steps if steps is None else steps
+    count = module.metadata.steps if steps is None else steps
+    limits = Limits(
+        request.tolerance, request.max_iterations, math.inf if request.time_limit is None else request.time_limit,
+        request.scaling, warm, is_on_device,
+    )  # fmt: skip
+    varied = dict(zip(quantities(columns, module, ()), columns.values(), strict=True))
     ended, size = threading.Event(), number
     if not is_on_device:
         size = min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
@@ -286,21 +272,17 @@ def solve_many(
         if guess is not None or warm:
             raise ArgumentError("a guess for a simulation", "leave it out")
         require_motions(module, is_on_device)
-        motions = empty_motions(module, columns, arguments, count, request.every, number)
-        if not is_on_device and not are_motions_ready():
+        motions = empty_motions(module, varied, count, request.every, limits, number)
+        if not is_on_device and not are_motions_ready(module.problem):
             with building("Compiling what follows many motions, once"):
-                follow_motions(motions, slice(0, 1), False, lambda: True)
-        follow = partial(follow_motions, motions, is_on_device=is_on_device, is_wanted=lambda: not ended.is_set())
+                follow_motions(motions, slice(0, 1), lambda: True)
+        follow = partial(follow_motions, motions, is_wanted=lambda: not ended.is_set())
         _in_threads(follow, number, size, workers, ended)
         return motions
     if segments := segments_of(module.metadata):
         count = segments.steps(count) if steps is not None else count
     guesses = _guesses(module, count, guess, warm, number)
-    limits = Limits(
-        request.tolerance, request.max_iterations, math.inf if request.time_limit is None else request.time_limit,
-        request.scaling, warm, is_on_device,
-    )  # fmt: skip
-    solutions = _empty(module, columns, count, limits, number)
+    arguments, solutions = given_to(varied), _empty(module, columns, count, limits, number)
 
     def solve(part: slice) -> None:
         own, first = part_of(arguments, part), part.start
@@ -329,18 +311,6 @@ def _in_threads(
             ended.set()
             pool.shutdown(cancel_futures=True)
             raise
-
-
-def given(keys: Mapping[str, tuple[str, str]], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keyword arguments of `make_grid` for values by name; `keys` is the result of `overridable`."""
-    arguments = dict[str, Any]()
-    for name, value in values.items():
-        argument, quantity = keys[name]
-        if quantity:
-            arguments.setdefault(argument, {})[quantity] = value
-        else:
-            arguments[argument] = value
-    return arguments
 
 
 def _module(request: Request, working: Callable[[str], Any]) -> Any:
@@ -434,7 +404,8 @@ def _put(solutions: Solutions, first: int, block: Outcomes) -> None:
     messages = {first + case: message for case, message in optima.messages.items()}
     for case, error in block.errors.items():
         index = first + case
-        solutions.status[index], messages[index] = UNUSABLE, f"{UNUSABLE}: {one_line(str(error))}"
+        values = {name: column[index] for name, column in solutions.parameters.items()}
+        solutions.status[index], messages[index] = UNUSABLE, unusable_message(error, values)
         solutions.cost[index] = solutions.residual[index] = solutions.stationarity[index] = np.nan
         solutions.unknowns[index] = np.nan
     solutions.messages.update(messages)

@@ -7,33 +7,44 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codegen.batch.executors.chunks import Abandoned
-from codegen.batch.optima import errors_of_device
+from codegen.batch.layout import COLUMNS
+from codegen.batch.optima import Limits, errors_of_device
+from codegen.batch.request import STEPS, Quantity, given_to
 from codegen.errors import ArgumentError, DeviceError, ExtraError, NumericsError, clause, one_line
 from codegen.runtime.search.batch import LONGEST_STATUS, SOLVED
 from codegen.runtime.stepping.ensembles import (
     Ensemble,
-    Followed,
+    Happened,
     energies_of,
     ensemble_of,
     follow_ensemble,
     followed_in,
     own_cases,
 )
-from codegen.runtime.stepping.motion import describe
+from codegen.runtime.stepping.events import STOPPED
+from codegen.runtime.stepping.motion import MOST, EventLog, describe, stop_message
 from codegen.runtime.stepping.problem import StepProblem
-from codegen.runtime.stepping.steps import LEFT_TABLE
+from codegen.runtime.stepping.steps import NON_FINITE, NOT_CONVERGED, SINGULAR
 from codegen.solving.drivers.newton import TOLERANCE, simulate
 from codegen.solving.loading import Matrix, SimulateModule, Vector, is_of_particles
 from codegen.solving.request import with_values
-from codegen.solving.results.motions import rounding_of, simulate_result
+from codegen.solving.results.motions import (
+    PENETRATION,
+    ROUNDING,
+    event_labels,
+    event_tables,
+    label_numbers,
+    rounding_of,
+    simulate_result,
+)
 from codegen.solving.results.result import Result, Run, component_names
 
 if TYPE_CHECKING:
@@ -51,6 +62,18 @@ class Cases(ABC):
     status: NDArray[np.str_]
     parameters: Mapping[str, Vector]
     module: Any
+    steps: int
+    numbers_of_cases: ClassVar[tuple[str, ...]]
+
+    @property
+    @abstractmethod
+    def message(self) -> NDArray[np.object_]:
+        """The explanation (n,) of each status."""
+
+    @property
+    @abstractmethod
+    def names(self) -> dict[str, tuple[str, ...]]:
+        """The names of the columns of arrays."""
 
     @property
     def solved(self) -> NDArray[np.bool_]:
@@ -86,6 +109,52 @@ class Cases(ABC):
         name = type(self).__name__
         return f"{name} of {len(self)} cases of {self.module.metadata.problem} ({varied}): {counts}"
 
+    def to_dataset(self) -> Dataset:
+        """Return the results as an xarray data set with the dimension `case`; raises ExtraError without xarray."""
+        try:
+            import xarray
+        except ImportError:
+            raise ExtraError("to_dataset needs xarray, which is not installed", "pip install xarray") from None
+        data: dict[str, Any] = {name: ("case", getattr(self, name)) for name in ("status", *self.numbers_of_cases)}
+        data["message"] = ("case", self.message.astype(np.str_))
+        data |= {name: ("case", values) for name, values in getattr(self, "free", {}).items()}
+        coordinates: dict[str, Any] = {name: ("case", values) for name, values in self.parameters.items()}
+        times: Matrix = getattr(self, "t")  # noqa: B009
+        coordinates["t"] = (("case", "node"), times)
+        rows = {times.shape[1]: "node", times.shape[1] - 1: "interval"}
+        for name in (*COLUMNS, "energy"):
+            array = getattr(self, name, None)
+            if array is None or not array.size:
+                continue
+            column = (COLUMNS[name],) if name in COLUMNS else ()
+            row = (rows.get(array.shape[1], f"{name} row"),) if array.ndim > 1 + len(column) else ()
+            data[name] = (("case", *(("occurrence",) if name == "event_times" else row), *column), array)
+            if name in self.names:
+                coordinates[COLUMNS[name]] = (COLUMNS[name], list(self.names[name]))
+        return xarray.Dataset(data, coordinates, {"problem": self.module.metadata.problem, "steps": self.steps})
+
+
+class CaseEvents(NamedTuple):
+    """The E events of many motions, motion after motion, and in each in the order of time.
+
+    Attributes
+    ----------
+    case : ndarray of int, (E,)
+        The case of each event.
+    label : ndarray of int, (E,)
+        The index of its name in `names["event_counts"]` of the motions.
+    t : ndarray, (E,)
+        Times.
+    before, after : ndarray, (E, states)
+        States before and after the events.
+    """
+
+    case: NDArray[np.intp]
+    label: NDArray[np.intp]
+    t: Vector
+    before: Matrix
+    after: Matrix
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Motions(Cases):
@@ -100,8 +169,8 @@ class Motions(Cases):
         Numbers of steps made, and of linear systems solved.
     residual : ndarray, (n,)
         Max-norms of the equations of the scheme, which are evaluated again for the step to each stored state.
-    h : ndarray, (n,)
-        Lengths of a step.
+    h, ends : ndarray, (n,)
+        Lengths of a step, and the time of the event that ended a motion; NaN without such an event.
     path : ndarray, (n, rows, states)
         The stored states: coordinates, then momenta. NaN after the end of a motion.
     parameters : dict of str to ndarray (n,)
@@ -110,34 +179,52 @@ class Motions(Cases):
         Number of steps. Every `every`-th state is stored, and the first and the last.
     module : module
         The generated module.
+    limits : Limits
+        The limit of iterations of a step, and the place: the processor or a GPU.
     messages : dict of int to str
-        The messages of cases that are not solved.
+        The messages of cases that failed, or that an event ended.
     numbers : tuple
         Lengths of a step, parameters and initial states of all cases.
+    logs : dict of int to tuple
+        Numbers of events of each case and all events of a block of cases, by the index of its first case.
     """
 
+    numbers_of_cases = ("residual", "iterations")
     status: NDArray[np.str_]
     made: NDArray[np.int64]
     iterations: NDArray[np.int64]
     residual: Vector
     h: Vector
+    ends: Vector
     path: NDArray[np.float64]
     parameters: Mapping[str, Vector]
     steps: int
     every: int
     module: SimulateModule
+    limits: Limits
     messages: dict[int, str]
     numbers: Ensemble
+    logs: dict[int, tuple[NDArray[np.int64], EventLog]] = field(default_factory=dict)
 
     @cached_property
     def message(self) -> NDArray[np.object_]:
-        """The explanation (n,) of each status."""
-        return np.array([self.messages.get(i, f"all {self.steps} steps were made") for i in range(len(self))], object)
+        """The explanation (n,) of each status, as of `codegen.solve`."""
+        kinds, of_case = np.unique(self.iterations, return_inverse=True)
+        texts = [describe(self.steps, (), self.steps, int(iterations), 0)[1] for iterations in kinds]
+        messages: NDArray[np.object_] = np.array(texts, object)[of_case]
+        messages[list(self.messages)] = list(self.messages.values())
+        return messages
 
-    @property
+    @cached_property
     def t(self) -> Matrix:
-        """Times (n, rows) of the stored states."""
-        return self.h[:, None] * np.minimum(self.every * np.arange(self.path.shape[1]), self.steps)
+        """Times (n, rows) of the stored states; NaN after the end of a motion."""
+        numbers, made = self.every * np.arange(self.path.shape[1]), self.made[:, None]
+        times: Matrix = self.h[:, None] * np.minimum(numbers, made)
+        if (self.made < self.steps).any():
+            times[numbers - self.every >= made] = np.nan
+        stopped = np.flatnonzero(~np.isnan(self.ends))
+        times[stopped, -(-self.made[stopped] // self.every)] = self.ends[stopped]
+        return times
 
     @property
     def q(self) -> NDArray[np.float64]:
@@ -157,68 +244,82 @@ class Motions(Cases):
         energies: Matrix = energies_of(self.module.problem, self.numbers, self.path, self.t)
         return energies
 
+    @cached_property
+    def events(self) -> CaseEvents | None:
+        """The events of all motions; None for a problem without events."""
+        if self.module.problem.events is None:
+            return None
+        counts, log = np.zeros(len(self), np.int64), [self.logs[first][1] for first in sorted(self.logs)]
+        for first, (of_block, _) in self.logs.items():
+            counts[first : first + of_block.size] = of_block
+        number, action, t, before, after = (np.concatenate(parts) for parts in zip(*log, strict=True))
+        label = label_numbers(self.module.metadata, number, action)
+        return CaseEvents(np.repeat(np.arange(len(self)), counts), label, t, before, after)
+
+    @property
+    def event_counts(self) -> Matrix | None:
+        """Numbers (n, names) of events of each name; None for a problem without events."""
+        return None if self._event_tables is None else self._event_tables[0]
+
+    @property
+    def event_times(self) -> NDArray[np.float64] | None:
+        """The first ten times (n, 10, names) of events of each name, and NaN; None for a problem without events."""
+        return None if self._event_tables is None else self._event_tables[1]
+
+    @cached_property
+    def _event_tables(self) -> tuple[Matrix, NDArray[np.float64]] | None:
+        if self.events is None:
+            return None
+        shape = len(self), len(event_labels(self.module.metadata))
+        return event_tables(shape, self.events.case, self.events.label, self.events.t)
+
     @property
     def names(self) -> dict[str, tuple[str, ...]]:
-        """The names of the columns of `q` and `p`."""
-        names = component_names(self.module.metadata)
-        return {key: tuple(names[key]) for key in ("q", "p")}
+        """The names of the columns of `q`, `p`, `event_counts` and `event_times`."""
+        names, labels = component_names(self.module.metadata), event_labels(self.module.metadata)
+        events = dict.fromkeys(("event_counts", "event_times") if labels else (), labels)
+        return {key: tuple(names[key]) for key in ("q", "p")} | events
 
     def __getitem__(self, index: int) -> Result:
         """Return the Result of a case, which is followed once more; raises IndexError beyond the end."""
         module = with_values(self.module, self._values(index))
-        run = Run(self.steps, every=self.every)
+        run = Run(self.steps, every=self.every, max_iterations=self.limits.max_iterations)
         return simulate_result(module, "newton", run, simulate(module, run))
-
-    def to_dataset(self) -> Dataset:
-        """Return the motions as an xarray data set with the dimension `case`; raises ExtraError without xarray."""
-        try:
-            import xarray
-        except ImportError:
-            raise ExtraError("to_dataset needs xarray, which is not installed", "pip install xarray") from None
-        data: dict[str, Any] = {name: ("case", getattr(self, name)) for name in ("status", "residual", "iterations")}
-        data["message"] = ("case", self.message.astype(np.str_))
-        coordinates: dict[str, Any] = {name: ("case", values) for name, values in self.parameters.items()}
-        for name, dim in (("q", "coordinate"), ("p", "momentum")):
-            if self.names[name]:
-                data[name] = (("case", "node", dim), getattr(self, name))
-                coordinates[dim] = (dim, list(self.names[name]))
-        if self.energy is not None:
-            data["energy"] = (("case", "node"), self.energy)
-        coordinates["t"] = (("case", "node"), self.t)
-        return xarray.Dataset(data, coordinates, {"problem": self.module.metadata.problem, "steps": self.steps})
 
 
 def require_motions(module: Any, is_on_device: bool) -> None:
-    """Raise an error for a module whose motions are not followed many at a time."""
+    """Raise an error for a module whose motions are not followed many at a time, or not on a GPU."""
+    name = module.metadata.problem
     if is_of_particles(module):
-        raise ArgumentError(
-            clause(f"{module.metadata.problem} is a simulation of particles"), "use codegen.sweep, which solves all"
-        )
+        raise ArgumentError(clause(f"{name} is a simulation of particles"), "use codegen.sweep, which solves all")
     if not isinstance(module.problem, StepProblem):
         raise ArgumentError("a standalone module solves one case at a time", "build it without --standalone")
-    if module.problem.events is not None:
-        raise ArgumentError(
-            clause(f"the motions of {module.metadata.problem} have events"), "use codegen.sweep, which solves all"
-        )
-    if is_on_device and module.problem.tables:
-        raise DeviceError(clause(f"{module.metadata.problem} has tables"), 'use executor "threads"')
+    if is_on_device and (module.problem.tables or module.problem.events):
+        reason = f"{name} has tables" if module.problem.tables else f"the motions of {name} have events"
+        raise DeviceError(clause(reason), 'use executor "threads"')
+
+
+def unusable_message(error: Exception, values: Mapping[str, float]) -> str:
+    """Return the message of a case whose numbers raise an error."""
+    reason = error.args[-1] if error.args else type(error).__name__
+    return one_line(f"{UNUSABLE}: {reason} ({', '.join(f'{name} = {value:g}' for name, value in values.items())})")
 
 
 def empty_motions(
-    module: SimulateModule, columns: dict[str, Vector], arguments: Mapping[str, Any], steps: int, every: int,
-    number: int,
-) -> Motions:  # fmt: skip
+    module: SimulateModule, columns: Mapping[Quantity, Vector], steps: int, every: int, limits: Limits, number: int
+) -> Motions:
     """Return Motions without results, with a message for each case with unusable numbers."""
     if isinstance(every, bool) or not isinstance(every, int) or every < 1:
         raise NumericsError(f"every {clause(repr(every))}", "give a positive integer")
-    try:
-        numbers, errors = ensemble_of(module, steps, arguments, number)
-    except ValueError as error:
-        raise NumericsError(f"{module.metadata.problem}: {error}", "give other values") from error
+    numbers, errors = ensemble_of(module, steps, given_to(columns), number)
     every = min(every, steps)
     status = np.full(number, "", LONGEST_STATUS)
     status[list(errors)] = UNUSABLE
-    messages = {case: f"{UNUSABLE}: {one_line(str(error))}" for case, error in errors.items()}
+    parameters = {own.name: column for own, column in columns.items() if own.kind != STEPS}
+    messages = {
+        case: unusable_message(error, {name: column[case] for name, column in parameters.items()})
+        for case, error in errors.items()
+    }
     shape = number, 1 - (-steps // every), module.problem.state
     try:
         path = np.full(shape, np.nan)
@@ -227,15 +328,17 @@ def empty_motions(
         raise NumericsError(finding, "store fewer by every=, or fewer cases at a time") from None
     made, iterations = np.zeros((2, number), np.int64)
     h = np.where(numbers.is_usable, numbers.h, np.nan)
-    residual = np.full(number, np.nan)
-    return Motions(status, made, iterations, residual, h, path, columns, steps, every, module, messages, numbers)
+    residual, ends = np.full((2, number), np.nan)
+    return Motions(
+        status, made, iterations, residual, h, ends, path, parameters, steps, every, module, limits, messages, numbers
+    )
 
 
-def follow_motions(motions: Motions, part: slice, is_on_device: bool, is_wanted: Callable[[], bool]) -> None:
+def follow_motions(motions: Motions, part: slice, is_wanted: Callable[[], bool]) -> None:
     """Follow the motions of a part of the cases, block by block; raises Abandoned once `is_wanted` returns False."""
-    problem, (_, rows, state) = motions.module.problem, motions.path.shape
+    problem, (_, rows, state), is_on_device = motions.module.problem, motions.path.shape, motions.limits.is_on_device
     size = max(1, NUMBERS // (rows * state))
-    follow: Callable[..., None] = follow_ensemble
+    follow: Callable[..., Any] = follow_ensemble
     if is_on_device:
         from codegen.runtime.cuda import motions as of_device
 
@@ -244,28 +347,46 @@ def follow_motions(motions: Motions, part: slice, is_on_device: bool, is_wanted:
         if not is_wanted():
             raise Abandoned
         own = slice(first, min(part.stop, first + size))
-        numbers = own_cases(motions.numbers, own)
         followed = followed_in(motions.path[own], motions.every)
         with errors_of_device() if is_on_device else nullcontext():
-            follow(problem, numbers, motions.steps, motions.every, followed)
-        _put(motions, own, followed)
+            happened = follow(
+                problem, own_cases(motions.numbers, own), motions.steps, motions.every, followed,
+                most=motions.limits.max_iterations or MOST,
+            )  # fmt: skip
+        made, _, iterations, outcome = followed.numbers.T
+        motions.made[own], motions.iterations[own], motions.residual[own] = made, iterations, followed.residual
+        _judge(motions, own, outcome, *(happened or (None, None)))
 
 
-def _put(motions: Motions, own: slice, followed: Followed) -> None:
-    """Write the numbers of followed cases, and judge each of them as `codegen.solve` does."""
-    made, _, iterations, outcome = followed.numbers.T
-    usable = motions.status[own] != UNUSABLE
-    motions.made[own], motions.iterations[own], motions.residual[own] = made, iterations, followed.residual
-    motions.status[own] = np.where(usable & (outcome == 0), SOLVED, motions.status[own])
-    for case in np.flatnonzero(usable & (outcome < 0) & (outcome != LEFT_TABLE)).tolist():
-        index, h = own.start + case, float(motions.h[own.start + case])
-        times = h * made[case], h * (made[case] + 1)
+def _judge(
+    motions: Motions, own: slice, outcome: NDArray[np.int64], happened: Happened | None, log: EventLog | None
+) -> None:
+    """Set the statuses of followed cases as `codegen.solve` does, and store their events."""
+    usable, made, h = motions.status[own] != UNUSABLE, motions.made[own], motions.h[own]
+    metadata, last = motions.module.metadata, h * made
+    least: Vector | float = np.inf
+    if happened is not None and log is not None:
+        motions.logs[own.start], motions.ends[own], least = (happened.counts, log), happened.ends, happened.least
+        last = np.where(outcome == STOPPED, happened.ends, last)
+        names, ended = (*metadata.events, *metadata.gaps), np.cumsum(happened.counts) - 1
+        for case in np.flatnonzero(usable & (outcome == STOPPED)).tolist():
+            name = names[int(log.number[ended[case]])]
+            motions.messages[own.start + case] = stop_message(name, last[case], made[case], motions.steps)
+    motions.status[own] = np.where(usable & (outcome >= 0), SOLVED, motions.status[own])
+    # Failures with an explanation that needs the states are followed once more.
+    is_plain = np.isin(outcome, (NON_FINITE, SINGULAR, NOT_CONVERGED)) & (motions.module.problem.constraints is None)
+    for case in np.flatnonzero(usable & is_plain).tolist():
+        index, times = own.start + case, (h[case] * made[case], h[case] * (made[case] + 1))
+        iterations = int(motions.iterations[index])
         motions.status[index], motions.messages[index] = describe(
-            motions.steps, times, int(made[case]), int(iterations[case]), int(outcome[case])
+            motions.steps, times, int(made[case]), iterations, int(outcome[case])
         )
     with np.errstate(invalid="ignore"):
-        level = np.maximum(TOLERANCE, rounding_of(motions.path[own], motions.h[own]))
-        is_doubtful = usable & (((outcome == 0) & ~(followed.residual <= level)) | (outcome == LEFT_TABLE))
+        level = rounding_of(motions.path[own], last / np.maximum(made, 1))
+        is_accurate = (motions.residual[own] <= np.maximum(TOLERANCE, level)) & (
+            least > -PENETRATION / ROUNDING * level
+        )
+    is_doubtful = usable & ~np.where(outcome >= 0, is_accurate, is_plain)
     for index in (own.start + np.flatnonzero(is_doubtful)).tolist():
         alone = motions[index]
         motions.status[index], motions.messages[index] = alone.status, alone.message

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from codegen.batch.cases import Cases
 from codegen.batch.executors.chunks import Journal, Tally, damaged_journal, journal_of, new_journal, read_journal
-from codegen.batch.layout import RESERVED, Chunks, Layout
-from codegen.batch.work import Rows
+from codegen.batch.layout import RESERVED, Chunks, Layout, Rows
 from codegen.errors import ArgumentError, ClusterError, FileError, Interrupted
 from codegen.files import refused, replacing
 

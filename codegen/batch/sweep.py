@@ -26,10 +26,10 @@ from codegen.batch.cases import Cases
 from codegen.batch.executors import Progress, Team, Working, connected, silent
 from codegen.batch.executors.chunks import Done, Tally, counted, only_one
 from codegen.batch.jumps import Costs, along, jumps_of
-from codegen.batch.layout import MOST, Chunks, Layout, about_a_second, blocks_of, layout_of
+from codegen.batch.layout import MOST, Chunks, Layout, Rows, about_a_second, blocks_of, layout_of
 from codegen.batch.request import GUESS, OPTIONS, STEPS, STORES, SweepRequest, sweep_request
 from codegen.batch.store import Frame, Store, resumable, write_netcdf
-from codegen.batch.work import Modules, Rows, Work, modules_of
+from codegen.batch.work import Modules, Work, modules_of
 from codegen.errors import ArgumentError, ExtraError
 from codegen.machine import versions
 from codegen.problem.sources import ProblemFile, ProblemObject
@@ -77,9 +77,9 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
         derivatives are stored. If all arrays would take more than 250 MB without compression, p, multipliers and energy
         are left out.
     workers : int, optional
-        Number of threads, or of processes where Python code takes much of the time; by default the number of
-        processors. Results do not depend on this number. Where processes are spawned, as on Windows and macOS, a script
-        needs `if __name__ == "__main__"`.
+        Number of threads, or of processes where Python code takes much of the time, as for particles; by default the
+        number of processors. Results do not depend on this number. Where processes are spawned, as on Windows and
+        macOS, a script needs `if __name__ == "__main__"`.
     executor : {"threads", "cuda"}
         The threads and processes of this machine, or its GPU, as for `codegen.solve_many`.
     cluster : str or distributed.Client, optional
@@ -196,9 +196,8 @@ def outcome_of(
             solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded,
             is_on_device=request.is_on_device,
         )  # fmt: skip
-        if request.is_on_device and not work.is_compiled:
-            finding = "a GPU solves optimal control problems by newton, without warm starts and sensitivities"
-            raise ArgumentError(f"--executor cuda: {finding}", "leave --executor out")
+        if request.is_on_device:
+            work.require_on_device()
         frame = Frame(cases, layout, _attributes(request, modules, work))
         require(frame.outlined())
         is_store = request.out is not None and request.out.suffix in STORES  # written during the sweep
@@ -230,8 +229,7 @@ def _into_memory(
             arrays[name][region] = array
 
     tally = team.do(work, range(work.chunks.number), work.cases.number, Tally(), keep)
-    if _is_cut(work):
-        tally = _marked(work, tally, arrays["cost"], write, team)
+    tally = _marked(work, tally, lambda: arrays["cost"], write, team)
     variables = {
         name: (dims, arrays[name].astype(np.str_) if kind == "str" else arrays[name])
         for name, (dims, _, kind) in frame.variables.items()
@@ -265,24 +263,22 @@ def _into_store(
             work = replace(work, chunks=journal.chunks, sink=target)
             total = work.cases.number
             tally = team.do(work, remaining, total, before, lambda number, done: journal.add(number, done.tally))
-            if _is_cut(work):
-                tally = _marked(work, tally, target.read("cost"), target.write, team)
+            tally = _marked(work, tally, lambda: target.read("cost"), target.write, team)
         return tally, before.cases, target.dataset
 
 
-def _is_cut(work: Work) -> bool:
-    """Return True if jumps of the cost may lie between chunks of a grid that is small enough to examine."""
-    is_examined = work.cases.is_grid and work.cases.number <= MOST_LOOKED_THROUGH
-    return work.layout.has_jumps and work.chunks.number > 1 and is_examined
-
-
 def _marked(
-    work: Work, tally: Tally, costs: Costs, write: Callable[[tuple[slice, ...], Rows], None], team: Team
+    work: Work, tally: Tally, read: Callable[[], Costs], write: Callable[[tuple[slice, ...], Rows], None], team: Team
 ) -> Tally:
-    """Mark the jumps of the cost that remain in the whole grid by `write`, and return the tally with their number.
+    """Mark the jumps that remain between chunks of a grid, and return the tally with the number of all jumps.
 
-    Workers have marked jumps inside chunks. Across the border of chunks no case was started from the other side.
+    `read` returns the costs of all cases. Workers have marked jumps inside chunks. Across the border of chunks no case
+    was started from the other side.
     """
+    is_cut = work.layout.has_jumps and work.chunks.number > 1 and work.cases.is_grid
+    if not is_cut or work.cases.number > MOST_LOOKED_THROUGH:
+        return tally
+    costs = read()
     words = {work.cases.axes[own.name] for own in work.quantities if own.kind == "argument"}
     places = [np.zeros(0) if axis in words else along(work.cases.points_along(axis)) for axis in range(costs.ndim)]
     flags = np.zeros(costs.shape, np.int32)

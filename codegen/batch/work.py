@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 import platform
+import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
@@ -16,10 +17,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from codegen.batch.case import (
     NOT_BUILT,
@@ -31,9 +31,12 @@ from codegen.batch.case import (
     Varied,
     attempt_of,
     failed,
+    followed,
     is_batched,
+    is_ensemble,
     solve_batch,
     solve_case,
+    steps_of,
 )
 from codegen.batch.cases import Cases, rows_of
 from codegen.batch.executors import Working
@@ -49,27 +52,40 @@ from codegen.batch.executors.chunks import (
     workers_folder,
 )
 from codegen.batch.jumps import Grid, Neighbours, along_dimensions, improved, is_better, scattered
-from codegen.batch.layout import JUMPS, RATE, Chunks, Layout, Piece, free_label, nearest_chain, serpentine, shapes_of
+from codegen.batch.layout import (
+    JUMPS,
+    RATE,
+    WORDS,
+    Chunks,
+    Layout,
+    Piece,
+    Rows,
+    free_label,
+    nearest_chain,
+    serpentine,
+    shapes_of,
+)
+from codegen.batch.motions import require_motions
 from codegen.batch.request import GUESS, STEPS, Quantity, Wanted, as_argument, quantities, require_fitting
 from codegen.errors import ArgumentError, CodegenError
 from codegen.files import write_text
 from codegen.solving import compiler, loading
 from codegen.solving.drivers import DRIVERS
+from codegen.solving.loading import is_simulation
 from codegen.solving.machine_code import processes
 from codegen.solving.outcome import points_of
 from codegen.solving.progress import shown_from_call
 from codegen.solving.request import Request, require_apart_from_arrays, require_apart_from_delays
-from codegen.solving.results.result import Run
+from codegen.solving.results.result import Outline, Run
 from codegen.solving.results.sensitivities import UNSOLVED, require_sensitive
 
 if TYPE_CHECKING:
+    from codegen.batch.store import Store
     from codegen.problem.points import PointSet
     from codegen.solving.loading import GeneratedModule
 
 MOST_MODULES = 100
 """Largest number of modules of a sweep: each takes seconds to derive and compile."""
-Rows = dict[str, NDArray[Any]]
-"""The results of a chunk: arrays by name, with a row for each case in the order of the cases."""
 APART = 1e6
 """Artificial distance between cases of different modules or guesses, relative to the ranges of quantities."""
 
@@ -180,16 +196,6 @@ def _checked_quantities(
     return varied
 
 
-class Sink(Protocol):
-    """A store for the rows of chunks that any worker process can write to."""
-
-    def write(self, region: tuple[slice, ...], rows: Rows) -> None:
-        """Write the rows of the chunk at `region` of the grid of cases."""
-
-    def mark(self) -> tuple[int, ...]:
-        """Return an identification of the store; a machine with the same identification can write to the store."""
-
-
 @dataclass(frozen=True, eq=False)
 class Work:
     """The data that the solves of all chunks need.
@@ -208,16 +214,25 @@ class Work:
     layout: Layout
     chunks: Chunks
     warm_starts: bool
-    sink: Sink | None = None
+    sink: Store | None = None
     module: GeneratedModule | None = None
     is_on_device: bool = False
 
     @property
     def is_compiled(self) -> bool:
-        """True if all cases are solved in batches, see `solve_batch`, without derivatives and warm starts."""
+        """True if all cases are solved in batches or followed as ensembles, without derivatives and warm starts."""
+        varied = [self._varied(variant) for variant in self.variants.values()]
         is_single = self.warm_starts or self.layout.has_rates
-        varied = None if is_single else [self._varied(variant) for variant in self.variants.values()]
-        return varied is not None and all(own is None or is_batched(own) for own in varied)
+        return all(own is None or is_ensemble(own) or (is_batched(own) and not is_single) for own in varied)
+
+    def require_on_device(self) -> None:
+        """Raise an error unless a GPU can solve the cases."""
+        if not self.is_compiled:
+            finding = "a GPU solves simulations, and optimal control without warm starts and sensitivities, by newton"
+            raise ArgumentError(f"--executor cuda: {finding}", "leave --executor out")
+        for variant in self.variants.values():
+            if (module := self._module(variant)) is not None and is_simulation(module):
+                require_motions(module, is_on_device=True)
 
     def piece(self, number: int) -> Piece:
         """Return the data of a chunk that a worker needs in addition to the work."""
@@ -263,28 +278,87 @@ class Work:
         assert varied is not None, "a case that is solved has a module"
         if not DRIVERS[self.driver].generated:  # external drivers call other functions of the module
             varied.task.warm_up(varied.module, varied.run.steps)
-        values = self._module_values(self.cases.values(np.array([index]))[0])
+        values = self._module_values(rows_of(self.cases.chosen(np.array([index])))[0])
+        if is_ensemble(varied):
+            columns = {own: np.array([value]) for own, value in values.items()}
+            motions = followed(varied, columns, steps_of(varied, values), 1, lambda: True)
+            outline = Outline(str(motions.status[0]), "", None, math.nan, {}, None)
+            return Attempt(outline, motions.steps, int(motions.iterations[0]), 0.0)
         if is_batched(varied):
             return attempt_of(varied, values, *solve_batch(varied, [values], lambda: True)[0])
         return solve_case(varied, values, None)
 
     def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
-        """Solve the cases of a chunk along a path through neighbours, and cases at jumps of the cost again.
+        """Solve the cases of a chunk; simulations are followed as ensembles, others are solved by `_solve_along_path`.
 
         The rows are written to the sink, or returned without a sink. Raises Abandoned once `is_wanted` returns False.
         """
-        values = rows_of(piece.columns)
-        arguments = [own.name for own in self.quantities if own.kind == "argument"]
-        guesses = [own.name for own in self.quantities if own.kind == GUESS]
-        keys = [tuple(as_argument(of_case[name]) for name in arguments) for of_case in values]
+        number = len(piece.points)
+        rows, others, groups = self._empty_rows(number), list[int](), dict[tuple[tuple[str, ...], float], list[int]]()
+        arguments = [piece.columns[own.name].tolist() for own in self.quantities if own.kind == "argument"]
+        keys = [tuple(map(as_argument, words)) for words in zip(*arguments, strict=True)] or [()] * number
+        steps = next((piece.columns[own.name].tolist() for own in self.quantities if own.kind == STEPS), [0.0] * number)
+        for index, group in enumerate(zip(keys, steps, strict=True)):
+            groups.setdefault(group, []).append(index)
+        for (key, _), indices in groups.items():
+            varied = self._varied(self.variants[key])
+            if varied is not None and is_ensemble(varied):
+                self._follow(varied, self.variants[key], piece, indices, rows, is_wanted)
+            else:
+                others += indices
+        if others:
+            self._solve_along_path(piece, keys, groups, others, rows, is_wanted)
+        return self._finished(piece.region, rows)
+
+    def _follow(
+        self, varied: Varied, variant: Variant, piece: Piece, indices: list[int], rows: Rows,
+        is_wanted: Callable[[], bool],
+    ) -> None:  # fmt: skip
+        """Follow the motions of the cases with these indices, and write their rows."""
+        begin, number, place = time.perf_counter(), len(indices), np.array(indices)
+        columns = {
+            own: np.asarray(piece.columns[own.name], float)[place] for own in self.quantities if own.kind != "argument"
+        }
+        steps = steps_of(varied, {own: float(column[0]) for own, column in columns.items()})
+        motions = followed(varied, columns, steps, number, is_wanted)
+        assert variant.shapes is not None, "motions have a module"
+        for name in (*WORDS, "residual", "iterations"):
+            rows[name][place] = getattr(motions, name)
+        solved = slice(None) if motions.solved.all() else np.flatnonzero(motions.solved)
+        for name in self.layout.dims:
+            array = getattr(motions, name)
+            if array is not None:
+                rows[name][place[solved]] = self.layout.placed(
+                    name, array[solved], variant.shapes.columns.get(name, ())
+                )
+        rows["seconds"][place] = (time.perf_counter() - begin) / number
+
+    def _solve_along_path(
+        self,
+        piece: Piece,
+        keys: Sequence[tuple[str, ...]],
+        groups: Mapping[tuple[tuple[str, ...], float], list[int]],
+        others: Sequence[int],
+        rows: Rows,
+        is_wanted: Callable[[], bool],
+    ) -> None:
+        """Solve the cases `others` along a path through neighbours, and cases at jumps of the cost again.
+
+        Cases of one group in `groups` have the same module, from `keys`, and the same number of steps.
+        """
+        values = [self._module_values(of_case) for of_case in rows_of(piece.columns)]
+        guesses = [own for own in self.quantities if own.kind == GUESS]
         # Cases of one family may start from each other: they have the same module and the same guess.
-        labels = [(key, *(of_case[name] for name in guesses)) for key, of_case in zip(keys, values, strict=True)]
+        labels = [(key, *(of_case[own] for own in guesses)) for key, of_case in zip(keys, values, strict=True)]
         numbers = {label: number for number, label in enumerate(dict.fromkeys(labels))}
         families = np.array([numbers[label] for label in labels])
         modules = {key: self._varied(self.variants[key]) for key in dict.fromkeys(keys)}
-        module_values = [self._module_values(of_case) for of_case in values]
-
-        first = {} if self.warm_starts else self._from_guesses(keys, modules, module_values, is_wanted)
+        first = dict[int, Solved]()  # what is found from the problem's own guess, by one compiled call for each group
+        for (key, _), indices in groups.items():
+            varied = modules[key]
+            if not self.warm_starts and varied is not None and is_batched(varied):
+                found = solve_batch(varied, [values[index] for index in indices], is_wanted)
+                first |= dict(zip(indices, found, strict=True))
 
         def attempt(index: int, start: Start | None) -> Attempt:
             if not is_wanted():
@@ -293,8 +367,8 @@ class Work:
             if module is None:
                 return failed(NOT_BUILT, self.variants[keys[index]].message)
             if start is None and index in first:
-                return attempt_of(module, module_values[index], *first.pop(index))
-            return solve_case(module, module_values[index], start)
+                return attempt_of(module, values[index], *first.pop(index))
+            return solve_case(module, values[index], start)
 
         def attempt_in_rows(index: int, start: Start | None) -> Attempt:
             # Store the arrays at once: other cases start from the unknowns alone, and the allocation of thousands of
@@ -303,14 +377,13 @@ class Work:
             self._write_arrays(rows, index, self.variants[keys[index]], result)
             return result.without_arrays()
 
-        rows = self._empty_rows(len(values))
         attempts: list[list[Attempt]] = [[]] * len(values)
         continuation = Continuation(piece.points, families, self.warm_starts)
         if piece.is_grid:
             order = serpentine(piece.extent)
         else:
             order = nearest_chain(np.column_stack([piece.points, APART * families]))
-        for index in order.tolist():
+        for index in order[np.isin(order, others)].tolist():
             if modules[keys[index]] is None:
                 attempts[index] = [attempt(index, None)]
             else:
@@ -324,35 +397,14 @@ class Work:
                 neighbours = scattered(piece.points, families, solved)
             for index in self._improve(neighbours, attempts, rows, attempt):
                 self._write_arrays(rows, index, self.variants[keys[index]], attempts[index][-1])
-        for index, own in enumerate(attempts):
-            outcome = own[-1]
+        for index in others:
+            own, outcome = attempts[index], attempts[index][-1]
             rows["status"][index], rows["message"][index] = outcome.outline.status, outcome.outline.message
             rows["residual"][index] = outcome.outline.residual
             rows["iterations"][index] = sum(one.iterations for one in own)
             rows["seconds"][index] = sum(one.seconds for one in own)
             if outcome.is_solved:
                 rows["cost"][index] = outcome.cost
-        return self._finished(piece.region, rows)
-
-    def _from_guesses(
-        self,
-        keys: Sequence[tuple[str, ...]],
-        modules: Mapping[tuple[str, ...], Varied | None],
-        values: Sequence[Mapping[Quantity, float]],
-        is_wanted: Callable[[], bool],
-    ) -> dict[int, Solved]:
-        """Return what is found from the problem's own guess, for cases that a compiled call solves together."""
-        groups: dict[tuple[object, ...], list[int]] = {}
-        for index, of_case in enumerate(values):
-            steps = next((value for own, value in of_case.items() if own.kind == STEPS), None)
-            groups.setdefault((keys[index], steps), []).append(index)
-        first = dict[int, Solved]()
-        for indices in groups.values():
-            varied = modules[keys[indices[0]]]
-            if varied is not None and is_batched(varied):
-                found = solve_batch(varied, [values[index] for index in indices], is_wanted)
-                first |= dict(zip(indices, found, strict=True))
-        return first
 
     def _improve(
         self,

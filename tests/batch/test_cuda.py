@@ -76,6 +76,13 @@ one, other = (codegen.sweep(kinds[0][0], axes, executor=executor, **options) for
 results["sweep"] = [
     one.status.values.tolist(), other.status.values.tolist(), float(abs(one.q - other.q).max()), len(on_device)
 ]
+axes = {"start.p": [0.3, 1.2], "duration": [1.0, -1.0, 2.0]}
+one, other = (
+    codegen.sweep(json.loads(sys.argv[2])[0][0], axes, executor=executor, steps=30, every=4, chunk=4)
+    for executor in ("threads", "cuda")
+)
+names = "t q p energy residual iterations status message".split()
+results["sweep of motions"] = [name for name in names if not one[name].equals(other[name])]
 optima.free_memory = lambda: 20_000
 try:
     codegen.solve_many(kinds[0][0], {"r1": [6.0]}, steps=6, executor="cuda")
@@ -129,6 +136,10 @@ def test_a_sweep_has_the_same_data_set(simulated):
     assert on_device >= 6
 
 
+def test_a_sweep_of_motions_has_the_bits_of_the_processor(simulated):
+    assert simulated["sweep of motions"] == []
+
+
 def test_too_little_memory_is_told_in_one_line(simulated):
     needed = r"2 cases at once need 0\.\d+ MB, 0\.02 MB are free"
     told = f"the memory of the GPU does not suffice: {needed}; solve with fewer steps"
@@ -141,6 +152,16 @@ def test_workers_are_refused_beside_a_gpu(simulated, monkeypatch):
     monkeypatch.setattr(memory, "require_device", lambda: None)
     with pytest.raises(ArgumentError, match="--executor cuda with --workers or --cluster"):
         codegen.sweep(PROBLEMS / "orbital_transfer.py", {"r1": [6.0]}, executor="cuda", workers=2)
+
+
+def test_motions_with_events_are_refused_in_one_line(monkeypatch):
+    from codegen.runtime.cuda import memory
+
+    monkeypatch.setattr(memory, "require_device", lambda: None)
+    with pytest.raises(DeviceError, match='the motions of resting_ball have events; use executor "threads"'):
+        codegen.sweep(PROBLEMS / "resting_ball.py", {"g": [9.0]}, executor="cuda")
+    with pytest.raises(DeviceError, match="have events"):
+        codegen.solve_many(PROBLEMS / "resting_ball.py", {"g": [9.0]}, executor="cuda")
 
 
 def test_without_a_gpu_there_is_one_line(monkeypatch):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from codegen.batch.cases import SAMPLINGS, axis_of, grid, samples, table
+from codegen.batch.cases import SAMPLINGS, axis_of, grid, rows_of, samples, table
 from codegen.batch.layout import MOST, Chunks, blocks_of, nearest_chain, serpentine
 from codegen.errors import ArgumentError, NumericsError
 
@@ -33,13 +33,13 @@ class TestGrids:
     def test_all_combinations_with_the_last_fastest(self):
         cases = grid({"a": [1, 2], "b": [10, 20, 30]})
         assert (cases.dims, cases.shape, cases.number, cases.is_grid) == (("a", "b"), (2, 3), 6, True)
-        rows = cases.values(np.arange(6))
+        rows = rows_of(cases.chosen(np.arange(6)))
         assert [(row["a"], row["b"]) for row in rows] == [(a, b) for a in (1, 2) for b in (10, 20, 30)]
 
     def test_zipped_quantities_share_a_dimension(self):
         cases = grid({"a": [1, 2], "b": [10, 20, 30], "c": [5, 6]}, [("a", "c")])
         assert (cases.dims, cases.shape) == (("a", "b"), (2, 3))
-        assert {(row["a"], row["c"]) for row in cases.values(np.arange(6))} == {(1, 5), (2, 6)}
+        assert {(row["a"], row["c"]) for row in rows_of(cases.chosen(np.arange(6)))} == {(1, 5), (2, 6)}
 
     @pytest.mark.parametrize(
         ("zipped", "fragment"),
@@ -79,7 +79,7 @@ class TestTables:
         (tmp_path / "cases.csv").write_text("r1, m\n5.5, 90\n\n6,100\n")
         cases = table(tmp_path / "cases.csv")
         assert (cases.dims, cases.shape, cases.is_grid) == (("case",), (2,), False)
-        assert cases.values(np.arange(2)) == [{"r1": 5.5, "m": 90.0}, {"r1": 6.0, "m": 100.0}]
+        assert rows_of(cases.chosen(np.arange(2))) == [{"r1": 5.5, "m": 90.0}, {"r1": 6.0, "m": 100.0}]
 
     @pytest.mark.parametrize(
         ("text", "fragment"),
@@ -101,7 +101,7 @@ class TestTables:
                 table(tmp_path / name)
 
     def test_columns_in_memory(self):
-        assert table({"a": np.array([1.0, 2.0])}).values(np.arange(2)) == [{"a": 1.0}, {"a": 2.0}]
+        assert rows_of(table({"a": np.array([1.0, 2.0])}).chosen(np.arange(2))) == [{"a": 1.0}, {"a": 2.0}]
         for given, fragment in (
             ({"a": [1], "b": [1, 2]}, "different lengths"),
             ({}, "no columns"),

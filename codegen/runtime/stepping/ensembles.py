@@ -14,7 +14,25 @@ from codegen.runtime.addresses import call, call_value, data_of, moved, reals_at
 from codegen.runtime.kept_code import is_kept
 from codegen.runtime.search.grid import checked_count
 from codegen.runtime.search.stacks import NUMBERS_ONLY, OF_ARRAYS, as_objects, case_of, samples_of, with_names
-from codegen.runtime.stepping.motion import MOST, TOLERANCE, require_constraints
+from codegen.runtime.stepping.events import (
+    FULL,
+    STOPPED,
+    enlarged,
+    follow_watched,
+    least_gaps,
+    residual_with_events,
+    room_for,
+)
+from codegen.runtime.stepping.motion import (
+    FIRST_ROWS,
+    MOST,
+    TOLERANCE,
+    EventLog,
+    Grid,
+    require_constraints,
+    require_gaps,
+    watched_of,
+)
 from codegen.runtime.stepping.steps import follow, largest_residual, memory_for, work_in
 from codegen.runtime.tabulated import table_numbers
 
@@ -66,20 +84,44 @@ class Followed(NamedTuple):
     residual: np.ndarray
 
 
+class Happened(NamedTuple):
+    """The events of k cases.
+
+    Attributes
+    ----------
+    counts : (k,)
+        Numbers of events.
+    ends : (k,)
+        Time of the event that ended the motion, or NaN.
+    least : (k,)
+        Least value of all gaps in the stored states; infinite without gaps.
+    """
+
+    counts: np.ndarray
+    ends: np.ndarray
+    least: np.ndarray
+
+
 def ensemble_of(module, steps, arguments, k):
-    """Return the Ensemble of k cases, and messages on unusable numbers by the index of the case.
+    """Return the Ensemble of k cases, and errors about unusable numbers by the index of the case.
 
     `arguments` are the keyword arguments of `make_grid` of a generated `module`, with arrays (k,) in place of numbers,
-    also inside `start`. Raises ValueError if no case has usable numbers.
+    also inside `start`.
     """
     problem, errors = module.problem, {}
     found = _of_formulas(module, steps, arguments, k)
     if found is None:
         found = _one_by_one(module, steps, arguments, k, errors)
-    if problem.constraints is not None:
+    watched = None if problem.events is None else watched_of(problem)
+    if problem.constraints is not None or (watched is not None and watched.gaps):
         for case in np.flatnonzero(found.is_usable).tolist():
+            numbers = float(found.h[case]), found.parameters[case], found.start[case]
+            grid = Grid(steps, *numbers, TOLERANCE, MOST, problem)
             try:
-                require_constraints(module.make_grid(steps, **case_of(arguments, case)))
+                if problem.constraints is not None:
+                    require_constraints(grid)
+                if watched is not None:
+                    require_gaps(grid, watched)
             except ValueError as error:
                 errors[case] = error
                 found.is_usable[case] = False
@@ -135,12 +177,10 @@ def _one_by_one(module, steps, arguments, k, errors):
             grids[case] = module.make_grid(steps, **case_of(arguments, case))
         except (ValueError, ArithmeticError) as error:
             errors[case] = error
-    if not grids:
-        raise ValueError(str(errors[0]))
-    one = next(iter(grids.values()))
+    width = next((grid.parameters.size for grid in grids.values()), 0)
     found = Ensemble(
-        np.zeros(k, bool), np.full(k, np.nan), np.full((k, one.parameters.size), np.nan),
-        np.full((k, one.start.size), np.nan), np.empty((0, 2)),
+        np.zeros(k, bool), np.full(k, np.nan), np.full((k, width), np.nan), np.full((k, module.problem.state), np.nan),
+        np.empty((0, 2)),
     )  # fmt: skip
     for case, grid in grids.items():
         found.is_usable[case], found.h[case] = True, grid.h
@@ -169,17 +209,90 @@ def followed_in(path, every):
     return Followed(path, before, np.zeros((k, 4), np.int64), np.full(k, np.nan))
 
 
-def are_motions_ready():
-    """Return True if machine code of `follow_cases` is on the disk, or if numba is switched off."""
-    return bool(config.DISABLE_JIT) or is_kept(follow_cases.py_func)
+def are_motions_ready(problem):
+    """Return True if machine code of the loop over cases is on the disk, or if numba is switched off."""
+    loop = follow_cases if problem.events is None else follow_watched_cases
+    return bool(config.DISABLE_JIT) or is_kept(loop.py_func)
 
 
 def follow_ensemble(problem, ensemble, steps, every, followed, tolerance=TOLERANCE, most=MOST):
-    """Follow the motions of all usable cases, and fill `followed`; the lock of the interpreter is released."""
+    """Follow the motions of all usable cases, and fill `followed`; the lock of the interpreter is released.
+
+    Return None, or for a problem with events what `Happened`, and the EventLog of all cases, one after the other.
+    """
+    scheme = problem.scheme
+    if problem.events is not None:
+        return follow_with_events(problem, ensemble, steps, every, followed, tolerance, most)
     loop = problem.all_steps
     address = 0 if loop is None or loop.is_interpreted else loop.address
-    scheme = problem.scheme
     follow_cases(scheme, address, memory_for(scheme), ensemble, steps, tolerance, most, every, followed)
+    return None
+
+
+def follow_with_events(problem, ensemble, steps, every, followed, tolerance, most):
+    """Follow the motions of all usable cases with their events, see `follow_ensemble`."""
+    watched, scheme = watched_of(problem, tolerance, most), problem.scheme._replace(is_constant=0)
+    (room, arrays), memory, k = room_for(watched, problem.rules, FIRST_ROWS), memory_for(scheme), ensemble.h.size
+    happened = Happened(np.zeros(k, np.int64), np.full(k, np.nan), np.full(k, np.inf))
+    progress, marks, case = np.zeros(8, np.int64), np.zeros(steps, np.int64), 0
+    while True:
+        case = follow_watched_cases(
+            scheme, watched, memory, room, arrays["reals"], arrays["integers"], progress, case, ensemble, steps, every,
+            followed, happened, marks,
+        )  # fmt: skip
+        if case == k:
+            break
+        room = enlarged(arrays, problem.state)
+    numbers, times, states = (arrays[name][: progress[4]] for name in ("rows", "times", "states"))
+    columns = numbers[:, 0], numbers[:, 1], times[:, 2], states[:, 1], states[:, 2]
+    return happened, EventLog(*(np.array(column) for column in columns))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def follow_watched_cases(
+    scheme, watched, memory, room, reals, integers, progress, first, ensemble, steps, every, followed, happened, marks
+):
+    """Follow the motion of each usable case from the case `first`; return the number of cases, or of a full log.
+
+    After an enlargement of the log, the case with the returned number goes on. `progress` is that of `follow_watched`,
+    and zero before the first case. The log holds the events of all cases. `reals` and `integers` are all work arrays.
+    """
+    for case in range(first, ensemble.h.size):
+        if not ensemble.is_usable[case]:
+            continue
+        path, h, parameters = followed.path[case], ensemble.h[case], ensemble.parameters[case]
+        before, numbers = followed.before[case] if every > 1 else path, followed.numbers[case]
+        if case > first or progress[1] == 0:
+            reals[:] = 0.0
+            integers[:] = 0
+            for i in range(scheme.state):
+                reals[i] = ensemble.start[case, i]  # the first work array is `now`
+            progress[0], progress[1], progress[2], progress[3], progress[5] = 0, 1, every, 0, 1
+            progress[7] = progress[4]
+        outcome = follow_watched(
+            scheme, watched, memory, room, progress, steps, h, parameters, every, path, before, ensemble.spans, marks
+        )
+        if outcome == FULL:
+            return case
+        made, rows = progress[0], progress[1]
+        happened.counts[case] = progress[4] - progress[7]
+        times = np.empty(rows)
+        for row in range(rows):
+            times[row] = h * min(every * row, made)
+        if outcome == STOPPED:
+            times[rows - 1] = happened.ends[case] = reals_at(room.times)[3 * (progress[4] - 1) + 2]
+        if made > 0:
+            followed.residual[case] = residual_with_events(
+                scheme, watched, memory, room, progress, h, parameters, every, path, before, ensemble.spans, marks
+            )
+        if watched.gaps:
+            least = np.empty(watched.gaps)
+            least_gaps(watched, path, times, parameters, least)
+            happened.least[case] = least.min()
+        numbers[0], numbers[1], numbers[2], numbers[3] = made, rows, progress[3], outcome
+        path[rows:] = np.nan
+        progress[1] = 0
+    return ensemble.h.size
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

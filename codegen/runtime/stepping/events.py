@@ -29,7 +29,7 @@ from numba import carray, njit
 from codegen.runtime.addresses import ahead, call, data_of, integers_at, reals_at
 from codegen.runtime.arithmetic import factor_matrix, solve_factored
 from codegen.runtime.kernels import ONLY_COMPILED
-from codegen.runtime.stepping.steps import advance, checked, set_length, stored, stored_last, work_in
+from codegen.runtime.stepping.steps import advance, checked, largest_residual, set_length, stored, stored_last, work_in
 
 STOPPED, FULL = 1, 2  # outcomes of a motion: a stop event, and a full log, which the caller enlarges
 ACCUMULATED, NO_CONTACT, VIOLATED = -5, -6, -7  # outcomes of a failed step
@@ -131,18 +131,23 @@ class Room(NamedTuple):
 
 
 def room_for(watched, rules, rows):
-    """Return work arrays with a log of `rows` events: their addresses, and the arrays by name."""
+    """Return work arrays with a log of `rows` events: their addresses, and the arrays by name.
+
+    The arrays `reals` and `integers` hold all numbers that are zero before a motion.
+    """
     count, gaps, size = watched.events + watched.gaps, watched.gaps, watched.size
-    shapes = dict.fromkeys(("now", "end", "trial", "pushed"), (size,))
-    shapes |= dict.fromkeys(("values_now", "values_end", "values_trial", "values_pushed"), (count, 3))
-    shapes |= {"sides": (count,), "scales": (count,), "largest": (2,), "jumps": (watched.changes, size)}
-    shapes |= dict.fromkeys(("normals", "normals_end"), (gaps, watched.width))
-    shapes |= dict.fromkeys(("matrix", "factors"), (gaps, gaps))
-    shapes |= dict.fromkeys(("forces", "impulses", "correction", "excess", "excess_before"), (gaps,))
-    arrays = {name: np.zeros(shape) for name, shape in shapes.items()}
-    arrays |= {name: np.zeros(gaps, np.int64) for name in ("is_closed", "closed", "pivots")}
-    arrays |= {"rules": np.ascontiguousarray(rules, dtype=np.int64), "quick": np.zeros(count, np.int64)}
-    arrays |= log_of(rows, size)
+    reals = dict.fromkeys(("now", "end", "trial", "pushed"), size)
+    reals |= dict.fromkeys(("values_now", "values_end", "values_trial", "values_pushed"), 3 * count)
+    reals |= {"sides": count, "scales": count, "largest": 2, "jumps": watched.changes * size}
+    reals |= dict.fromkeys(("normals", "normals_end"), gaps * watched.width)
+    reals |= dict.fromkeys(("matrix", "factors"), gaps * gaps)
+    reals |= dict.fromkeys(("forces", "impulses", "correction", "excess", "excess_before"), gaps)
+    integers = dict.fromkeys(("is_closed", "closed", "pivots"), gaps) | {"quick": count}
+    arrays = {"rules": np.ascontiguousarray(rules, dtype=np.int64), **log_of(rows, size)}
+    for whole, sizes, kind in (("reals", reals, np.float64), ("integers", integers, np.int64)):
+        arrays[whole] = np.zeros(sum(sizes.values()), kind)
+        parts = np.split(arrays[whole], np.cumsum(list(sizes.values()))[:-1])
+        arrays |= dict(zip(sizes, parts, strict=True))
     return addresses_of(arrays), arrays
 
 
@@ -154,6 +159,15 @@ def log_of(rows, size):
 def addresses_of(arrays):
     """Return the addresses of work arrays."""
     return Room(*(arrays[name].ctypes.data for name in Room._fields[:-1]), len(arrays["rows"]))
+
+
+def enlarged(arrays, size):
+    """Double the log among the work arrays, and return the addresses of the arrays."""
+    rows = len(arrays["rows"])
+    for name, array in log_of(2 * rows, size).items():
+        array[:rows] = arrays[name]
+        arrays[name] = array
+    return addresses_of(arrays)
 
 
 @njit(error_model="numpy", **ONLY_COMPILED)
@@ -489,7 +503,7 @@ def settle(watched, room, progress, step, t, length, parameters_at, forced):
     scales, largest = ahead(reals_at(room.scales), first), reals_at(room.largest)
     is_closed, closed, forces = integers_at(room.is_closed), integers_at(room.closed), reals_at(room.forces)
     for _ in range(MOST_EVENTS):
-        if progress[4] >= room.capacity - 2:
+        if progress[4] >= progress[6]:
             return ACCUMULATED
         call(watched.values, (room.now, t, parameters_at, room.values_trial))
         call(watched.normals, (room.now, t, parameters_at, room.normals))
@@ -597,7 +611,7 @@ def watched_step(scheme, work, watched, room, progress, step, t, length, paramet
                     sides[row] = np.sign(values_end[3 * row])
             return 0, iterations
         fired += 1
-        if fired > MOST_EVENTS or progress[4] >= room.capacity - 2:
+        if fired > MOST_EVENTS or progress[4] >= progress[6]:
             return ACCUMULATED, iterations
         outcome = move(scheme, work, watched, room, at, nearest, parameters_at, room.end)
         if outcome < 0:
@@ -669,16 +683,19 @@ def follow_watched(
 ):  # fmt: skip
     """Make steps with events until the last step, a stop, a failure, or a full log; return the outcome.
 
-    `progress` (6,) has the number of steps made, the rows of `path` in use, the steps until the next storage,
-    iterations, logged events, and 1 before the first call. `marks` (steps,) are set for steps with events or closed
-    gaps. Other arguments are as in `steps.follow`.
+    `progress` (8,) has the number of steps made, the rows of `path` in use, the steps until the next storage,
+    iterations, the number of rows of the log in use, 1 before the first call, the largest number of these rows in this
+    step, and the row of the first event. `marks` (steps,) are set for steps with events or closed gaps. Other arguments
+    are as in `steps.follow`.
     """
+    if room.capacity - progress[4] < MOST_EVENTS:
+        return FULL
     parameters_at, size = parameters.ctypes.data, watched.size
     work = work_in(scheme, memory, h, parameters_at)
     states, states_before = reals_at(data_of(path)), reals_at(data_of(before))
     saved, now = reals_at(work.now), reals_at(room.now)
     if progress[5] == 1:
-        progress[5] = 0
+        progress[5], progress[6] = 0, progress[4] + MOST_EVENTS - 2
         length = spans[0, 1] if spans.shape[0] > 0 else h
         for i in range(size):
             path[0, i] = now[i]
@@ -701,6 +718,7 @@ def follow_watched(
             t, length = spans[k, 0], spans[k, 1]
         copy(size, room.now, work.now)
         logged = progress[4]
+        progress[6] = logged + MOST_EVENTS - 2
         marks[k] = count_closed(watched, room) > 0
         outcome, iterations = watched_step(scheme, work, watched, room, progress, k, t, length, parameters_at)
         marks[k] |= progress[4] > logged or count_closed(watched, room) > 0
@@ -719,22 +737,57 @@ def follow_watched(
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def largest_defect(scheme, watched, memory, room, numbers, starts, spans, ends, h, parameters):
-    """Return the largest defect of parts of steps with events, relative to the length h of a step.
+def residual_with_events(scheme, watched, memory, room, progress, h, parameters, every, path, before, spans, marks):
+    """Return the largest residual of a motion with events.
 
-    Part i leads from `starts` to `ends` (M, size), begins at the time `spans` (M, 2) and has the length there. The bits
-    of `numbers` (M,) are the closed gaps. Each part is made again.
+    Steps without events are evaluated as in other motions, those to stored states alone. Parts of the other steps are
+    made again, and the differences of the states are divided by the length of a step. Other arguments are those of
+    `follow_watched` after the motion.
     """
-    parameters_at, largest, is_closed = parameters.ctypes.data, 0.0, integers_at(room.is_closed)
+    made, rows, largest, row = progress[0], progress[1], 0.0, 1
+    while row < rows:
+        begin = row
+        while row < rows and marks[min(row * every, made) - 1] == 0:
+            row += 1
+        count = row - begin
+        if count == 0:
+            row += 1
+            continue
+        lengths = np.empty((count, 2))
+        for i in range(count):
+            k = min((begin + i) * every, made) - 1
+            lengths[i, 0], lengths[i, 1] = k * h, h
+            if spans.shape[0] > 0:
+                lengths[i, 0], lengths[i, 1] = spans[k, 0], spans[k, 1]
+        residual = largest_residual(
+            scheme, memory, before[begin - 1 : row - 1], path[begin - 1 : row], count + 1, count, h, parameters,
+            watched.tolerance, watched.most, 1, lengths,
+        )  # fmt: skip
+        largest = max(largest, residual)
+    return max(largest, largest_defect(scheme, watched, memory, room, progress[7], progress[4], h, parameters))
+
+
+@njit(error_model="numpy")
+def largest_defect(scheme, watched, memory, room, first, last, h, parameters):
+    """Return the largest defect of the parts of steps that lead to the events `first` to `last` - 1 of the log.
+
+    Each part is made again. Defects are relative to the length h of a step.
+    """
+    parameters_at, largest, is_closed, size = parameters.ctypes.data, 0.0, integers_at(room.is_closed), watched.size
     work, end = work_in(scheme, memory, h, parameters_at), reals_at(room.end)
-    for i in range(numbers.size):
+    for i in range(first, last):
+        times, mask = ahead(reals_at(room.times), 3 * i), integers_at(room.rows)[4 * i + 3]
+        if not times[1] > 0.0:
+            continue
         for j in range(watched.gaps):
-            is_closed[j] = (numbers[i] >> j) & 1
-        copy(watched.size, data_of(starts) + 8 * watched.size * i, room.now)
-        if move(scheme, work, watched, room, spans[i, 0], spans[i, 1], parameters_at, room.end) < 0:
+            is_closed[j] = (mask >> j) & 1
+        start = room.states + 8 * size * 3 * i
+        before = reals_at(start + 8 * size)
+        copy(size, start, room.now)
+        if move(scheme, work, watched, room, times[0], times[1], parameters_at, room.end) < 0:
             return np.inf
-        for k in range(watched.size):
-            largest = max(largest, abs(end[k] - ends[i, k]) / h)
+        for k in range(size):
+            largest = max(largest, abs(end[k] - before[k]) / h)
     return largest
 
 

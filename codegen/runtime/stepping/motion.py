@@ -16,11 +16,10 @@ from codegen.runtime.stepping.events import (
     STOPPED,
     VIOLATED,
     Watched,
-    addresses_of,
+    enlarged,
     follow_watched,
-    largest_defect,
     least_gaps,
-    log_of,
+    residual_with_events,
     room_for,
 )
 from codegen.runtime.stepping.problem import StepProblem
@@ -251,18 +250,14 @@ def follow_with_events(grid, every):
     before = path if every == 1 else np.empty((path.shape[0] - 1, size))
     (room, arrays), memory = room_for(watched, problem.rules, FIRST_ROWS), memory_for(scheme)
     arrays["now"][:] = start
-    progress, marks, outcome = np.array([0, 1, every, 0, 0, 1]), np.zeros(steps, np.int64), FULL
+    progress, marks, outcome = np.array([0, 1, every, 0, 0, 1, 0, 0]), np.zeros(steps, np.int64), FULL
     while outcome == FULL:
         outcome = follow_watched(
             scheme, watched, memory, room, progress, steps, h, parameters, every, path, before, grid.spans, marks
         )
         if outcome == FULL:
-            larger = log_of(2 * room.capacity, size)
-            for name, array in larger.items():
-                array[: room.capacity] = arrays[name]
-            arrays |= larger
-            room = addresses_of(arrays)
-    made, rows, _, iterations, logged, _ = map(int, progress)
+            room = enlarged(arrays, size)
+    made, rows, _, iterations, logged = map(int, progress[:5])
     numbers, times, states = (arrays[name][:logged].copy() for name in ("rows", "times", "states"))
     t = times_at(grid, np.minimum(every * np.arange(rows), made))
     if outcome == STOPPED:
@@ -272,13 +267,14 @@ def follow_with_events(grid, every):
     if problem.energy is not None:
         energy = np.empty(rows)
         energies(problem.energy.address, path, t, parameters, energy)
-    log_of_parts = numbers, times, states
-    residual = residual_with_events(grid, watched, room, every, path, before, marks[:made], rows, log_of_parts)
+    residual = residual_with_events(
+        scheme, watched, memory, room, progress, h, parameters, every, path, before, grid.spans, marks
+    )
     failed = times_at(grid, np.minimum([made, made + 1], steps))
     status, message = describe(steps, failed, made, iterations, min(outcome, 0), EVENT_FAILURES)
     names = (*problem.metadata.events, *problem.metadata.gaps)
     if outcome == STOPPED:
-        message = f"event {names[log.number[-1]]!r} ended the motion at t = {t[-1]:.12g}, in step {made} of {steps}"
+        message = stop_message(names[log.number[-1]], t[-1], made, steps)
     elif outcome in (ACCUMULATED, NO_CONTACT, VIOLATED):
         message = message.format(*((names[log.number[-1]], log.t[-1]) if logged else (names[-1], 0.0)))
     if outcome == LEFT_TABLE:
@@ -306,10 +302,10 @@ def watched_of(problem, tolerance=TOLERANCE, most=MOST):
 
 def require_gaps(grid, watched):
     """Raise ValueError if a gap is negative at the start, if it closes there, or for a wrong restitution."""
-    values = np.empty((watched.events + watched.gaps, 3))
-    grid.problem.events(grid.start, 0.0, grid.parameters, values)
     if not watched.gaps:
         return
+    values = np.empty((watched.events + watched.gaps, 3))
+    grid.problem.events(grid.start, 0.0, grid.parameters, values)
     normals = np.empty((watched.gaps, 3 + grid.start.size))
     grid.problem.normals(grid.start, 0.0, grid.parameters, normals)
     for name, (value, rate, scale), (_, restitution, speed) in zip(
@@ -321,44 +317,6 @@ def require_gaps(grid, watched):
             raise ValueError(f"start violates {name}: the gap is {value:g}; correct the start, or the parameters")
         if value <= CONSISTENT * scale and rate < -CONSISTENT * speed:
             raise ValueError(f"start closes {name} with the velocity {rate:g}; start before the impact, or after it")
-
-
-def residual_with_events(grid, watched, room, every, path, before, marks, rows, log):
-    """Return the largest residual of a motion with events.
-
-    Steps without events are evaluated as in other motions, those to stored states alone. Parts of the other steps are
-    made again, and the differences of the states are divided by the length of a step.
-    """
-    scheme, accuracy = grid.problem.scheme._replace(is_constant=0), (grid.tolerance, grid.max_iterations)
-    memory, made, largest = memory_for(scheme), marks.size, 0.0
-    lasts = np.minimum(every * np.arange(1, rows), made) - 1
-    free = marks[lasts] == 0
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], free, [0]])))
-    spans = grid.spans
-    for first, end in zip(edges[::2], edges[1::2], strict=True):
-        k = lasts[first:end]
-        own = np.column_stack([grid.h * k, np.full(k.size, grid.h)]) if len(spans) == 0 else spans[k]
-        starts = (path if every == 1 else before)[first:end]
-        ends = np.vstack([starts[:1], path[first + 1 : end + 1]])
-        largest = max(
-            largest,
-            largest_residual(
-                scheme, memory, np.ascontiguousarray(starts), ends, k.size + 1, k.size, grid.h, grid.parameters,
-                *accuracy, 1, np.ascontiguousarray(own),
-            ),
-        )  # fmt: skip
-    numbers, times, states = log
-    lengths = times[:, 1] > 0.0
-    if lengths.any():
-        largest = max(
-            largest,
-            largest_defect(
-                scheme, watched, memory, room, np.ascontiguousarray(numbers[lengths, 3]),
-                np.ascontiguousarray(states[lengths, 0]), np.ascontiguousarray(times[lengths, :2]),
-                np.ascontiguousarray(states[lengths, 1]), grid.h, grid.parameters,
-            ),
-        )  # fmt: skip
-    return largest
 
 
 def constraint_values(grid, state, t=0.0):
@@ -444,6 +402,11 @@ def describe(steps, failed, made, iterations, outcome, failures=FAILURES):
     status, remedy = failures[outcome]
     where = f"step {made + 1} of {steps}, from t = {failed[0]:g} to {failed[1]:g}"
     return status, f"{status} in {where}: {remedy}"
+
+
+def stop_message(name, t, made, steps):
+    """Return a sentence on an event that ended the motion of `steps` steps in step `made`."""
+    return f"event {name!r} ended the motion at t = {t:.12g}, in step {made} of {steps}"
 
 
 def path_residual(grid, path):

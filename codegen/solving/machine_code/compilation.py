@@ -210,8 +210,9 @@ def step_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
             scheme, typeof(watched), memory, typeof(room), INTEGERS, int64, float64, REALS, int64, TABLE, TABLE, TABLE,
             INTEGERS,
         )  # fmt: skip
-        yield events.largest_defect, (
-            scheme, typeof(watched), memory, typeof(room), INTEGERS, TABLE, TABLE, TABLE, float64, REALS,
+        yield events.residual_with_events, (
+            scheme, typeof(watched), memory, typeof(room), INTEGERS, float64, REALS, int64, TABLE, TABLE, TABLE,
+            INTEGERS,
         )  # fmt: skip
         yield events.least_gaps, (typeof(watched), TABLE, REALS, REALS, REALS)
     yield steps.energies, (int64, TABLE, REALS, REALS, REALS)

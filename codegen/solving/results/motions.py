@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +32,7 @@ PENETRATION = 1e-9
 """Largest penetration of a gap, relative to the state and the inverse of the time step."""
 ROUNDING = 1e3 * float(np.finfo(float).eps)
 """Residual from rounding errors, relative to the state and the inverse of the time step."""
+Numbers: TypeAlias = NDArray[np.intp]
 FIRST_TIMES = 10
 """Number of times of each event that a sweep stores."""
 _OF_GAPS = (EventAction.IMPACT, EventAction.REST, EventAction.OPENING)
@@ -124,31 +126,43 @@ def event_labels(metadata: Record) -> tuple[str, ...]:
     return (*metadata.events, *(f"{gap} {action}" for gap in metadata.gaps for action in _OF_GAPS))
 
 
-def simulate_outline(module: SimulateModule, driver: str, run: Run, attempt: SimulateAttempt) -> Outline:
-    """Return the status and the arrays of an attempt, which a sweep stores.
+def label_numbers(metadata: SimulationRecord, number: NDArray[Any], action: NDArray[Any]) -> Numbers:
+    """Return the indices (M,) in `event_labels` of events, from their numbers and actions (M,), see `EventArrays`."""
+    first, events = tuple(EventAction).index(_OF_GAPS[0]), len(metadata.events)
+    of_gaps = events + len(_OF_GAPS) * (number - events) + action - first
+    return np.asarray(np.where(number < events, number, of_gaps))
 
-    `event_counts` (labels,) has the number of events of each label. `event_times` (FIRST_TIMES, labels) has the first
-    times of each, and NaN after them.
+
+def event_tables(
+    shape: tuple[int, int], case: Numbers, label: Numbers, t: Vector
+) -> tuple[Matrix, NDArray[np.float64]]:  # fmt: skip
+    """Return the numbers of events (n, labels), and the first times (n, FIRST_TIMES, labels) of each, and NaN.
+
+    `shape` is (n, labels). The events of n motions, at the times t (M,), are sorted by `case` (M,) and by time.
     """
-    result = simulate_result(module, driver, run, attempt)
-    outline, labels = outline_of(result), event_labels(module.metadata)
-    if result.events is not None:
-        own = [
-            f"{name} {action}" if action in _OF_GAPS else name
-            for name, action in zip(result.events.names, result.events.actions, strict=True)
-        ]
-        times = np.full((FIRST_TIMES, len(labels)), np.nan)
-        for column, label in enumerate(labels):
-            found = result.events.t[[each == label for each in own]][:FIRST_TIMES]
-            times[: found.size, column] = found
-        outline.arrays["event_counts"] = np.array([float(own.count(label)) for label in labels])
-        outline.arrays["event_times"] = times
+    key = np.ravel_multi_index((case, label), shape)
+    counts, order = np.bincount(key, minlength=math.prod(shape)), np.argsort(key, kind="stable")
+    occurrence = np.arange(key.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    first = order[occurrence < FIRST_TIMES]
+    times = np.full((shape[0], FIRST_TIMES, shape[1]), np.nan)
+    times[case[first], occurrence[occurrence < FIRST_TIMES], label[first]] = t[first]
+    return counts.reshape(shape).astype(float), times
+
+
+def simulate_outline(module: SimulateModule, driver: str, run: Run, attempt: SimulateAttempt) -> Outline:
+    """Return the status and the arrays of an attempt, which a sweep stores."""
+    outline, events = outline_of(simulate_result(module, driver, run, attempt)), attempt.events
+    if events is not None and isinstance(module.metadata, SimulationRecord):
+        label = label_numbers(module.metadata, events.number, events.action)
+        shape = 1, len(event_labels(module.metadata))
+        counts, times = event_tables(shape, np.zeros(label.size, np.intp), label, events.t)
+        outline.arrays.update(event_counts=counts[0], event_times=times[0])
     return outline
 
 
 def simulate_numbers(metadata: Record, run: Run) -> int:
     """Return the number of stored floating-point numbers: states, positions, momenta, times and energies."""
-    return (run.steps // run.every + 1) * (4 * len(metadata.coordinates) + 2)
+    return (1 - (-run.steps // run.every)) * (4 * len(metadata.coordinates) + 2)
 
 
 def rounding_of(path: NDArray[np.float64], step: ArrayLike) -> NDArray[np.float64]:
