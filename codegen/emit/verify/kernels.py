@@ -81,7 +81,7 @@ def guessed_points(program: ControlProgram, text: Text) -> GuessedPoints:
 def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Share, Values]]:
     """Yield share and points of each kind of interval, then of intervals of each kind that begin at no inner time."""
     others, time = parameters(program), program.model.time
-    local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
+    local = program.element_symbols[: len(program.element_symbols) - len(program.linking.unknowns)]
 
     def calling(begins_at: int) -> Operand:
         """Return a function that calls a kernel of an interval that begins at inner time `begins_at`, or none (-1)."""
@@ -143,7 +143,7 @@ def _sample(program: ControlProgram, share: Share, near: Values) -> tuple[Share,
     """Return the share of a sample of measurements, and the points with random measured values."""
     assert program.sample is not None, "there are samples"
     others, time, sample = parameters(program), program.model.time, program.sample
-    local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
+    local = program.element_symbols[: len(program.element_symbols) - len(program.linking.unknowns)]
 
     def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> Operand:
         # A sample is stored behind the parameters. Its first entry is its middle, which kernels do not read.
@@ -251,7 +251,7 @@ def _ends(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Sha
         ) -> Operand:
             return kernel([values[s] for s in node], values[time], [values[s] for s in others], filled)
 
-        unknowns, pinned = (*node, *program.shared_symbols), {index for index, _ in end.pins}
+        unknowns, pinned = (*node, *program.linking.symbols), {index for index, _ in end.pins}
         share = Share(
             name=f"the {name}",
             scalar=end.element,

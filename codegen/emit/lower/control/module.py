@@ -33,7 +33,7 @@ def lower_control(
     first = len(layout.parameters(program))
     expressions = [e for share in program.interval_elements for e in (share.element, share.cost)]
     expressions += [e for end in (program.start, program.end) for e in (end.element, end.cost)]
-    expressions += [coupling.expression for coupling in program.couplings]
+    expressions += [coupling.expression for coupling in program.linking.couplings]
     ranged = ranged_inputs(tables, first, expressions)
     terms, instances = control_kernels.coupling_terms(program)
     couplings = control_kernels.coupling_kernels(program, terms)
@@ -44,7 +44,7 @@ def lower_control(
         *(sensitivities.kernels(program, by_data) if by_data else ()),
     )
     guessed = tables_of(
-        program.node_guess, program.stage_guess, program.control_guess,
+        program.guess.node, program.guess.stages, program.guess.controls,
         [(p.node_guess, [v for _, v in (*p.inside_guess, *p.switch_guess)]) for p in program.phases],
     )  # fmt: skip
     quantities = sensitivities.quantities(program) if by_data else None
@@ -62,8 +62,8 @@ def lower_control(
         data_arguments.append(("observations", meaning))
         grid_code = f"with_observations({grid_code}, observations)"
     # With several bodies, boundary values are arrays.
-    values, boundary_code = program.boundary_values, array_code if program.bodies > 1 else scalar_code
-    reads_body = program.body is not None and any(v.value.has(program.body) for v in values)
+    values, boundary_code = program.boundary_values, array_code if program.model.bodies > 1 else scalar_code
+    reads_body = program.model.body is not None and any(v.value.has(program.model.body) for v in values)
     example = f'as in {values[0].where}={{"{values[0].quantity}": 0.5}}' if values else "of which there are none"
     return ControlModule(
         template="control.py.j2",
