@@ -594,7 +594,7 @@ def _emission() -> Iterator[Mutant]:
     yield Mutant(
         stage,
         "boundary values reversed",
-        "emit/lower/control/module.py",
+        "emit/lower/control/__init__.py",
         boundary,
         boundary.replace("(v.value", "(-v.value"),
         "orbital_transfer",

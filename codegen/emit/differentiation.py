@@ -35,8 +35,8 @@ from codegen.errors import ArgumentError
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.derivatives import first_derivatives, mixed_derivatives, second_derivatives
 from codegen.symbolic.derivatives import jacobian as differentiated
-from codegen.symbolic.families import Family, are_many, families
 from codegen.symbolic.graph import Assignment
+from codegen.symbolic.terms import Family, are_many, families
 from codegen.symbolic.zeros import identically_zero
 
 Entry = tuple[int, int, Expr]

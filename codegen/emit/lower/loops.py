@@ -17,9 +17,9 @@ from sympy import Expr, Symbol
 from codegen.emit.lower.kernels import Kernel, Line, Loop, Output, kernel
 from codegen.emit.lower.printer import scalar_code, stabilised, with_decimal_roots
 from codegen.symbolic.checks import longer_than
-from codegen.symbolic.families import MANY, Family, are_many, families
 from codegen.symbolic.functions import TableBase
 from codegen.symbolic.graph import Assignment
+from codegen.symbolic.terms import MANY, Family, are_many, families
 
 _LONG = 100
 """Number of operations from which the value of an assignment is not substituted into the rows."""

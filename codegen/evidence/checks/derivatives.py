@@ -24,7 +24,7 @@ from sympy import Expr, S, Symbol
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Model
 from codegen.discretise.program import ControlProgram, EndElement, SampleElement, StepProgram
-from codegen.emit.lower.events import rows_of_events
+from codegen.emit.lower.simulate import rows_of_events
 from codegen.emit.verify.comparison import complex_numbers, step_of
 from codegen.emit.verify.execution import Tape
 from codegen.emit.verify.shares import shared_symbols

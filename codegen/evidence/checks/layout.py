@@ -29,7 +29,7 @@ from codegen.discretise.interval import STEP
 from codegen.discretise.program import ControlProgram, IntervalElement, StepProgram, Unknown
 from codegen.emit.lower.control.kernels import named_elements
 from codegen.emit.lower.control.layout import parameters
-from codegen.emit.lower.events import EVENT_KERNELS, rows_of_events
+from codegen.emit.lower.simulate import EVENT_KERNELS, rows_of_events
 from codegen.emit.verify.comparison import Values, with_time
 from codegen.emit.verify.kernels import part_of_chain
 from codegen.emit.verify.shares import shared_symbols

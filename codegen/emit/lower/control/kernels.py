@@ -16,9 +16,8 @@ from codegen.discretise.interval import STEP
 from codegen.discretise.program import ControlProgram
 from codegen.emit.differentiation import ControlDerivatives, ElementDerivatives
 from codegen.emit.lower.control.layout import integers, parameters
-from codegen.emit.lower.kernels import INNER, Kernel, Line, Output, kernel
+from codegen.emit.lower.kernels import INNER, Input, Kernel, Line, Output, inputs_kernel, kernel
 from codegen.emit.lower.module import Choice
-from codegen.emit.lower.tables import Input, inputs_kernel
 from codegen.runtime.record import ObservationRecord
 from codegen.symbolic.functions import tables_of
 from codegen.symbolic.tables import TableData

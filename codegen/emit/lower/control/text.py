@@ -26,10 +26,9 @@ from codegen.emit.differentiation import ControlDerivatives
 from codegen.emit.lower.control.kernels import sample_record
 from codegen.emit.lower.control.layout import has_nonlinear_ends
 from codegen.emit.lower.kernels import Kernel
-from codegen.emit.lower.module import record_fields
+from codegen.emit.lower.module import record_fields, system_fields
 from codegen.emit.lower.printer import readable
-from codegen.emit.lower.tables import table_records
-from codegen.runtime.record import ControlRecord, Form, Kind, Method, Role, SegmentRecord, Sites
+from codegen.runtime.record import ControlRecord, Kind, Role, SegmentRecord, Sites
 from codegen.symbolic.tables import TableData
 
 _WIDTH = 110
@@ -366,20 +365,10 @@ def record(
     ends = (("start", program.start), ("end", program.end))
     decided = dict.fromkeys((name, where) for where, end in ends for _, name in end.determined if name)
     return ControlRecord(
-        **record_fields(model),
-        method=Method(program.method),
-        scheme=program.scheme,
-        order=scheme.order,
-        form=Form(model.form),
-        coordinates=tuple(s.name for s in model.coordinates),
-        rates=tuple(s.name for s in model.rates),
+        **record_fields(program, scheme.order, kernels, left_out(program, derivatives)),
+        **system_fields(model, tables),
         start=tuple(v.quantity for v in values if v.where == "start"),
         end=tuple(v.quantity for v in values if v.where == "end"),
-        attitudes=model.attitudes,
-        units=dict(model.units),
-        tables=table_records(tables),
-        operations={k.name: (k.operations_before, k.operations_after) for k in kernels},
-        left_out=tuple(left_out(program, derivatives)),
         controls=Sites(program.controlled),
         bodies=program.model.bodies,
         phases=len(program.phases) or 1,
