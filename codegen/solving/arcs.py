@@ -34,7 +34,7 @@ from codegen.runtime.search.point import interval_parts, stationarity
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import corrected_cost
 from codegen.solving.loading import ControlModule, Grid, Indices, Matrix, Vector, time_grid
-from codegen.solving.results.control import bound_distances, held_at_bounds
+from codegen.solving.results.control import bound_distances, free_parameters, held_at_bounds
 from codegen.solving.results.result import DiscretisationError, Result
 from codegen.solving.results.segments import segments_of
 
@@ -249,10 +249,15 @@ def compared(module: ControlModule, coarse: Result, fine: Result, without: Seque
     if coarse.cost is not None and fine.cost is not None:
         pairs["the cost"] = coarse.cost, fine.cost
     for name, (old, new) in pairs.items():
-        difference = abs(new - old) / (abs(new) if abs(new) > NEGLIGIBLE else 1.0)
+        difference = _relative(old, new)
         if difference > worst.difference:
             worst = Estimate(difference, name, float(fine.t[-1]))
     return worst
+
+
+def _relative(value: float, reference: float) -> float:
+    """Return the difference of a value from a reference, relative to the reference unless this is negligible."""
+    return abs(value - reference) / (abs(reference) if abs(reference) > NEGLIGIBLE else 1.0)
 
 
 def interval_errors(module: ControlModule, fine: Result, order: int) -> Matrix:
@@ -430,17 +435,13 @@ def _error(module: ControlModule, result: Result, grid: Grid, optimum: Vector, r
     changes = np.abs(coarse - table[rows])[:, finite] / scales_of(table[:, finite], bool(module.metadata.relaxation))
     node, column = np.unravel_index(int(np.argmax(changes)), changes.shape)
     states, quantity, time = float(changes[node, column]), names[finite[column]], float(times[node])
-    free = module.metadata.free_parameters
-    last = optimum.size - module.problem.structure.couplings
-    for name, value in zip(free, optimum[last - len(free) : last], strict=True):
-        fine = result.summary[name]
-        change = abs(float(value) - fine) / (abs(fine) if abs(fine) > NEGLIGIBLE else 1.0)
+    for name, value in free_parameters(module, optimum).items():
+        change = _relative(value, result.summary[name])
         if change > states:
             states, quantity, time = change, name, float(result.t[-1])
     cost = corrected_cost(grid, module.evaluate(grid, optimum))
-    scale = abs(result.cost) if abs(result.cost) > NEGLIGIBLE else 1.0
     if segments := segments_of(module.metadata):
         quantity, segment = segments.split(quantity)
         time += (segment - 1) * float(result.t[-1] - result.t[0])
     factor = 2.0 ** order_of_optima(module) - 1.0
-    return DiscretisationError(states / factor, abs(cost - result.cost) / scale / factor, quantity, time)
+    return DiscretisationError(states / factor, _relative(cost, result.cost) / factor, quantity, time)

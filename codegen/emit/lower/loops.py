@@ -52,7 +52,8 @@ def looped(
     found = families([[o.value for o in row] for row in written or ()], lambda s: _split(codes.get(s, s.name))[0])
     if written is None or not are_many(found):
         return kernel(name, summary, arguments, codes, outputs, None, assignments, decorators, straight_line)
-    long = [family for family in found if family.is_large and not _reads_table(family)]
+    # Rows that read tables stay outside of loops.
+    long = [f for f in found if f.is_large and not any(value.has(TableBase) for value in f.template)]
     inside = {member.row for family in long for member in family.members}
     others = [output for i, row in enumerate(written) if i not in inside for output in row]
     plain = kernel(name, summary, arguments, codes, others, None, kept, decorators, straight_line)
@@ -90,10 +91,6 @@ def _substituted(
     before += sum(int(output.value.count_ops()) for row in rows for output in row)
     after = sum(int(output.value.count_ops()) for row in replaced for output in row)
     return replaced if after <= _GROWTH * before else None, kept
-
-
-def _reads_table(family: Family) -> bool:
-    return any(value.has(TableBase) for value in family.template)
 
 
 def _split(code: str) -> tuple[str, int]:

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from codegen.runtime.record import Kind, Meaning, Place, phrase
 from codegen.runtime.search.termination import sizes_of_terms
 from codegen.solving.loading import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.solving.warm_start import interpolated
 
 PARTS = 8
 """Number of parts into which every interval is divided."""
@@ -104,10 +105,7 @@ def _transferred(
             share = np.clip((at - t[left]) / width, 0.0, 1.0)[None, :, None]
             new_nodes[:, new] = (1.0 - share) * values[:, left] + share * values[:, right]
         else:
-            from scipy.interpolate import PchipInterpolator  # its import is slow
-
-            with np.errstate(over="ignore"):  # scipy divides by slopes, which may be almost zero
-                new_nodes[:, new] = PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1]))
+            new_nodes[:, new] = interpolated(t, values, at)
     new_intervals[:] = np.repeat(intervals, parts, axis=1)
     new_intervals[:, :, module.problem.structure.slacks - nodes.shape[2]] = 0.0
     root = module.problem.structure.root
