@@ -122,7 +122,6 @@ def _active_bounds(module: ControlModule, result: Result, grid: Grid) -> Iterato
     """
     if not module.metadata.inequalities or result.unknowns is None:
         return
-    generated: Any = module
     primal, bounded = module.primal_unknowns(grid), np.zeros(result.unknowns.size, bool)
     below, above = bound_distances(module, grid, result.unknowns)
     slopes = stationarity(grid, result.unknowns)
@@ -134,7 +133,7 @@ def _active_bounds(module: ControlModule, result: Result, grid: Grid) -> Iterato
     kind = np.zeros(result.unknowns.size, np.int8)
     kind[primal] = np.where(active, np.where(below < above, -1, 1), 0)
     bounded[primal] = np.isfinite(close)
-    (nodes, intervals), (at_nodes, inside) = (generated.views(grid, table.astype(float)) for table in (kind, bounded))
+    (nodes, intervals), (at_nodes, inside) = (module.views(grid, table.astype(float)) for table in (kind, bounded))
     kinds = np.concatenate([nodes[:, 1:], intervals], axis=2)
     has_bounds = np.concatenate([at_nodes[:, 1:], inside], axis=2).any(axis=1)
     for phase in range(module.metadata.phases):

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -548,17 +547,16 @@ def stages_beyond(
     States whose stage values have bounds of their own are omitted. `unknowns` (n,) belong to `steps` intervals in each
     phase. `fractions` are the lengths of the intervals relative to the duration; None means equal intervals.
     """
-    generated: Any = module
     metadata = module.metadata
     if not metadata.inequalities or any(m.kind == Kind.BOUND_SLACK for m in metadata.meanings.values()):
         return
     grid, names = time_grid(module, steps, fractions), list(metadata.node)
-    nodes, intervals = generated.views(grid, unknowns)
-    limits = [generated.views(grid, bound) for bound in module.variable_bounds(grid)]
+    nodes, intervals = module.views(grid, unknowns)
+    limits = [module.views(grid, bound) for bound in module.variable_bounds(grid)]
     stages = dict[str, list[int]]()
     for column, name in enumerate(metadata.interval):
         state = metadata.stages.get(name)
-        if state in names and not generated.problem.structure.is_multiplier[len(names) + column]:
+        if state in names and not module.problem.structure.is_multiplier[len(names) + column]:
             stages.setdefault(state, []).append(column)
     times = module.unpack(grid, unknowns)[0] if stages else np.empty(0)
     for state, columns in stages.items():
