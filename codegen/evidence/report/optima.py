@@ -36,7 +36,7 @@ from codegen.errors import CodegenError
 from codegen.evidence.report import comparison as compare
 from codegen.evidence.report import peers, timing
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop, workers
-from codegen.evidence.report.orders import (
+from codegen.evidence.report.comparison import (
     ABOVE_REFERENCE,
     LARGE,
     SETTLED,

@@ -9,7 +9,7 @@ attitude, and its value at a node is the mean of both steps, which has order 2 l
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,11 @@ from numpy.typing import NDArray
 from codegen.errors import ArgumentError
 from codegen.runtime.record import Task
 
-if TYPE_CHECKING:
-    from codegen.solving.results.result import Result
-
 Array = NDArray[np.float64]
 _PARTS = "wxyz"
 
 
-def columns_of(result: Result) -> dict[str, list[int]]:
+def columns_of(result: Any) -> dict[str, list[int]]:
     """Return the numbers of the four columns of `q` of each attitude by name.
 
     With several bodies, the name of an attitude ends with the number of its body.
@@ -38,13 +35,13 @@ def columns_of(result: Result) -> dict[str, list[int]]:
     return found
 
 
-def angular_velocity_names(result: Result) -> dict[str, str]:
+def angular_velocity_names(result: Any) -> dict[str, str]:
     """Return the attitude of each angular velocity by name: `omega`, or `omega_<attitude>` with several attitudes."""
     attitudes = [*columns_of(result)] if result.names["p"] else []
     return {"omega": attitudes[0]} if len(attitudes) == 1 else {f"omega_{name}": name for name in attitudes}
 
 
-def matrices(result: Result, name: str) -> Array:
+def matrices(result: Any, name: str) -> Array:
     """Return the attitude `name` at the nodes (M + 1, 3, 3): rotations from the frame of the body to that of space."""
     q = result.q[:, columns_of(result)[name]]
     w, v = q[:, 0], q[:, 1:]
@@ -56,13 +53,13 @@ def matrices(result: Result, name: str) -> Array:
     return np.asarray((real + 2.0 * v[:, :, None] * v[:, None, :] + 2.0 * w[:, None, None] * cross) / squares)
 
 
-def angular_velocity(result: Result, name: str) -> Array:
+def angular_velocity(result: Any, name: str) -> Array:
     """Return the angular velocity of the attitude `name` at the nodes (M + 1, 3), in the frame of the body."""
     columns = columns_of(result)[name]
     return _of_energy(result, columns) if result.task == Task.SIMULATE else _of_increments(result, columns)
 
 
-def _of_energy(result: Result, columns: list[int]) -> Array:
+def _of_energy(result: Any, columns: list[int]) -> Array:
     from codegen.runtime.stepping.steps import energies  # imports numba
 
     if result.background is None:
@@ -87,7 +84,7 @@ def _of_energy(result: Result, columns: list[int]) -> Array:
     return omega
 
 
-def _of_increments(result: Result, columns: list[int]) -> Array:
+def _of_increments(result: Any, columns: list[int]) -> Array:
     q, h = result.q[:, columns], np.diff(result.t)[:, None]
     increment = _product(q[:-1] * [1.0, -1.0, -1.0, -1.0], q[1:])
     # A step of the midpoint rule turns by tau(h omega), and the quaternion of tau is (1, h omega/4)^2, normalised.

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from codegen.show.figures.picture import Film, Picture
     from codegen.solving.loading import GeneratedModule, Vector
-    from codegen.solving.results.result import Result
 
 _COLUMNS = {"q": "coordinate", "p": "momentum", "u": "control"}
 """The name of the dimension of the columns of each array in an xarray data set, the same as for sweeps."""
@@ -106,7 +105,7 @@ class Display:
         return [*super().__dir__(), *(name for name in self._ipython_key_completions_() if name.isidentifier())]
 
     def _ipython_key_completions_(self) -> list[str]:
-        result = cast("Result", self)
+        result = cast(Any, self)
         turned = (*attitudes.columns_of(result), *attitudes.angular_velocity_names(result))
         return [*(name for names in result.names.values() for name in names), *turned]
 
@@ -130,7 +129,7 @@ class Display:
         ArgumentError
             If `other` has other quantities, or the problem is about particles.
         """
-        one = cast("Result", self)
+        one = cast(Any, self)
         for name in ("task", "names"):
             if getattr(one, name) != getattr(other, name):
                 finding = f"{one.problem} and {other.problem} have other quantities"
@@ -311,9 +310,9 @@ def _require_library(library: str, purpose: str) -> None:
         raise ExtraError(f"{purpose} needs {library}, which is not installed", f"pip install {library}")
 
 
-def _with_columns(display: Display) -> Result:
+def _with_columns(display: Display) -> Any:
     """Return the result itself; raise ArgumentError for a result of particles, whose columns have no names."""
-    result = cast("Result", display)
+    result = cast(Any, display)
     if result.q.ndim != 2:
         raise ArgumentError(f"{result.problem} is about particles, whose path has no columns", "take its arrays")
     return result
