@@ -179,10 +179,7 @@ class _Lookup:
 def _with_lookups(
     body: Sequence[Assignment], outputs: Sequence[Expr], taken: Collection[str]
 ) -> tuple[list[tuple[str, str]], list[Expr]]:
-    """Return pairs (target, code) of a kernel's body, with look-ups of tables, and outputs that read these look-ups.
-
-    `taken` are names that the kernel uses already.
-    """
+    """Return pairs (target, code) of a kernel's body, with look-ups of tables, and outputs that read these look-ups."""
     lookups: dict[tuple[TableData, tuple[Expr, ...]], _Lookup] = {}
     used = set(taken)
 

@@ -73,10 +73,7 @@ def looped(
 def _substituted(
     rows: Sequence[Sequence[Output]], assignments: Sequence[Assignment]
 ) -> tuple[list[list[Output]] | None, list[Assignment]]:
-    """Return the rows in terms of what short assignments read, and the long assignments.
-
-    Return None in place of rows that become much longer.
-    """
+    """Return rows without short assignments, or None if the rows become much longer, and the long assignments."""
     values, kept = dict[Expr, Expr](), list[Assignment]()
     if not assignments:
         return [list(row) for row in rows], kept

@@ -70,10 +70,7 @@ STAGES_NEGLIGIBLE = 1e-6
 
 
 def _divided(module: ControlModule, coarse: Grid, cuts: Matrix) -> Grid:
-    """Return the finer grid: interval i is divided into parts whose relative lengths are row i of `cuts`.
-
-    `cuts` has the shape (intervals, parts).
-    """
+    """Return the finer grid: row i of `cuts` (intervals, parts) has the relative lengths of the parts of interval i."""
     phases = module.metadata.phases
     parts = (np.diff(coarse.nodes)[:, None] * cuts).reshape(phases, -1)
     parts /= parts.sum(axis=1, keepdims=True)
