@@ -122,6 +122,8 @@ def _text(point: PointArray) -> str:
     return ", ".join(f"{x:g}" for x in point)
 
 
+# Alignment
+
 Kind: TypeAlias = Literal["auto", "none", "similarity", "affine"]
 KINDS: tuple[Kind, ...] = ("none", "similarity", "affine")
 """The kinds of alignment that `align` fits; for "auto", `chosen_alignment` selects one of these kinds."""

@@ -308,6 +308,9 @@ def value_counts(expression: Expr) -> set[int]:
     return {len(function.args) - 1 for function in expression.atoms(EachBodyBase)}
 
 
+# Families of alike rows
+
+
 @dataclass(frozen=True)
 class Member:
     """The number of a row, and the symbols of the row in the order of the slots of its family."""

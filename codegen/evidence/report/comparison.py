@@ -219,6 +219,8 @@ def _label(axes: Axes, ends: Sequence[tuple[tuple[float, float], str, str]]) -> 
         )  # fmt: skip
 
 
+# Measured orders
+
 LEAST_POINTS, LEAST_RANGE = 3, 2.0
 """The least number of successive points in a least-squares fit, and the least ratio of its last to its first N."""
 ABOVE, ABOVE_REFERENCE = 100.0, 30.0

@@ -192,6 +192,8 @@ def _rates(model: Any) -> Sequence[Any]:
     return (*rates, *solve_blocks(sympy.hessian(model.function, rates), right))
 
 
+# The reference
+
 DEGREE = 5
 COARSEST, MOST_INTERVALS, ENOUGH = 20, 5120, 1e-12
 """The least and the largest number of intervals of a reference, and the estimated error below which it is accurate."""
