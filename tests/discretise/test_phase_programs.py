@@ -117,9 +117,9 @@ def test_an_inequality_begins_at_the_switch_unless_it_held_before_or_its_state_j
     first, second = REST
     wall = {"path": lambda x, v, *_: [x <= 2]}
     # The slack s_1 is that of later intervals, whose right nodes satisfy it.
-    assert names(program_of(two(first, second | wall)).shared) == ["nu_1", "s_2"]
-    assert names(program_of(two(first | wall, second | wall)).shared) == []
-    assert names(program_of(two(first, second | wall, jumps=(lambda x, v: {x: x / 2},))).shared) == []
+    assert names(program_of(two(first, second | wall)).linking.unknowns) == ["nu_1", "s_2"]
+    assert names(program_of(two(first | wall, second | wall)).linking.unknowns) == []
+    assert names(program_of(two(first, second | wall, jumps=(lambda x, v: {x: x / 2},))).linking.unknowns) == []
 
 
 def test_unknowns_of_both_ends_and_of_switches_have_different_names():
