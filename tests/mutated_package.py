@@ -350,13 +350,13 @@ def _transcription() -> Iterator[Mutant]:
         None,
         "hamiltonian",
     )
-    slope = "return tuple(sympy.diff(function, symbol) for symbol in ordered)"
+    slope = "return tuple(slopes.get(symbol, sympy.S.Zero) for symbol in ordered)"
     yield Mutant(
         stage,
         "derivatives of the Lagrangian doubled",
         forms,
         slope,
-        slope.replace("(sympy", "(2 * sympy"),
+        slope.replace("(slopes", "(2 * slopes"),
         "linear_pendulum",
     )
     force = "node[i] += weight * share * force_at(f, number, c)"
@@ -594,7 +594,7 @@ def _emission() -> Iterator[Mutant]:
     yield Mutant(
         stage,
         "boundary values reversed",
-        "emit/lower/control/module.py",
+        "emit/lower/control/__init__.py",
         boundary,
         boundary.replace("(v.value", "(-v.value"),
         "orbital_transfer",

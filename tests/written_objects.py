@@ -33,3 +33,18 @@ def control(**changes: Any) -> Any:
         "end": {x: 1, v: 0}, "steps": 4,
     }  # fmt: skip
     return codegen.Control(**{**given, **{name: change(x, v, u, m) for name, change in changes.items()}})
+
+
+def unit_mass(form: str) -> tuple[Any, Any, Any, dict[str, Any]]:
+    """Position, velocity and force of a unit mass, with the arguments of its motion in a form."""
+    import codegen
+
+    u = codegen.control("u")
+    if form == "dynamics":
+        x, v = codegen.states("x v")
+        return x, v, u, {"dynamics": {x: v, v: u}}
+    if form == "hamiltonian":
+        x, v = codegen.canonical_pair("x", "v")
+        return x, v, u, {"hamiltonian": v**2 / 2, "force": {x: u}}
+    x, v = codegen.coordinate("x")
+    return x, v, u, {"lagrangian": v**2 / 2, "force": {x: u}}

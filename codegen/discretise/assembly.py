@@ -22,6 +22,8 @@ from codegen.discretise.program import (
     ControlProgram,
     EndElement,
     Equation,
+    InitialGuess,
+    LinkingVariables,
     Names,
     Unknown,
     in_scales,
@@ -98,12 +100,11 @@ def assemble(
     # Unknowns of one end become unknowns of every node, with the value zero at all other nodes.
     of_ends = tuple({unknown.name: unknown for unknown in (*start.extra, *end.extra)}.values())
     node = (*before, *of_ends, *(controls if sites.nodal else ()))
-    left_symbols, right_symbols = (symbols([unknown.name for unknown in node], end) for end in ("_k", "_k1"))
     element = motion.element + path.element
     element += Add(*(e.multiplier * value for e, value in zip(integrals, discrete.integrals, strict=True)))
     element += nodal.element + _filling(unknown.name for unknown in of_ends)
     # A one-sided scheme depends on the controls of the left node alone. Then the controls of the last node are zero.
-    nodal_controls = zip(controls, right_symbols[len(node) - len(controls) :], strict=True) if sites.nodal else ()
+    nodal_controls = zip(controls, symbols([u.name for u in controls], "_k1"), strict=True) if sites.nodal else ()
     idle = [u.name for u, symbol in nodal_controls if symbol not in element.free_symbols]
     linking = (*shared.own, *own_unknowns(integrals), *shared.common)
     shared_unknowns = tuple(own.unknown for own in linking)
@@ -115,7 +116,7 @@ def assemble(
     pinned = [{index for index, _ in each.pins} for each in (start_element, end_element)]
     first = len(before) - len(at_inner_times.unknowns)
     guess = dict(model.guess)
-    control_guess = tuple(at_guess(model, guess.get(u, S.Zero)) for u in model.controls)
+    of_controls = tuple(at_guess(model, guess.get(u, S.Zero)) for u in model.controls)
     quadratures = (Equation(value, f"Gd_{i}") for i, value in enumerate(discrete.integrals, start=1))
     program = ControlProgram(
         model=model,
@@ -125,10 +126,8 @@ def assemble(
         node=node,
         interval=(*stages, *path.multipliers),
         controls=() if sites.nodal else controls,
-        left_symbols=left_symbols,
         interval_symbols=(*motion.interval_symbols, *symbols([y.name for y in path.multipliers], "_k")),
         control_symbols=() if sites.nodal else sites.of_interval,
-        right_symbols=right_symbols,
         element=element,
         cost=discrete.cost,
         equations=(*motion.equations, *path.equations, *nodal.equations, *quadratures),
@@ -136,22 +135,19 @@ def assemble(
         start=start_element,
         end=end_element,
         boundary_values=boundary_values,
-        node_guess=motion.node_guess,
-        stage_guess=motion.stage_guess,
-        control_guess=control_guess * max(1, len(sites.stage_controls)),
+        guess=InitialGuess(motion.node_guess, motion.stage_guess, of_controls * max(1, len(sites.stage_controls))),
         slacks=path.slacks,
-        slack_symbols=symbols([slack.name for slack in path.slacks], "_k"),
         slack_multipliers=path.slack_multipliers,
         path_multipliers=len(path.multipliers),
-        shared=shared_unknowns,
-        shared_symbols=tuple(own.symbol for own in linking),
-        shared_guess=tuple(at_guess(model, own.guess) for own in linking),
-        own=len(linking) - len(shared.common),
-        bodies=model.bodies,
-        body=model.body,
-        couplings=shared.couplings,
-        redundant_couplings=shared.redundant,
-        coupling_symbols=shared.coupling_symbols,
+        linking=LinkingVariables(
+            unknowns=shared_unknowns,
+            symbols=tuple(own.symbol for own in linking),
+            guess=tuple(at_guess(model, own.guess) for own in linking),
+            own=len(linking) - len(shared.common),
+            couplings=shared.couplings,
+            redundant=shared.redundant,
+            coupling_symbols=shared.coupling_symbols,
+        ),
         integrals=integrals,
         inner=replace(
             times,

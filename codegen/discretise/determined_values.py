@@ -171,7 +171,7 @@ def _with_determined_values(program: ControlProgram, where: str, inequalities: S
     duration = expressions.rounded_at(model.duration, model.default_values)
     if where == "end":
         substitution[model.time] = model.time + STEP
-        if model.duration.free_symbols & set(program.shared_symbols):
+        if model.duration.free_symbols & set(program.linking.symbols):
             unknowns |= {model.time, STEP}
     conditions = model.start_conditions if where == "start" else model.end_conditions
     numbers = {**model.default_values, STEP: 0.0, model.time: 0.0 if where == "start" else duration}
@@ -354,10 +354,10 @@ class ChainJacobian:
         self.steps, self.node = steps, len(program.node)
         inside = (*program.interval, *program.controls, *program.slacks)
         self.stride = self.node + len(inside)
-        self.size = steps * self.stride + self.node + len(program.shared)
+        self.size = steps * self.stride + self.node + len(program.linking.unknowns)
         of_node, of_interval = ([u.multiplier for u in unknowns] for unknowns in (program.node, inside))
         self.is_multiplier = np.array(
-            [*((of_node + of_interval) * steps), *of_node, *(u.multiplier for u in program.shared)]
+            [*((of_node + of_interval) * steps), *of_node, *(u.multiplier for u in program.linking.unknowns)]
         )
         self.matrix, self.residuals = np.zeros((self.size, self.size)), np.zeros(self.size)
         model = program.model
@@ -368,14 +368,11 @@ class ChainJacobian:
         values |= dict.fromkeys(program.inner.symbols, 0.0)  # no node is at an inner time
         values[STEP] = (duration or 1.0) / steps
         point = self._point(program, values, generator)
-        shared = np.arange(self.size - len(program.shared), self.size)
-        constants = {symbol: number for symbol, number in values.items() if symbol not in program.shared_symbols}
+        shared = np.arange(self.size - len(program.linking.unknowns), self.size)
+        constants = {symbol: number for symbol, number in values.items() if symbol not in program.linking.symbols}
         shares = [(program.element, program.element_symbols, self.stride + self.node, range(steps))]
-        for end, symbols, k in (
-            (program.start, program.left_symbols, 0),
-            (program.end, program.right_symbols, steps),
-        ):
-            shares.append((end.element, (*symbols, *program.shared_symbols), self.node, range(k, k + 1)))
+        for end, symbols, k in ((program.start, program.left_symbols, 0), (program.end, program.right_symbols, steps)):
+            shares.append((end.element, (*symbols, *program.linking.symbols), self.node, range(k, k + 1)))
         for share, unknowns, width, places in shares:
             slopes = [sympy.diff(share, x) for x in unknowns]
             pattern = [(i, j) for i, g in enumerate(slopes) for j, x in enumerate(unknowns) if x in g.free_symbols]
@@ -400,7 +397,7 @@ class ChainJacobian:
             first = k * self.stride
             free[[first + index for index, _ in end.pins]] = False
             for index, shared, _ in end.shared:
-                matrix[:, self.size - len(program.shared) + shared] += matrix[:, first + index]
+                matrix[:, self.size - len(program.linking.unknowns) + shared] += matrix[:, first + index]
                 free[first + index] = False
         for k in range(1, self.steps):
             free[[k * self.stride + index for index in program.only_at_ends]] = False
@@ -426,8 +423,8 @@ class ChainJacobian:
                 if first is not None and last is not None:
                     point[k * self.stride + index] = first + (last - first) * k / self.steps
         point += np.where(point == 0.0, 1.0, np.maximum(1.0, np.abs(point))) * generator.uniform(0.1, 0.4, self.size)
-        shared = self.size - len(program.shared)
-        point[shared:] = [values.get(symbol, point[0]) for symbol in program.shared_symbols]
+        shared = self.size - len(program.linking.unknowns)
+        point[shared:] = [values.get(symbol, point[0]) for symbol in program.linking.symbols]
         for end, prescribed, k in ((program.start, ends[0], 0), (program.end, ends[1], self.steps)):
             for index, value in prescribed.items():
                 point[k * self.stride + index] = value or 0.0

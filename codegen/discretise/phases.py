@@ -142,9 +142,6 @@ def _renamed(program: ControlProgram, new: Mapping[str, str]) -> ControlProgram:
     def unknowns(old: Iterable[Unknown]) -> tuple[Unknown, ...]:
         return tuple(replace(unknown, name=new.get(unknown.name, unknown.name)) for unknown in old)
 
-    def put(old: Iterable[Symbol]) -> tuple[Symbol, ...]:
-        return tuple(substitution.get(symbol, symbol) for symbol in old)
-
     def written(old: Iterable[Equation]) -> tuple[Equation, ...]:
         return tuple(replace(e, slack=new.get(e.slack, e.slack)) for e in in_scales(old, substitution))
 
@@ -158,10 +155,7 @@ def _renamed(program: ControlProgram, new: Mapping[str, str]) -> ControlProgram:
         node=unknowns(program.node),
         interval=unknowns(program.interval),
         slacks=unknowns(program.slacks),
-        left_symbols=put(program.left_symbols),
-        right_symbols=put(program.right_symbols),
-        interval_symbols=put(program.interval_symbols),
-        slack_symbols=put(program.slack_symbols),
+        interval_symbols=tuple(substitution.get(symbol, symbol) for symbol in program.interval_symbols),
         element=program.element.xreplace(substitution),
         equations=written(program.equations),
         start=end(program.start),
@@ -371,13 +365,13 @@ class _Chain:
         # Linking variables of integrals and of switches come first, then free parameters.
         integrals = [own for program in self.programs for own in own_unknowns(program.integrals)]
         of_switches = [unknown for switch in self.switches if switch for unknown in switch.shared]
+        common = first.linking
         shared = [
             *((own.unknown, own.symbol, own.guess) for own in integrals),
             *((unknown, Symbol(unknown.name, real=True), S.Zero) for unknown in of_switches),
-            *list(zip(first.shared, first.shared_symbols, first.shared_guess, strict=True))[first.own :],
+            *list(zip(common.unknowns, common.symbols, common.guess, strict=True))[common.own :],
         ]
         earlier_integrals = Add(*(end_share(program.integrals).element for program in self.programs[:-1]))
-        node_names = [u.name for u in self.node]
         only_at_ends = len(self.from_start) + len(self.from_end)
         return replace(
             first,
@@ -393,14 +387,14 @@ class _Chain:
             interval=self.interval,
             slacks=self.slacks,
             slack_multipliers=tuple(_index(self.interval, multipliers[slack.name]) for slack in self.slacks),
-            left_symbols=symbols(node_names, "_k"),
-            right_symbols=symbols(node_names, "_k1"),
             interval_symbols=self.symbols[: len(self.interval)],
-            slack_symbols=self.symbols[len(self.inside) - len(self.slacks) :],
-            shared=tuple(unknown for unknown, _, _ in shared),
-            shared_symbols=tuple(symbol for _, symbol, _ in shared),
-            shared_guess=tuple(guess for _, _, guess in shared),
-            own=0,
+            linking=replace(
+                common,
+                unknowns=tuple(unknown for unknown, _, _ in shared),
+                symbols=tuple(symbol for _, symbol, _ in shared),
+                guess=tuple(guess for _, _, guess in shared),
+                own=0,
+            ),
             integrals=(),
             element=phases[0].regular.element,
             cost=phases[0].regular.cost,
@@ -440,8 +434,8 @@ class _Chain:
             first, cost = (part.xreplace(dict(switch.values)) for part in (element, program.cost))
             at_switch = scaled(first + switch.element, cost + switch.cost, present | own)
         unknowns = {u.name: u for u in (*program.node, *program.interval, *program.controls, *program.slacks)}
-        guesses = [(u.name, value) for u, value in zip(program.interval, program.stage_guess, strict=False)]
-        guesses += [(u.name, value) for u, value in zip(program.controls, program.control_guess, strict=True)]
+        guesses = [(u.name, value) for u, value in zip(program.interval, program.guess.stages, strict=False)]
+        guesses += [(u.name, value) for u, value in zip(program.controls, program.guess.controls, strict=True)]
         return Phase(
             duration=model.duration,
             regular=scaled(element, program.cost, present),
@@ -451,7 +445,7 @@ class _Chain:
             jumping=() if switch is None else tuple(_index(self.node, name) for name in switch.jumping),
             given=() if switch is None else tuple(_index(self.node, name) for name in switch.given),
             broken=() if switch is None else switch.broken,
-            node_guess=program.node_guess,
+            node_guess=program.guess.node,
             inside_guess=by_index(pair for pair in guesses if pair[0] in present),
             switch_guess=() if switch is None else by_index(switch.guess),
             equations=in_scales(program.equations, scales),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 from sympy import Expr, S, Symbol
@@ -115,6 +116,52 @@ class Coupling:
 
     multiplier: Unknown
     expression: Expr
+
+
+@dataclass(frozen=True)
+class LinkingVariables:
+    """The variables that belong to no node, their initial guess, and the couplings between them.
+
+    First come `own` variables of each body (coupled coordinates at the end, values of periodic motions), then variables
+    of the whole problem (static parameters). `symbols` has the variables of a body once for all bodies. `couplings` are
+    written in the symbols of `coupling_symbols` (symbol, body, index among `own`) and in variables of the whole
+    problem. Couplings that are `redundant` (number from 1, name) follow from them and are left out.
+    """
+
+    unknowns: tuple[Unknown, ...] = ()
+    symbols: tuple[Symbol, ...] = ()
+    guess: tuple[Expr, ...] = ()
+    own: int = 0
+    couplings: tuple[Coupling, ...] = ()
+    redundant: tuple[tuple[int, str], ...] = ()
+    coupling_symbols: tuple[tuple[Symbol, int, int], ...] = ()
+
+    @property
+    def of_bodies(self) -> tuple[Unknown, ...]:
+        """The variables of each body."""
+        return self.unknowns[: self.own]
+
+    @property
+    def common(self) -> tuple[Unknown, ...]:
+        """The variables of the whole problem."""
+        return self.unknowns[self.own :]
+
+    @property
+    def common_symbols(self) -> tuple[Symbol, ...]:
+        """The symbols of the variables of the whole problem."""
+        return self.symbols[self.own :]
+
+
+@dataclass(frozen=True)
+class InitialGuess:
+    """The initial guess of the primal unknowns of a node, of the stages, and of the controls of an interval or a node.
+
+    The guesses are expressions in time, duration and parameters.
+    """
+
+    node: tuple[Expr, ...]
+    stages: tuple[Expr, ...]
+    controls: tuple[Expr, ...]
 
 
 @dataclass(frozen=True)
@@ -256,12 +303,8 @@ class ControlProgram:
     conditions. Slack i is not negative, and its multiplier is the unknown of `interval` with the index
     `slack_multipliers[i]`.
 
-    The linking variables `shared` belong to no node. First come `own` variables of each body (coupled coordinates at
-    the end, values of periodic motions), then variables of the whole problem (static parameters). `shared_symbols` has
-    the variables of a body once for all bodies. All `bodies` have the same elements. `body` is the symbol of the number
-    of a body, which may occur in boundary values, bounds and guesses only. `couplings` are written in the symbols of
-    `coupling_symbols` (symbol, body, index among `own`) and in variables of the whole problem. Redundant couplings
-    (number from 1, name) follow from them and are left out. `integrals` are the integral constraints of each body, with
+    All bodies have the same elements. The number of a body may occur in boundary values, bounds and guesses only.
+    `linking` are the variables that belong to no node. `integrals` are the integral constraints of each body, with
     quadratures last in `equations`; with several phases they belong to the phases. `inner` are the conditions at inner
     times.
 
@@ -269,8 +312,7 @@ class ControlProgram:
     variables that `element` already contains. `only_at_ends` are indices in a node of unknowns that only the first or
     last node has; at other nodes they are zero. With `phases`, the intervals of all phases, the same number for each,
     form one chain; `element`, `cost`, bounds, guesses and equations then belong to the first phase. `sample` is added
-    to an interval for every sample of measurements in it. `equations` are the discrete equations for display. Guesses
-    are expressions in time, duration and parameters, for the primal unknowns of a node, the stages and the controls.
+    to an interval for every sample of measurements in it. `equations` are the discrete equations for display.
     """
 
     model: Model
@@ -280,10 +322,8 @@ class ControlProgram:
     node: tuple[Unknown, ...]
     interval: tuple[Unknown, ...]
     controls: tuple[Unknown, ...]
-    left_symbols: tuple[Symbol, ...]
     interval_symbols: tuple[Symbol, ...]
     control_symbols: tuple[Symbol, ...]
-    right_symbols: tuple[Symbol, ...]
     element: Expr
     cost: Expr
     equations: tuple[Equation, ...]
@@ -291,27 +331,31 @@ class ControlProgram:
     start: EndElement
     end: EndElement
     boundary_values: tuple[BoundaryValue, ...]
-    node_guess: tuple[Expr, ...]
-    stage_guess: tuple[Expr, ...]
-    control_guess: tuple[Expr, ...]
+    guess: InitialGuess
     slacks: tuple[Unknown, ...] = ()
-    slack_symbols: tuple[Symbol, ...] = ()
     slack_multipliers: tuple[int, ...] = ()
     path_multipliers: int = 0
-    shared: tuple[Unknown, ...] = ()
-    shared_symbols: tuple[Symbol, ...] = ()
-    shared_guess: tuple[Expr, ...] = ()
-    own: int = 0
-    bodies: int = 1
-    body: Symbol | None = None
-    couplings: tuple[Coupling, ...] = ()
-    redundant_couplings: tuple[tuple[int, str], ...] = ()
-    coupling_symbols: tuple[tuple[Symbol, int, int], ...] = ()
+    linking: LinkingVariables = LinkingVariables()
     integrals: tuple[IntegralEquation, ...] = ()
     inner: InnerTimes = InnerTimes()
     scaled_time: bool = False
     phases: tuple[Phase, ...] = ()
     sample: SampleElement | None = None
+
+    @cached_property
+    def left_symbols(self) -> tuple[Symbol, ...]:
+        """The symbols of the unknowns of the left node of an interval."""
+        return symbols([unknown.name for unknown in self.node], "_k")
+
+    @cached_property
+    def right_symbols(self) -> tuple[Symbol, ...]:
+        """The symbols of the unknowns of the right node of an interval."""
+        return symbols([unknown.name for unknown in self.node], "_k1")
+
+    @cached_property
+    def slack_symbols(self) -> tuple[Symbol, ...]:
+        """The symbols of the slacks of an interval."""
+        return symbols([slack.name for slack in self.slacks], "_k")
 
     @property
     def nodal_controls(self) -> bool:
@@ -343,7 +387,7 @@ class ControlProgram:
     def element_symbols(self) -> tuple[Symbol, ...]:
         """The unknowns of an interval and its two nodes, then the linking variables."""
         inside = (*self.interval_symbols, *self.control_symbols, *self.slack_symbols)
-        return (*self.left_symbols, *inside, *self.right_symbols, *self.shared_symbols)
+        return (*self.left_symbols, *inside, *self.right_symbols, *self.linking.symbols)
 
     @property
     def interval_elements(self) -> tuple[IntervalElement, ...]:
@@ -355,7 +399,7 @@ class ControlProgram:
     @property
     def has_inequalities(self) -> bool:
         """True if an unknown has bounds or is a slack."""
-        unknowns = (*self.node, *self.interval, *self.controls, *self.shared)
+        unknowns = (*self.node, *self.interval, *self.controls, *self.linking.unknowns)
         unknowns += tuple(unknown for phase in self.phases for unknown in (*phase.node, *phase.inside))
         bounded = any(u.lower is not None or u.upper is not None for u in unknowns)
         at_ends = any(end.slacks or end.bounds for end in (self.start, self.end))

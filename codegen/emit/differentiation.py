@@ -35,8 +35,8 @@ from codegen.errors import ArgumentError
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.derivatives import first_derivatives, mixed_derivatives, second_derivatives
 from codegen.symbolic.derivatives import jacobian as differentiated
-from codegen.symbolic.families import Family, are_many, families
 from codegen.symbolic.graph import Assignment
+from codegen.symbolic.terms import Family, are_many, families
 from codegen.symbolic.zeros import identically_zero
 
 Entry = tuple[int, int, Expr]
@@ -168,7 +168,7 @@ def control_derivatives(program: ControlProgram) -> ControlDerivatives:
     hessians = _with_one_pattern([share.hessian for share in (*shares, *samples)])
     elements = tuple(replace(share, hessian=h) for share, h in zip(shares, hessians, strict=False))
     start, end = (
-        _element(end.element, (*node, *program.shared_symbols), end.cost, {i for i, _ in end.pins})
+        _element(end.element, (*node, *program.linking.symbols), end.cost, {i for i, _ in end.pins})
         for end, node in ((program.start, program.left_symbols), (program.end, program.right_symbols))
     )
     stages, condensed = _stages(program, elements[0]), len(program.slacks)
@@ -183,7 +183,7 @@ def control_derivatives(program: ControlProgram) -> ControlDerivatives:
     linear_quadratic = (
         program.controlled != "nodal"
         and not program.has_inequalities
-        and not program.couplings
+        and not program.linking.couplings
         and not any(value.free_symbols & varying for share in every for _, _, value in share.hessian)
     )
     return ControlDerivatives(
@@ -281,7 +281,14 @@ def _stages(program: ControlProgram, element: ElementDerivatives) -> int:
     lacking = {*program.inner.lacking, *(index for part in program.interval_elements for index in part.lacking)}
     if lacking & {*range(2 * count)} or len(multipliers) < 2 * count or not all(multipliers[count : 2 * count]):
         return 0
-    kinds = [*program.node, *program.interval, *program.controls, *program.slacks, *program.node, *program.shared]
+    kinds = [
+        *program.node,
+        *program.interval,
+        *program.controls,
+        *program.slacks,
+        *program.node,
+        *program.linking.unknowns,
+    ]
     duals = {index for index, unknown in enumerate(kinds) if unknown.multiplier}
     first = len(program.node)
     equations, after = {*range(first + count, first + 2 * count)}, first + len(program.interval) + len(program.controls)
@@ -399,8 +406,8 @@ def control_sensitivities(program: ControlProgram | StepProgram | PairwiseProgra
     mixed = _with_one_pattern([share.mixed for share in (*shares, *samples)])
     return ControlSensitivities(
         elements=tuple(replace(share, mixed=entries) for share, entries in zip(shares, mixed, strict=False)),
-        start=_end_by_data(program.start, (*program.left_symbols, *program.shared_symbols), data),
-        end=_end_by_data(program.end, (*program.right_symbols, *program.shared_symbols), data),
+        start=_end_by_data(program.start, (*program.left_symbols, *program.linking.symbols), data),
+        end=_end_by_data(program.end, (*program.right_symbols, *program.linking.symbols), data),
         sample=next(iter(samples), None),
     )
 

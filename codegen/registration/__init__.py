@@ -5,13 +5,12 @@ Arrays of points have shape (n, 2), or (n, 3) for volumes: (x, y, z) in the coor
 `codegen.registration.grid.Grid`. Maps lead from the moving to the fixed image.
 """
 
-from codegen.registration.alignment import Alignment, align
 from codegen.registration.certificate import Certificate, certify
 from codegen.registration.grid import Frame
 from codegen.registration.linear import AlignmentChoice, chosen_alignment
 from codegen.registration.maps import Registration
 from codegen.registration.noise import Outliers, SigmaEstimate, choose_sigma, estimate_sigma, find_outliers
-from codegen.registration.pairs import LandmarkPairs, flipped
+from codegen.registration.pairs import Alignment, LandmarkPairs, align, flipped
 from codegen.registration.register import LeaveOneOut, leave_one_out, register
 from codegen.registration.warp import WarpReport, displacement_field, warp, warp_reported, write_field
 

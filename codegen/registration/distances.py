@@ -23,10 +23,9 @@ from codegen.batch.executors import Progress, Team, Working, silent
 from codegen.batch.executors.chunks import LOST, SOLVED, Abandoned, Done, Tally
 from codegen.errors import ArgumentError, CodegenError, LandmarkError, PointsError
 from codegen.files import replacing
-from codegen.registration.alignment import align
 from codegen.registration.formats.base import Source
 from codegen.registration.formats.tps import specimens_of
-from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.pairs import LandmarkPairs, align
 from codegen.registration.register import register
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 

@@ -19,7 +19,6 @@ import numpy as np
 
 from codegen.errors import ArgumentError, LandmarkError, PointsError, RegistrationError
 from codegen.registration import volumes
-from codegen.registration.alignment import Kind
 from codegen.registration.certificate import certificate_of, in_provable_steps
 from codegen.registration.formats import read_landmarks
 from codegen.registration.formats.base import Frames
@@ -38,7 +37,7 @@ from codegen.registration.pair_report import (
     volume_pictures,
     write_page,
 )
-from codegen.registration.pairs import LandmarkPairs, flipped
+from codegen.registration.pairs import Kind, LandmarkPairs, flipped
 from codegen.registration.register import MOST_LEFT_OUT, leave_one_out, register
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 from codegen.registration.volumes import Nodes, is_volume, read_volume, warped

@@ -30,10 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import LandmarkError
-from codegen.registration.alignment import Kind, align, require_unmirrored
 from codegen.registration.grid import Extent, grid_of
 from codegen.registration.matching import TRUSTED, Matching
-from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.pairs import Kind, LandmarkPairs, align, require_unmirrored
 
 RIDGES = np.logspace(-14.0, 2.0, 321)
 """Ridges that cross-validation compares, as fractions of the largest eigenvalue of the covariance."""

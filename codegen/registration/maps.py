@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from codegen.errors import LandmarkError, RegistrationError
-from codegen.registration.alignment import Alignment
 from codegen.registration.grid import Extent, Grid, coarse_grid, grid_of, place_text, short
 from codegen.registration.images import Spacing
 from codegen.registration.matching import Matching
-from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
+from codegen.registration.pairs import Alignment, LandmarkPairs, PointArray, as_points
 from codegen.registration.solver import Flow
 
 TOLERANCE = 0.01  # largest error of the time discretisation, in pixels, for the automatic number of steps

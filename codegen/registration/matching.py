@@ -24,9 +24,8 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from codegen.errors import LandmarkError, RegistrationError
-from codegen.registration.alignment import Alignment, Kind, align
 from codegen.registration.grid import MARGINS, Extent, Frame, Grid, corners, grid_of, place_text
-from codegen.registration.pairs import LandmarkPairs, PointArray
+from codegen.registration.pairs import Alignment, Kind, LandmarkPairs, PointArray, align
 from codegen.registration.solver import DEFAULT_SCHEME, Flow, FlowCase, FlowModule, FlowSolution, registration_module
 from codegen.solving.drivers.shared import quiet_single_thread
 

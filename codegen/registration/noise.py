@@ -27,11 +27,10 @@ from scipy.spatial.distance import pdist, squareform
 from scipy.stats import chi
 
 from codegen.errors import ArgumentError, LandmarkError
-from codegen.registration.alignment import Kind
 from codegen.registration.grid import Extent
 from codegen.registration.linear import Linear
 from codegen.registration.matching import Matching
-from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.pairs import Kind, LandmarkPairs
 
 Loss: TypeAlias = Literal["linear", "huber", "cauchy", "tukey"]
 LOSSES: tuple[Loss, ...] = ("linear", "huber", "cauchy", "tukey")

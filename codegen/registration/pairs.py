@@ -1,14 +1,21 @@
-"""Pairs of landmarks: the same feature in the moving and in the fixed image."""
+"""Pairs of landmarks, the same feature in the moving and in the fixed image, and the alignment that fits them best.
+
+The flow moves no point on the rim of its disc, so rotation and scaling of the image would count as deformation. The
+alignment removes rotation and scaling, and its inverse is exact. Similarities without reflection follow Umeyama (1991),
+IEEE Trans. Pattern Anal. Mach. Intell. 13(4); affine maps are fitted by least squares. Rotations in space are matrices
+from a singular value decomposition; rotations in the plane are complex numbers.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeAlias
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
-from codegen.errors import LandmarkError
+from codegen.errors import ArgumentError, LandmarkError
 
 PointArray: TypeAlias = NDArray[np.float64]
 """Points (x, y) in pixels, shape (n, 2); or (x, y, z) in the unit of the voxel size, shape (n, 3)."""
@@ -113,3 +120,200 @@ def as_points(values: ArrayLike, dimension: int = 2, what: str = "") -> PointArr
 
 def _text(point: PointArray) -> str:
     return ", ".join(f"{x:g}" for x in point)
+
+
+# Alignment
+
+Kind: TypeAlias = Literal["auto", "none", "similarity", "affine"]
+KINDS: tuple[Kind, ...] = ("none", "similarity", "affine")
+"""The kinds of alignment that `align` fits; for "auto", `chosen_alignment` selects one of these kinds."""
+
+MIRRORED = 0.2
+"""The ratio of squared residuals, mirrored to proper similarity, below which landmarks count as mirrored."""
+
+_NEEDED = {
+    2: ("two landmarks", "three landmarks that are not on one line"),
+    3: ("three landmarks that are not on one line", "four landmarks that are not in one plane"),
+}
+"""The landmarks that a similarity and an affine map need, by dimension."""
+
+THIN = 1e-6
+"""The largest ratio of width to length at which landmarks count as collinear."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """The map x -> matrix x + shift from the moving to the fixed image, in pixels; shapes are (d, d) and (d,).
+
+    `kind` is "none", "translation", "similarity" or "affine". If it is simpler than requested, `message` says why.
+    """
+
+    kind: str
+    matrix: NDArray[np.float64]
+    shift: NDArray[np.float64]
+    message: str = ""
+
+    @property
+    def is_identity(self) -> bool:
+        """True if the map leaves every point exactly unchanged."""
+        return bool((self.matrix == np.eye(len(self.shift))).all() and not self.shift.any())
+
+    @property
+    def parameters(self) -> int:
+        """The number of fitted parameters."""
+        d = len(self.shift)
+        turns = d * (d - 1) // 2
+        return {"none": 0, "translation": d, "similarity": d + turns + 1, "affine": d * (d + 1)}[self.kind]
+
+    @property
+    def determinant(self) -> float:
+        """The factor by which the map enlarges areas, or volumes in space."""
+        if len(self.shift) == 3:
+            return float(np.linalg.det(self.matrix))
+        (a, b), (c, d) = self.matrix
+        return float(a * d - b * c)
+
+    def apply(self, points: PointArray) -> PointArray:
+        """Map points of the moving image, shape (n, d), to the fixed image."""
+        return points if self.is_identity else points @ self.matrix.T + self.shift
+
+    def apply_inverse(self, points: PointArray) -> PointArray:
+        """Map points of the fixed image, shape (n, d), to the moving image."""
+        return points if self.is_identity else (points - self.shift) @ self.inverse_matrix.T
+
+    @property
+    def inverse_matrix(self) -> NDArray[np.float64]:
+        """The inverse of the matrix."""
+        if len(self.shift) == 3:
+            return np.asarray(np.linalg.inv(self.matrix))
+        (a, b), (c, d) = self.matrix
+        return np.array([[d, -b], [-c, a]]) / self.determinant
+
+    def tangent(self, points: PointArray) -> NDArray[np.float64]:
+        """Return an orthonormal basis, shape (n, d, number), of the displacements that parameter changes cause."""
+        count, d = points.shape
+        units = np.eye(d * d).reshape(-1, d, d)
+        turns = [units[d * i + j] - units[d * j + i] for i in range(d) for j in range(i)]
+        matrices = {"similarity": [np.eye(d), *turns], "affine": [*units]}.get(self.kind, [])
+        changes = [np.broadcast_to(shift, points.shape) for shift in np.eye(d)] if self.kind != "none" else []
+        changes += [(self.apply(points) - self.apply(points).mean(axis=0)) @ matrix.T for matrix in matrices]
+        columns = np.array(changes).reshape(len(changes), count * d).T
+        basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        return np.asarray(basis[:, sizes > THIN * sizes.max(initial=0.0)].reshape(count, d, -1))
+
+    def part(self, fraction: float, centre: PointArray) -> Alignment:
+        """Return the map with rotation and stretch to the power `fraction`; `centre` (d,) moves on a straight line."""
+        if self.is_identity or fraction == 1.0:
+            return self
+        left, stretches, right = np.linalg.svd(self.matrix)
+        turn = left @ right
+        if len(turn) == 3:
+            rotation = Rotation.from_rotvec(fraction * Rotation.from_matrix(turn).as_rotvec()).as_matrix()
+        else:
+            angle = np.arctan2(turn[1, 0], turn[0, 0]) * fraction
+            rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        matrix = rotation @ (right.T * stretches**fraction) @ right
+        shifted = centre + fraction * (self.matrix @ centre + self.shift - centre)
+        return Alignment(self.kind, matrix, shifted - matrix @ centre)
+
+
+def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
+    """Fit a map of the given kind to landmarks, or a simpler map if the landmarks do not determine this kind.
+
+    Parameters
+    ----------
+    pairs : LandmarkPairs
+        The landmarks.
+    kind : {"none", "similarity", "affine"}
+        An affine map needs three landmarks that are not on one line, and a similarity needs two. Fewer landmarks give
+        a translation. In space an affine map needs four landmarks that are not in one plane, and a similarity needs
+        three that are not on one line.
+
+    Returns
+    -------
+    Alignment
+        The map from moving to fixed.
+
+    Raises
+    ------
+    ArgumentError
+        For an unknown kind.
+    LandmarkError
+        If the landmarks, or the best affine map, mirror the image.
+    """
+    if kind not in KINDS:
+        raise ArgumentError(f"alignment is {kind!r}", f"use {', '.join(KINDS)}")
+    require_unmirrored(pairs)
+    if kind == "none" or (pairs.moving == pairs.fixed).all():
+        return Alignment(kind, np.eye(pairs.dimension), np.zeros(pairs.dimension))
+    if kind == "affine":
+        if len(pairs) > pairs.dimension and not (_is_thin(pairs.moving) or _is_thin(pairs.fixed)):
+            before, after = pairs.moving.mean(axis=0), pairs.fixed.mean(axis=0)
+            transposed = np.linalg.lstsq(pairs.moving - before, pairs.fixed - after, rcond=None)[0]
+            affine = Alignment("affine", transposed.T, after - transposed.T @ before)
+            if not affine.determinant > 0.0:
+                determinant = f"(det {affine.determinant:.3g})"
+                finding = f"the affine map that fits the landmarks best turns the image over {determinant}"
+                raise LandmarkError(finding, "mirror the moving image and its landmarks, or correct the landmarks")
+            return affine
+        simpler = _similarity(pairs)
+        reason = f"an affine map needs {_NEEDED[pairs.dimension][1]}; {simpler.kind} instead"
+        return replace(simpler, message=reason)
+    return _similarity(pairs)
+
+
+def require_unmirrored(pairs: LandmarkPairs) -> None:
+    """Raise LandmarkError for landmarks that a mirrored similarity fits much better than a proper similarity.
+
+    Squared residuals follow equation (33) of Umeyama (1991), in the plane with complex numbers.
+    """
+    if len(pairs) <= pairs.dimension or _is_thin(pairs.moving) or _is_thin(pairs.fixed):
+        return
+    x, y = (points - points.mean(axis=0) for points in (pairs.moving, pairs.fixed))
+    if pairs.dimension == 2:
+        before, after = x[:, 0] + 1j * x[:, 1], y[:, 0] + 1j * y[:, 1]
+        whole, spread = float((np.abs(after) ** 2).sum()), float((np.abs(before) ** 2).sum())
+        turned, mirrored = (whole - abs((z * after).sum()) ** 2 / spread for z in (before.conj(), before))
+    else:
+        left, (a, b, c), right = np.linalg.svd(y.T @ x)
+        whole, spread, sign = float((y**2).sum()), float((x**2).sum()), np.linalg.det(left) * np.linalg.det(right)
+        turned, mirrored = (whole - (a + b + s * c) ** 2 / spread for s in (sign, -sign))
+    if mirrored < MIRRORED * turned:
+        remedy = "use --flip, or mirror the moving image and its landmarks (codegen.registration.flipped)"
+        if pairs.dimension == 3:
+            remedy = "look for landmarks whose left and right are exchanged (LPS or RAS), or mirror the moving volume"
+        raise LandmarkError("the landmarks mirror the image, and no map without a fold does that", remedy)
+
+
+def _is_thin(points: PointArray, axis: int = -1) -> bool:
+    """Return True for collinear points of the plane; in space for coplanar (`axis` -1) or collinear points (1)."""
+    widths = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(widths[axis] <= THIN * widths[0])
+
+
+def _similarity(pairs: LandmarkPairs) -> Alignment:
+    """Fit a similarity by equations (40) to (42) of Umeyama, or a translation if landmarks determine no similarity.
+
+    In the plane one complex number represents rotation and scaling.
+    """
+    before, after, dimension = pairs.moving.mean(axis=0), pairs.fixed.mean(axis=0), pairs.dimension
+    shift = (pairs.fixed - pairs.moving).mean(axis=0)
+    reason = f"a similarity needs {_NEEDED[dimension][0]}; translation instead"
+    translation = Alignment("translation", np.eye(dimension), shift, reason)
+    if len(pairs) < dimension:
+        return translation
+    x, y = pairs.moving - before, pairs.fixed - after
+    spread = float((x**2).sum())
+    if dimension == 3:
+        if _is_thin(pairs.moving, 1) or _is_thin(pairs.fixed, 1):
+            return translation
+        left, values, right = np.linalg.svd(y.T @ x)
+        signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+        matrix = (left * signs) @ right * ((signs * values).sum() / spread)
+        return Alignment("similarity", matrix, after - matrix @ before)
+    cosine, sine = (x * y).sum() / spread, (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]).sum() / spread
+    if np.hypot(cosine, sine) * np.sqrt(spread) <= THIN * np.sqrt((y**2).sum()):
+        # All rotations fit equally well, for instance for mirrored landmarks.
+        return replace(translation, message="no similarity fits the landmarks; translation instead")
+    matrix = np.array([[cosine, -sine], [sine, cosine]])
+    return Alignment("similarity", matrix, after - matrix @ before)

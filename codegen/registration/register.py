@@ -22,13 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, LandmarkError, RegistrationError
-from codegen.registration.alignment import Kind
 from codegen.registration.grid import Extent
 from codegen.registration.linear import Freedom, Linear, chosen_alignment
 from codegen.registration.maps import TOLERANCE, Registration, in_steps, solved
 from codegen.registration.matching import IN_ORDER, Matching, said_of_partners
 from codegen.registration.noise import Loss, Outliers, choose_sigma, outliers_of, scale_of, weights_of
-from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.pairs import Kind, LandmarkPairs
 from codegen.registration.solver import DEFAULT_SCHEME
 
 MOST_SOLVES = 20  # most solves in the search for the strength of roughness

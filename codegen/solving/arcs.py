@@ -34,7 +34,7 @@ from codegen.runtime.search.point import interval_parts, stationarity
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import corrected_cost
 from codegen.solving.loading import ControlModule, Grid, Indices, Matrix, Vector, time_grid
-from codegen.solving.results.control import bound_distances, held_at_bounds
+from codegen.solving.results.control import bound_distances, free_parameters, held_at_bounds
 from codegen.solving.results.result import DiscretisationError, Result
 from codegen.solving.results.segments import segments_of
 
@@ -125,7 +125,6 @@ def _active_bounds(module: ControlModule, result: Result, grid: Grid) -> Iterato
     """
     if not module.metadata.inequalities or result.unknowns is None:
         return
-    generated: Any = module
     primal, bounded = module.primal_unknowns(grid), np.zeros(result.unknowns.size, bool)
     below, above = bound_distances(module, grid, result.unknowns)
     slopes = stationarity(grid, result.unknowns)
@@ -137,7 +136,7 @@ def _active_bounds(module: ControlModule, result: Result, grid: Grid) -> Iterato
     kind = np.zeros(result.unknowns.size, np.int8)
     kind[primal] = np.where(active, np.where(below < above, -1, 1), 0)
     bounded[primal] = np.isfinite(close)
-    (nodes, intervals), (at_nodes, inside) = (generated.views(grid, table.astype(float)) for table in (kind, bounded))
+    (nodes, intervals), (at_nodes, inside) = (module.views(grid, table.astype(float)) for table in (kind, bounded))
     kinds = np.concatenate([nodes[:, 1:], intervals], axis=2)
     has_bounds = np.concatenate([at_nodes[:, 1:], inside], axis=2).any(axis=1)
     for phase in range(module.metadata.phases):
@@ -252,10 +251,15 @@ def compared(module: ControlModule, coarse: Result, fine: Result, without: Seque
     if coarse.cost is not None and fine.cost is not None:
         pairs["the cost"] = coarse.cost, fine.cost
     for name, (old, new) in pairs.items():
-        difference = abs(new - old) / (abs(new) if abs(new) > NEGLIGIBLE else 1.0)
+        difference = _relative(old, new)
         if difference > worst.difference:
             worst = Estimate(difference, name, float(fine.t[-1]))
     return worst
+
+
+def _relative(value: float, reference: float) -> float:
+    """Return the difference of a value from a reference, relative to the reference unless this is negligible."""
+    return abs(value - reference) / (abs(reference) if abs(reference) > NEGLIGIBLE else 1.0)
 
 
 def interval_errors(module: ControlModule, fine: Result, order: int) -> Matrix:
@@ -433,17 +437,13 @@ def _error(module: ControlModule, result: Result, grid: Grid, optimum: Vector, r
     changes = np.abs(coarse - table[rows])[:, finite] / scales_of(table[:, finite], bool(module.metadata.relaxation))
     node, column = np.unravel_index(int(np.argmax(changes)), changes.shape)
     states, quantity, time = float(changes[node, column]), names[finite[column]], float(times[node])
-    free = module.metadata.free_parameters
-    last = optimum.size - module.problem.structure.couplings
-    for name, value in zip(free, optimum[last - len(free) : last], strict=True):
-        fine = result.summary[name]
-        change = abs(float(value) - fine) / (abs(fine) if abs(fine) > NEGLIGIBLE else 1.0)
+    for name, value in free_parameters(module, optimum).items():
+        change = _relative(value, result.summary[name])
         if change > states:
             states, quantity, time = change, name, float(result.t[-1])
     cost = corrected_cost(grid, module.evaluate(grid, optimum))
-    scale = abs(result.cost) if abs(result.cost) > NEGLIGIBLE else 1.0
     if segments := segments_of(module.metadata):
         quantity, segment = segments.split(quantity)
         time += (segment - 1) * float(result.t[-1] - result.t[0])
     factor = 2.0 ** order_of_optima(module) - 1.0
-    return DiscretisationError(states / factor, abs(cost - result.cost) / scale / factor, quantity, time)
+    return DiscretisationError(states / factor, _relative(cost, result.cost) / factor, quantity, time)

@@ -282,10 +282,7 @@ def path_of_text(problem: Source | Path | str, arguments: Mapping[str, str], cho
 
 
 def _with_files(digest: str, name: str, files: Iterable[tuple[str, str]]) -> Path:
-    """Return the file in the cache for a digest of the inputs and for further files.
-
-    `files` has the name and the digest of each further file that the problem reads.
-    """
+    """Return the file in the cache for a digest of the inputs and for pairs (name, digest) of further `files`."""
     parts = [part for pair in files for part in pair]
     if parts:
         digest = hashlib.sha256("\0".join([digest, *parts]).encode()).hexdigest()

@@ -131,6 +131,10 @@ class ControlModule(Protocol):
     # The next two functions exist only for a problem with measurements.
     sample_values: Callable[..., None]
     sample_gradient: Callable[..., float]
+    # The next attributes exist only in a module with sensitivities.
+    OWN_QUANTITIES: int
+    sensitivities: Callable[..., Any]
+    unpacked_rates: Callable[..., tuple[Vector, Matrix, Matrix, Matrix, Matrix]]
 
 
 class StepGrid(Protocol):

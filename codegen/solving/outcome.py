@@ -217,10 +217,7 @@ def _solved(
     points: PointSet | None,
     watch: Watch | None,
 ) -> Result:
-    """Return the best result of all runs, from one or several initial guesses and on one or several grids.
-
-    `steps` is the number of intervals per phase, and `warm` (n,) the unknowns of a warm start.
-    """
+    """Return the best result of all runs, from one or several initial guesses and on one or several grids."""
     remaining = math.inf if request.time_limit is None else request.time_limit
 
     def solve_from(count: int, start: Vector | None, near: bool, grid: Vector | None = None) -> Result:

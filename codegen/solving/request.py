@@ -33,7 +33,7 @@ from codegen.solving.loading import (
     is_simulation,
 )
 from codegen.solving.results.segments import segments_of
-from codegen.solving.tasks import TASKS, Task, task_of
+from codegen.solving.tasks import TASKS, task_of
 from codegen.symbolic.tables import Layout, given_measurements, read_measurements, read_table
 
 if TYPE_CHECKING:
@@ -205,7 +205,10 @@ class Request:
         for name in filter(self._is_given, _DEFAULTS):
             if name in task.options or driver.takes(task.name, name):
                 continue
-            takers = {other.name: _drivers_with(name, other) for other in TASKS.values()}
+            takers = {
+                other.name: [d.name for d in DRIVERS.values() if name in other.options or d.takes(other.name, name)]
+                for other in TASKS.values()
+            }
             if names := takers[task.name]:
                 finding = f"driver {driver.name} takes no {_option(name)} for a {task.name} problem"
                 raise ArgumentError(finding, f"leave it out, or use {', '.join(names)}")
@@ -227,10 +230,6 @@ def require_options(names: Iterable[str]) -> None:
             listed = f"use one of {', '.join(_DEFAULTS)}; a parameter of the problem is given by parameters={{...}}"
             remedy = f"did you mean {close[0]}?" if close else listed
             raise ArgumentError(f"codegen.solve has no option {name}", remedy)
-
-
-def _drivers_with(option: str, task: Task) -> list[str]:
-    return [d.name for d in DRIVERS.values() if option in task.options or d.takes(task.name, option)]
 
 
 def _option(name: str) -> str:

@@ -168,15 +168,16 @@ def transferred(
     for phase in range(module.metadata.phases):
         first = min(phase, 1)  # the node at a switch has the values before a jump, and belongs to the phase before
         old, new = (slice(phase * n + first, (phase + 1) * n + 1) for n in (old_steps, steps))
-        new_nodes[:, new] = _interpolated(old_times[old], old_nodes[:, old], new_times[new])
+        new_nodes[:, new] = interpolated(old_times[old], old_nodes[:, old], new_times[new])
         old, new = (slice(phase * n, (phase + 1) * n) for n in (old_steps, steps))
-        new_intervals[:, new] = _interpolated(old_middles[old], old_intervals[:, old], new_middles[new])
+        new_intervals[:, new] = interpolated(old_middles[old], old_intervals[:, old], new_middles[new])
     root = module.problem.structure.root
     result[result.size - root :] = unknowns[unknowns.size - root :]
     return module.with_pinned_values(new_grid, result)
 
 
-def _interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:
+def interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:
+    """Return values (bodies, times, quantities) at the times `at`, by monotone cubics through the values at `t`."""
     if t.size == 1:
         return np.repeat(values, at.size, axis=1)
     from scipy.interpolate import PchipInterpolator  # its import is slow

@@ -75,19 +75,21 @@ class DenseProblem(DenseLayout):
     def _shares(self) -> list[Share]:
         program = self.program
         element = scalar_of(program.element, program.element_symbols, self.others)
-        start = scalar_of(program.start.element, (*program.left_symbols, *program.shared_symbols), self.others)
-        end = scalar_of(program.end.element, (*program.right_symbols, *program.shared_symbols), self.others)
+        start = scalar_of(program.start.element, (*program.left_symbols, *program.linking.symbols), self.others)
+        end = scalar_of(program.end.element, (*program.right_symbols, *program.linking.symbols), self.others)
         out = []
-        for body in range(program.bodies):
+        for body in range(program.model.bodies):
             for k in range(self.steps):
                 out.append(Share(element, self.element_indices(body, k), self._others(body, k * self.h)))
             for scalar, k in ((start, 0), (end, self.steps)):
                 indices = np.concatenate([self.node_indices(body, k), self.shared_indices(body)])
                 out.append(Share(scalar, indices, self._others(body, k * self.h)))
-        common = program.shared_symbols[program.own :]
-        symbols = tuple(symbol for symbol, _, _ in program.coupling_symbols)
-        own_indices = [self.own_start + body * program.own + index for _, body, index in program.coupling_symbols]
-        for i, coupling in enumerate(program.couplings):
+        common = program.linking.common_symbols
+        symbols = tuple(symbol for symbol, _, _ in program.linking.coupling_symbols)
+        own_indices = [
+            self.own_start + body * program.linking.own + index for _, body, index in program.linking.coupling_symbols
+        ]
+        for i, coupling in enumerate(program.linking.couplings):
             multiplier = sympy.Symbol(f"_{coupling.multiplier.name}")
             scalar = scalar_of(multiplier * coupling.expression, (*symbols, *common, multiplier), self.others)
             indices = [*own_indices, *range(self.common_start, self.coupling_start), self.coupling_start + i]
@@ -122,14 +124,14 @@ class DenseProblem(DenseLayout):
         program, x = self.program, self.full(z)
         evaluate = sympy.lambdify([program.element_symbols, self.others], program.cost)
         ends = {
-            k: sympy.lambdify([(*symbols, *program.shared_symbols), self.others], end.cost)
+            k: sympy.lambdify([(*symbols, *program.linking.symbols), self.others], end.cost)
             for k, end, symbols in (
                 (0, program.start, program.left_symbols),
                 (self.steps, program.end, program.right_symbols),
             )
         }
         total = 0.0
-        for body in range(program.bodies):
+        for body in range(program.model.bodies):
             for k in range(self.steps):
                 total += float(evaluate(x[self.element_indices(body, k)], self._others(body, k * self.h)))
             for k, end_cost in ends.items():

@@ -22,14 +22,14 @@ class DenseLayout:
         self.program, self.steps = program, steps
         self.values = dict(program.model.default_values)
         self.values |= {p: parameters[p.name] for p in program.model.parameters if parameters and p.name in parameters}
-        self.node, self.shared = len(program.node), len(program.shared)
+        self.node, self.shared = len(program.node), len(program.linking.unknowns)
         inside = len(program.interval) + len(program.controls) + len(program.slacks)
         self.stride = self.node + inside
         self.body_size = steps * self.stride + self.node
-        self.own_start = program.bodies * self.body_size
-        self.common_start = self.own_start + program.bodies * program.own
-        self.coupling_start = self.common_start + self.shared - program.own
-        self.size = self.coupling_start + len(program.couplings)
+        self.own_start = program.model.bodies * self.body_size
+        self.common_start = self.own_start + program.model.bodies * program.linking.own
+        self.coupling_start = self.common_start + self.shared - program.linking.own
+        self.size = self.coupling_start + len(program.linking.couplings)
         at_guess = {p.symbol: self.number(p.guess) for p in program.model.free_parameters}
         self.duration = self.number(program.model.duration, at_guess)
         self.h = (1.0 if program.scaled_time else self.duration) / steps
@@ -40,16 +40,16 @@ class DenseLayout:
     def number(self, expression: Any, more: Mapping[sympy.Symbol, float] | None = None, body: int = 0) -> float:
         """An expression of parameters, of the body's number and of further symbols."""
         values = {**self.values, **(more or {})}
-        if self.program.body is not None:
-            values[self.program.body] = body
+        if self.program.model.body is not None:
+            values[self.program.model.body] = body
         return float(sympy.sympify(expression).subs(values))
 
     def node_indices(self, body: int, k: int) -> np.ndarray:
         return body * self.body_size + k * self.stride + np.arange(self.node)
 
     def shared_indices(self, body: int) -> np.ndarray:
-        own = self.own_start + body * self.program.own + np.arange(self.program.own)
-        return np.concatenate([own, self.common_start + np.arange(self.shared - self.program.own)]).astype(int)
+        own = self.own_start + body * self.program.linking.own + np.arange(self.program.linking.own)
+        return np.concatenate([own, self.common_start + np.arange(self.shared - self.program.linking.own)]).astype(int)
 
     def element_indices(self, body: int, k: int) -> np.ndarray:
         local = body * self.body_size + k * self.stride + np.arange(self.stride + self.node)
@@ -64,7 +64,7 @@ class DenseLayout:
         inside = [u.multiplier for u in (*program.interval, *program.controls, *program.slacks)]
         body = [*((node + inside) * self.steps), *node]
         shared = [False] * (self.coupling_start - self.own_start)
-        return np.array([*(body * program.bodies), *shared, *([True] * len(program.couplings))])
+        return np.array([*(body * program.model.bodies), *shared, *([True] * len(program.linking.couplings))])
 
     def _affine_map(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         program = self.program
@@ -75,7 +75,7 @@ class DenseLayout:
             bound.add(index)
             full[index], fixed[index] = 0.0, value
 
-        for body in range(program.bodies):
+        for body in range(program.model.bodies):
             for end, k in ((program.start, 0), (program.end, self.steps)):
                 indices, known = self.node_indices(body, k), self.boundary_numbers(body)
                 for i, value in end.pins:
@@ -101,7 +101,7 @@ class DenseLayout:
             if unknown.upper is not None:
                 upper[index] = self.number(unknown.upper, body=body)
 
-        for body in range(program.bodies):
+        for body in range(program.model.bodies):
             for k in range(self.steps):
                 for index, unknown in zip(self.element_indices(body, k), self.inner_unknowns(), strict=False):
                     put(index, unknown, body)
@@ -109,7 +109,7 @@ class DenseLayout:
                 lower[first : first + len(program.slacks)] = 0.0
             for index, unknown in zip(self.node_indices(body, self.steps), program.node, strict=True):
                 put(index, unknown, body)
-            for index, unknown in zip(self.shared_indices(body), program.shared, strict=True):
+            for index, unknown in zip(self.shared_indices(body), program.linking.unknowns, strict=True):
                 put(index, unknown, body)
             for end, k in ((program.start, 0), (program.end, self.steps)):
                 for slack, _ in end.slacks:
@@ -125,26 +125,26 @@ class DenseLayout:
     def initial(self) -> np.ndarray:
         """The program's own guesses; multipliers and slacks are zero."""
         program, x = self.program, np.zeros(self.size)
-        for body in range(program.bodies):
+        for body in range(program.model.bodies):
             known = {**self.boundary_numbers(body), DURATION: self.duration}
             for k in range(self.steps + 1):
                 at_node = {**known, program.model.time: k * self.duration / self.steps}
                 indices = self.node_indices(body, k)
-                for i, guess in enumerate(program.node_guess):
+                for i, guess in enumerate(program.guess.node):
                     x[indices[i]] = self.number(guess, at_node, body)
                 if program.nodal_controls:
                     controls = indices[-len(program.model.controls) :]
-                    for index, guess in zip(controls, program.control_guess, strict=True):
+                    for index, guess in zip(controls, program.guess.controls, strict=True):
                         x[index] = self.number(guess, at_node, body)
             for k in range(self.steps):
                 at_middle = {**known, program.model.time: (k + 0.5) * self.duration / self.steps}
                 first = self.node_indices(body, k)[0] + self.node
-                for i, guess in enumerate(program.stage_guess):
+                for i, guess in enumerate(program.guess.stages):
                     x[first + i] = self.number(guess, at_middle, body)
                 if not program.nodal_controls:
-                    for i, guess in enumerate(program.control_guess):
+                    for i, guess in enumerate(program.guess.controls):
                         x[first + len(program.interval) + i] = self.number(guess, at_middle, body)
-            for index, guess in zip(self.shared_indices(body), program.shared_guess, strict=True):
+            for index, guess in zip(self.shared_indices(body), program.linking.guess, strict=True):
                 x[index] = self.number(guess, known, body)
         return x[self.free]
 
@@ -164,7 +164,7 @@ class DenseLayout:
 
     def shared_value(self, z: np.ndarray, name: str, body: int = 0) -> float:
         """A shared unknown."""
-        index = [u.name for u in self.program.shared].index(name)
+        index = [u.name for u in self.program.linking.unknowns].index(name)
         return float(self.full(z)[self.shared_indices(body)[index]])
 
 

@@ -166,7 +166,7 @@ def test_periodic_motion_of_a_driven_oscillator(method, scheme, order):
         assert nodes[0] == pytest.approx(nodes[-1], abs=1e-12)
         errors.append(abs(dense.cost(z) - 9 * np.pi / 40))
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.2)
-    names = [u.name for u in dense.program.shared]
+    names = [u.name for u in dense.program.linking.unknowns]
     assert names == (["periodic_q", "pi_q"] if method == "variational" else ["periodic_q", "periodic_p_q"])
 
 
@@ -249,8 +249,8 @@ def test_two_bodies_meet_halfway(method):
     )  # fmt: skip
     dense, z = solved(problem, method)
     program = dense.program
-    assert (program.bodies, program.own, len(program.couplings)) == (2, 1, 1)
-    assert [(s.name, b, j) for s, b, j in program.coupling_symbols] == [("q_0", 0, 0), ("q_1", 1, 0)]
+    assert (program.model.bodies, program.linking.own, len(program.linking.couplings)) == (2, 1, 1)
+    assert [(s.name, b, j) for s, b, j in program.linking.coupling_symbols] == [("q_0", 0, 0), ("q_1", 1, 0)]
     assert dense.cost(z) == pytest.approx(48 / (1 - 1 / 36), rel=1e-9)
     assert [dense.at_nodes(z, "q", j)[-1] for j in (0, 1)] == pytest.approx([2.0, -1.0])
 
@@ -277,7 +277,7 @@ def test_triangle_with_a_redundant_coupling_and_a_free_side():
         ],
     )  # fmt: skip
     program = transcribe(normalise(problem))
-    assert len(program.couplings) == 6, "the last one follows from two others"
+    assert len(program.linking.couplings) == 6, "the last one follows from two others"
     dense = DenseProblem(program, 2)
     z = dense.newton(dense.initial())
     # Each body moves outward by d: 3 * 6 d^2/(1 - 1/N^2) + 6 (1 + d - 2)^2 with N = 2, least at d = 1/5.
@@ -295,7 +295,7 @@ def test_a_coupled_coordinate_that_is_periodic():
         bodies=2, periodic={x: 1}, end_conditions=[x.of(0) - x.of(1) - 2], guess={x: body},
     )  # fmt: skip
     dense, z = solved(problem, steps=4)
-    assert dense.program.own == 1
+    assert dense.program.linking.own == 1
     ends = [dense.at_nodes(z, "x", j) for j in (0, 1)]
     assert ends[0][-1] - ends[1][-1] == pytest.approx(2)
     assert [e[-1] - e[0] for e in ends] == pytest.approx([1, 1])
@@ -324,7 +324,7 @@ def test_shared_unknowns_keep_the_bounds_of_what_equals_them():
         Control(dynamics={x: u}, cost=u**2 + (x - 9) ** 2, duration=1, periodic={x: 1}, bounds={x: (0, top)})
     )
     program = transcribe(model)
-    (start,) = program.shared
+    (start,) = program.linking.unknowns
     # x(0) lies in [0, top], and so does x(0) + 1.
     assert (start.lower, start.upper) == (0, sympy.Symbol("top", real=True) - 1)
     dense = DenseProblem(program, 4)

@@ -18,13 +18,7 @@ def double_integrator(**changes) -> Control:
     """From rest to rest over the unit distance in unit time with least effort."""
     x, v = states("x v")
     u = control("u")
-    given = {
-        "dynamics": {x: v, v: u},
-        "cost": u**2 / 2,
-        "duration": 1,
-        "start": {x: 0, v: 0},
-        "end": {x: 1, v: 0},
-    }
+    given = {"dynamics": {x: v, v: u}, "cost": u**2 / 2, "duration": 1, "start": {x: 0, v: 0}, "end": {x: 1, v: 0}}
     return Control(**(given | {key: value(x, v, u) for key, value in changes.items()}))
 
 
@@ -65,8 +59,8 @@ def test_free_duration_with_a_cost_on_time():
     problem = double_integrator(terminal_cost=lambda *_: 2 * T, duration=lambda *_: T)
     program = transcribe(normalise(problem))
     assert program.scaled_time
-    assert [u.name for u in program.shared] == ["T"]
-    assert program.own == 0
+    assert [u.name for u in program.linking.unknowns] == ["T"]
+    assert program.linking.own == 0
     dense = DenseProblem(program, 8)
     z = dense.newton(dense.slsqp(dense.initial()).z)
     # J(T) = 2 T + c / T^3 with c = 6 / (1 - 1/N^2), least at T^4 = 3 c / 2.

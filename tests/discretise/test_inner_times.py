@@ -11,14 +11,13 @@ import sympy
 from interpreted import text_of, without_compilation
 from scipy.interpolate import CubicSpline
 from sympy import Eq
+from written_objects import unit_mass
 
 from codegen import (
     Control,
     Waypoint,
     body_number,
-    canonical_pair,
     control,
-    coordinate,
     free_parameter,
     parameter,
     states,
@@ -48,16 +47,7 @@ def spline(times=TIMES, heights=HEIGHTS, duration=4.0) -> tuple[CubicSpline, flo
 
 def through(form: str = "dynamics", at=None, **others) -> Control:
     """A unit mass, at rest at 0 at both ends, that passes given heights."""
-    u = control("u")
-    if form == "dynamics":
-        x, v = states("x v")
-        motion = {"dynamics": {x: v, v: u}}
-    elif form == "hamiltonian":
-        x, v = canonical_pair("x", "v")
-        motion = {"hamiltonian": v**2 / 2, "force": {x: u}}
-    else:
-        x, v = coordinate("x")
-        motion = {"lagrangian": v**2 / 2, "force": {x: u}}
+    x, v, u, motion = unit_mass(form)
     given = {time: [Eq(x, height)] for time, height in zip(TIMES, HEIGHTS, strict=True)} if at is None else at(x, v)
     rest = {x: 0, v: 0}
     return Control(**{**motion, "cost": u**2, "duration": 4, "start": rest, "end": rest, "at": given, **others})

@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 import sympy
 from interpreted import text_of, without_compilation
+from written_objects import unit_mass
 
-from codegen import Control, Phases, body_number, canonical_pair, control, coordinate, states, together
+from codegen import Control, Phases, body_number, control, coordinate, states, together
 from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.schemes import find
 from codegen.discretise.transcribe import transcribe
@@ -24,16 +25,7 @@ EFFORT = 720.0 * AREA**2
 
 def with_area(form: str = "lagrangian", relation=sympy.Eq, limit: float = AREA, **others) -> Control:
     """A unit mass that rests at 0 at both ends and encloses an area with the axis of time."""
-    u = control("u")
-    if form == "dynamics":
-        x, v = states("x v")
-        motion = {"dynamics": {x: v, v: u}}
-    elif form == "hamiltonian":
-        x, v = canonical_pair("x", "v")
-        motion = {"hamiltonian": v**2 / 2, "force": {x: u}}
-    else:
-        x, v = coordinate("x")
-        motion = {"lagrangian": v**2 / 2, "force": {x: u}}
+    x, v, u, motion = unit_mass(form)
     rest = {x: 0, v: 0}
     conditions = {"integral": {"area": relation(x, limit)}} if relation is not None else {}
     return Control(**{**motion, "cost": u**2, "duration": 1, "start": rest, "end": rest, **conditions, **others})

@@ -41,7 +41,7 @@ def test_phases_that_only_continue_have_no_interval_of_their_own_at_the_switch()
     assert [phase.switch for phase in program.phases] == [None, None]
     assert names(program.node) == ["x", "v"]
     assert names(program.interval) == ["mu_x", "mu_v"]
-    assert program.shared == ()
+    assert program.linking.unknowns == ()
     assert not program.has_inequalities
 
 
@@ -102,9 +102,9 @@ def test_what_a_phase_says_of_its_end_holds_before_the_jump():
         "terminal_cost": lambda x, v, *_: v**2,
     }
     program = program_of(two(first | said, second, jumps=(lambda x, v: {v: -v},)))
-    assert names(program.shared) == ["nu_1", "nu_2", "s_1"]
-    assert [unknown.multiplier for unknown in program.shared] == [True, True, False]
-    assert phrase(program.shared[0].meaning) == "multiplier of x = 2 at switch 1"
+    assert names(program.linking.unknowns) == ["nu_1", "nu_2", "s_1"]
+    assert [unknown.multiplier for unknown in program.linking.unknowns] == [True, True, False]
+    assert phrase(program.linking.unknowns[0].meaning) == "multiplier of x = 2 at switch 1"
     nu_1, nu_2, s_1, x, v = (sympy.Symbol(n, real=True) for n in ("nu_1", "nu_2", "s_1", "x_k", "v_k"))
     element = program.phases[1].switch.element
     assert sympy.expand(element.diff(nu_1) - (x - 2)) == 0
@@ -117,9 +117,9 @@ def test_an_inequality_begins_at_the_switch_unless_it_held_before_or_its_state_j
     first, second = REST
     wall = {"path": lambda x, v, *_: [x <= 2]}
     # The slack s_1 is that of later intervals, whose right nodes satisfy it.
-    assert names(program_of(two(first, second | wall)).shared) == ["nu_1", "s_2"]
-    assert names(program_of(two(first | wall, second | wall)).shared) == []
-    assert names(program_of(two(first, second | wall, jumps=(lambda x, v: {x: x / 2},))).shared) == []
+    assert names(program_of(two(first, second | wall)).linking.unknowns) == ["nu_1", "s_2"]
+    assert names(program_of(two(first | wall, second | wall)).linking.unknowns) == []
+    assert names(program_of(two(first, second | wall, jumps=(lambda x, v: {x: x / 2},))).linking.unknowns) == []
 
 
 def test_unknowns_of_both_ends_and_of_switches_have_different_names():
@@ -130,7 +130,12 @@ def test_unknowns_of_both_ends_and_of_switches_have_different_names():
             {"end": lambda x, v, *_: {v: 0}, "end_conditions": lambda x, v, *_: [x**2 <= 1], **path},
         )
     )
-    all_names = [*names(program.node), *names(program.interval), *names(program.slacks), *names(program.shared)]
+    all_names = [
+        *names(program.node),
+        *names(program.interval),
+        *names(program.slacks),
+        *names(program.linking.unknowns),
+    ]
     assert len(all_names) == len(set(all_names))
     assert len(program.only_at_ends) == 4
     for end, own in ((program.start, program.start.slacks), (program.end, program.end.slacks)):
@@ -237,4 +242,4 @@ def test_a_single_phase_starts_on_the_line_to_an_end_that_is_free():
         dynamics={x: v, v: u}, cost=u**2, duration=T, start={x: 1}, start_conditions=[v + T], end={x: 2 * T, v: 0}
     )
     program = transcribe(normalise(problem))
-    assert str(program.node_guess) == "(start_x + t*(6 - start_x)/duration, -3 + t*(end_v + 3)/duration)"
+    assert str(program.guess.node) == "(start_x + t*(6 - start_x)/duration, -3 + t*(end_v + 3)/duration)"

@@ -15,7 +15,7 @@ from codegen.emit.naming import Choices
 from codegen.evidence.report import comparison, peers, timing
 from codegen.evidence.report.comparison import Ladder, choice, figures, ranking
 from codegen.evidence.report.optima import ALL, elsewhere, ladder_of, solved
-from codegen.evidence.report.reference import Trajectory, read_trajectory, refined, trajectory_of
+from codegen.evidence.report.peers import Trajectory, read_trajectory, refined, trajectory_of
 from codegen.evidence.report.store import Store
 from codegen.solving import api
 from codegen.solving.compiler import generate

@@ -10,6 +10,7 @@ from interpreted import without_compilation
 
 from codegen.emit.naming import Choices
 from codegen.evidence.report.building import Variant
+from codegen.evidence.report.comparison import fitted_order, verdict
 from codegen.evidence.report.drift import answer, drift_values, symplecticity_defect, trend_of
 from codegen.evidence.report.optima import (
     all_grids,
@@ -19,7 +20,6 @@ from codegen.evidence.report.optima import (
     sequence,
     switching,
 )
-from codegen.evidence.report.orders import fitted_order, verdict
 from codegen.evidence.report.store import Case, Store, section_of
 from codegen.solving import api
 from codegen.solving.compiler import generate

@@ -18,8 +18,8 @@ from codegen.cli import main
 from codegen.errors import ArgumentError
 from codegen.evidence.report import building, gallery, optima, simulations, thesis
 from codegen.evidence.report.building import Variant, Workshop
+from codegen.evidence.report.comparison import is_exhausted, measured_order, verdict
 from codegen.evidence.report.gallery import regressions
-from codegen.evidence.report.orders import is_exhausted, measured_order, verdict
 from codegen.evidence.report.simulations import conserved, reference_motion
 from codegen.evidence.report.store import Case, Extent, Store
 from codegen.solving import api

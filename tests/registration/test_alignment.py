@@ -6,8 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from codegen.errors import ArgumentError, LandmarkError
-from codegen.registration.alignment import align
-from codegen.registration.pairs import LandmarkPairs, flipped
+from codegen.registration.pairs import LandmarkPairs, align, flipped
 
 POINTS = np.array([[10.0, 20.0], [200.0, 40.0], [90.0, 160.0], [30.0, 120.0], [150.0, 140.0]])
 COORDINATE = st.floats(-500.0, 500.0).map(lambda x: round(x, 4))

@@ -8,13 +8,12 @@ from noisy_landmarks import SIDE, known_warp, misplaced, noisy_pairs
 
 from codegen.errors import ArgumentError, LandmarkError, RegistrationError
 from codegen.registration import linear, noise, register
-from codegen.registration.alignment import align
 from codegen.registration.grid import Grid, coarse_grid
 from codegen.registration.linear import Freedom, chosen_alignment
 from codegen.registration.maps import in_steps
 from codegen.registration.matching import Matching
 from codegen.registration.noise import estimate_sigma, find_outliers, likely_sigma
-from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.pairs import LandmarkPairs, align
 from codegen.registration.register import MOST_SOLVES
 
 pytestmark = pytest.mark.usefixtures("solver")

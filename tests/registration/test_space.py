@@ -7,12 +7,11 @@ from scipy.spatial.transform import Rotation
 
 from codegen.errors import LandmarkError
 from codegen.registration import leave_one_out, register
-from codegen.registration.alignment import align
 from codegen.registration.certificate import bound_of_steps, certify, in_provable_steps
 from codegen.registration.grid import Grid
 from codegen.registration.maps import in_steps
 from codegen.registration.noise import choose_sigma, find_outliers
-from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.pairs import LandmarkPairs, align
 
 pytestmark = pytest.mark.usefixtures("space_solver")
 UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

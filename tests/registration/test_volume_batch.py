@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dask_parts import cluster
-from typer.testing import CliRunner
+from volume_samples import run
 
-from codegen.cli import main
 from codegen.registration.batch_pairs import Places, jobs_in_folder, jobs_in_table
 from codegen.registration.formats import landmark_texts
 from codegen.registration.grid import Grid
@@ -40,12 +39,6 @@ def folder(tmp_path):
     for k, kind in enumerate((".nii.gz", ".mha", ".mhd", ".nrrd")):
         specimen(made, "abcd"[k], kind, k)
     return made
-
-
-def run(*arguments, expect=0):
-    done = CliRunner().invoke(main, ["warp", *map(str, arguments)])
-    assert done.exit_code == expect, (done.output, done.exception)
-    return done
 
 
 def lines(summary):

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from volume_samples import refused, run
 
-from codegen.cli import main
 from codegen.registration import register, warp
 from codegen.registration.formats import read_landmarks, write_landmarks
 from codegen.registration.grid import Grid
@@ -35,22 +34,6 @@ def files(tmp_path):
     names = ("<i>eye</i>", "b", "c", "d", "e")
     write_landmarks(tmp_path / "pairs.csv", pairs=LandmarkPairs(CORNERS, moved, names))
     return tmp_path
-
-
-def run(*arguments, expect=0):
-    """Status, standard output and standard error of the command."""
-    done = CliRunner().invoke(main, ["warp", *map(str, arguments)])
-    assert done.exit_code == expect, (done.output, done.exception)
-    return done
-
-
-def refused(*arguments):
-    """The one line that says what is wrong with the input."""
-    done = run(*arguments, expect=2)
-    assert done.stdout == ""
-    (line,) = done.stderr.strip().splitlines()
-    assert line.startswith("codegen: error: ")
-    return line
 
 
 def test_the_image_is_what_the_core_makes_of_it_and_the_record_says_how(files):

@@ -3,7 +3,7 @@
 import pytest
 from sympy import Symbol, cos, sin, symbols
 
-from codegen.symbolic.families import are_many, families
+from codegen.symbolic.terms import are_many, families
 
 pytestmark = pytest.mark.fast
 X = symbols("x0:60", real=True)

@@ -7,13 +7,13 @@ from collections.abc import Collection
 
 from sympy import Rational
 
-from codegen.discretise.schemes import compositions, discrete_lagrangians, low_order, runge_kutta
+from codegen.discretise.schemes import compositions, low_order, runge_kutta
 from codegen.discretise.schemes.base import FIRST_ORDER, PARTICLES, Scheme
 from codegen.errors import SchemeError
 
 __all__ = ["ALIASES", "FIRST_ORDER", "METHODS", "PARTICLES", "Scheme", "find", "of_method"]
 
-_FAMILIES = (discrete_lagrangians, low_order, runge_kutta, compositions)
+_FAMILIES = (low_order, runge_kutta, compositions)
 """The modules of the families, each with its SCHEMES by method; messages list schemes in this order."""
 _ALL: dict[str, dict[str, Scheme]] = {
     method: {scheme.name: scheme for family in _FAMILIES for scheme in family.SCHEMES.get(method, ())}

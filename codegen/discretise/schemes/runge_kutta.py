@@ -1,4 +1,7 @@
-"""Runge-Kutta methods by their Butcher tableaux: Gauss, Radau and Lobatto collocation, diagonally implicit, explicit.
+"""Runge-Kutta methods by their Butcher tableaux, and discrete Lagrangians by quadrature.
+
+Runge-Kutta methods are Gauss, Radau and Lobatto collocation, diagonally implicit and explicit methods. Discrete
+Lagrangians use straight lines or polynomials (Galerkin variational integrators) with the same quadrature rules.
 
 The tables are exact; `tests/discretise/test_orders.py` proves orders and symplecticity from them. Integrators with
 adaptive steps are references for particles whose ends are both fixed.
@@ -10,7 +13,17 @@ from dataclasses import dataclass
 
 from sympy import Expr, Integer, Rational, S, sqrt
 
-from codegen.discretise.schemes.base import FIRST_ORDER, PARTICLES, FieldPoint, Rows, Scheme, Step, Update
+from codegen.discretise.schemes.base import (
+    FIRST_ORDER,
+    PARTICLES,
+    DiscreteLagrangian,
+    FieldPoint,
+    QuadraturePoint,
+    Rows,
+    Scheme,
+    Step,
+    Update,
+)
 
 
 @dataclass(frozen=True)
@@ -201,7 +214,52 @@ ADAPTIVE = (
     ),
 )  # fmt: skip
 
+
+def _galerkin(method: RungeKutta, degree: int, summary: str) -> DiscreteLagrangian:
+    """Return the Galerkin integrator with polynomials of a degree and the quadrature rule of a Runge-Kutta method.
+
+    Both methods are the same map for Gauss quadrature, and for other rules if the mass matrix is constant.
+    """
+    pairs = zip(method.weights, method.abscissae, strict=True)
+    return DiscreteLagrangian(
+        name=method.name,
+        order=method.order,
+        symmetric=True,
+        symplectic=True,
+        source="Marsden and West (2001), section 2.6.5; Ober-Bloebaum and Saake (2015), Construction and analysis of "
+        "higher order Galerkin variational integrators",
+        summary=summary,
+        points=tuple(QuadraturePoint(weight, abscissa) for weight, abscissa in pairs),
+        nodes=tuple(Rational(i, degree) for i in range(degree + 1)),
+    )
+
+
+DISCRETE_LAGRANGIANS = (
+    DiscreteLagrangian(
+        name="rectangle", order=1, symmetric=False, symplectic=True,
+        source="Marsden and West (2001), Discrete mechanics and variational integrators, section 2.6",
+        summary="h L(q0, v)",
+        points=(QuadraturePoint(Rational(1), Rational(0)),),
+    ),
+    DiscreteLagrangian(
+        name="midpoint", order=2, symmetric=True, symplectic=True,
+        source="Marsden and West (2001), section 2.6.2",
+        summary="h L((q0 + q1)/2, v)",
+        points=(QuadraturePoint(Rational(1), Rational(1, 2)),),
+    ),
+    DiscreteLagrangian(
+        name="trapezoidal", order=2, symmetric=True, symplectic=True,
+        source="Marsden and West (2001), section 2.6.3; Hairer, Lubich and Wanner (2006), VI.6.2",
+        summary="h/2 L(q0, v) + h/2 L(q1, v); Störmer-Verlet when the mass matrix is constant",
+        points=(QuadraturePoint(Rational(1, 2), Rational(0)), QuadraturePoint(Rational(1, 2), Rational(1))),
+    ),
+    _galerkin(GAUSS_4, 2, "polynomials of degree 2, Gauss quadrature with 2 points"),
+    _galerkin(GAUSS_6, 3, "polynomials of degree 3, Gauss quadrature with 3 points"),
+    _galerkin(LOBATTO_4, 2, "polynomials of degree 2, Simpson's rule"),
+)  # fmt: skip
+
 SCHEMES = {
+    "variational": DISCRETE_LAGRANGIANS,
     "hamiltonian": (GAUSS_4, GAUSS_6, GAUSS_8, RADAU_5, HERMITE_SIMPSON, LOBATTO_4, RK4),
     FIRST_ORDER: (GAUSS_4, GAUSS_6, GAUSS_8, RADAU_3, RADAU_5, SDIRK_4, HERMITE_SIMPSON, RK4, DORMAND_PRINCE_5),
     PARTICLES: (RK4, BUTCHER_6, *ADAPTIVE),

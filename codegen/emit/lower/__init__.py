@@ -5,7 +5,7 @@ from __future__ import annotations
 from codegen.discretise.particles import PairwiseProgram
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.emit.differentiation import ControlDerivatives, ControlSensitivities, StepDerivatives
-from codegen.emit.lower.control.module import lower_control
+from codegen.emit.lower.control import lower_control
 from codegen.emit.lower.module import Module
 from codegen.emit.lower.particles import lower_particles
 from codegen.emit.lower.simulate import lower_step

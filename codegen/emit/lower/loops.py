@@ -17,9 +17,9 @@ from sympy import Expr, Symbol
 from codegen.emit.lower.kernels import Kernel, Line, Loop, Output, kernel
 from codegen.emit.lower.printer import scalar_code, stabilised, with_decimal_roots
 from codegen.symbolic.checks import longer_than
-from codegen.symbolic.families import MANY, Family, are_many, families
 from codegen.symbolic.functions import TableBase
 from codegen.symbolic.graph import Assignment
+from codegen.symbolic.terms import MANY, Family, are_many, families
 
 _LONG = 100
 """Number of operations from which the value of an assignment is not substituted into the rows."""
@@ -52,7 +52,8 @@ def looped(
     found = families([[o.value for o in row] for row in written or ()], lambda s: _split(codes.get(s, s.name))[0])
     if written is None or not are_many(found):
         return kernel(name, summary, arguments, codes, outputs, None, assignments, decorators, straight_line)
-    long = [family for family in found if family.is_large and not _reads_table(family)]
+    # Rows that read tables stay outside of loops.
+    long = [f for f in found if f.is_large and not any(value.has(TableBase) for value in f.template)]
     inside = {member.row for family in long for member in family.members}
     others = [output for i, row in enumerate(written) if i not in inside for output in row]
     plain = kernel(name, summary, arguments, codes, others, None, kept, decorators, straight_line)
@@ -72,10 +73,7 @@ def looped(
 def _substituted(
     rows: Sequence[Sequence[Output]], assignments: Sequence[Assignment]
 ) -> tuple[list[list[Output]] | None, list[Assignment]]:
-    """Return the rows in terms of what short assignments read, and the long assignments.
-
-    Return None in place of rows that become much longer.
-    """
+    """Return rows without short assignments, or None if the rows become much longer, and the long assignments."""
     values, kept = dict[Expr, Expr](), list[Assignment]()
     if not assignments:
         return [list(row) for row in rows], kept
@@ -90,10 +88,6 @@ def _substituted(
     before += sum(int(output.value.count_ops()) for row in rows for output in row)
     after = sum(int(output.value.count_ops()) for row in replaced for output in row)
     return replaced if after <= _GROWTH * before else None, kept
-
-
-def _reads_table(family: Family) -> bool:
-    return any(value.has(TableBase) for value in family.template)
 
 
 def _split(code: str) -> tuple[str, int]:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from codegen.emit.lower.kernels import Kernel, Line
-from codegen.runtime.record import Record
+from codegen.emit.lower.kernels import Kernel, Line, table_records
+from codegen.runtime.record import Form, Method, Record
 
 if TYPE_CHECKING:
     from codegen.discretise.model.definitions import Model
     from codegen.discretise.model.pairwise import PairwiseModel
+    from codegen.discretise.particles import PairwiseProgram
+    from codegen.discretise.program import ControlProgram, StepProgram
+    from codegen.symbolic.tables import TableData
 
 
 @dataclass(frozen=True)
@@ -26,11 +30,26 @@ def arguments_of(model: Model | PairwiseModel) -> tuple[Argument, ...]:
     return tuple(Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True))
 
 
-def record_fields(model: Model | PairwiseModel) -> dict[str, Any]:
-    """Return the fields that the metadata records of all tasks have in common."""
+def record_fields(
+    program: ControlProgram | StepProgram | PairwiseProgram, order: int, kernels: Iterable[Any], left_out: Iterable[str]
+) -> dict[str, Any]:
+    """Return the fields that the metadata records of all tasks have in common; `order` is that of the scheme."""
+    model = program.model
     return {
         "problem": model.name, "title": model.title, "inputs": "", "steps": model.steps, "unused": model.unused,
         "parameters": {p.name: value for p, value in zip(model.parameters, model.defaults, strict=True)},
+        "method": Method(program.method), "scheme": program.scheme, "order": order,
+        "operations": {kernel.name: (kernel.operations_before, kernel.operations_after) for kernel in kernels},
+        "left_out": tuple(left_out),
+    }  # fmt: skip
+
+
+def system_fields(model: Model, tables: Sequence[TableData]) -> dict[str, Any]:
+    """Return the fields that the metadata records of simulations and control problems have in common."""
+    return {
+        "form": Form(model.form), "attitudes": model.attitudes, "units": dict(model.units),
+        "coordinates": tuple(s.name for s in model.coordinates), "rates": tuple(s.name for s in model.rates),
+        "tables": table_records(tables),
     }  # fmt: skip
 
 

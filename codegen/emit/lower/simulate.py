@@ -1,35 +1,39 @@
-"""Lowering of an initial value problem and its derivatives to the kernels and texts of a module."""
+"""Lowering of an initial value problem, its derivatives, events and gaps to the kernels and texts of a module."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 import sympy
-from sympy import Symbol
+from sympy import Expr, Symbol
 
 from codegen.discretise.program import StepProgram
 from codegen.emit.differentiation import StepDerivatives
-from codegen.emit.lower.events import event_fields, event_kernels, event_lines
-from codegen.emit.lower.kernels import KERNEL, VALUE, Kernel, Line, Output, kernel, needed
-from codegen.emit.lower.loops import looped
-from codegen.emit.lower.module import SimulateModule, arguments_of, record_fields
-from codegen.emit.lower.printer import readable, scalar_code
-from codegen.emit.lower.tables import (
+from codegen.emit.lower.kernels import (
+    KERNEL,
+    VALUE,
+    Kernel,
+    Line,
+    Output,
     described_tables,
     inputs_kernel,
+    kernel,
+    needed,
     range_constants,
     ranged_inputs,
     table_constants,
     table_kernels,
-    table_records,
 )
-from codegen.runtime.record import Form, Method, SimulationRecord, StepSolver, phrase
+from codegen.emit.lower.loops import looped
+from codegen.emit.lower.module import SimulateModule, arguments_of, record_fields, system_fields
+from codegen.emit.lower.printer import readable, scalar_code
+from codegen.runtime.record import EventAction, SimulationRecord, StepSolver, phrase
 from codegen.symbolic.checks import longer_than
 from codegen.symbolic.derivatives import values_of
-from codegen.symbolic.families import are_many, families
 from codegen.symbolic.functions import tables_of
 from codegen.symbolic.graph import StraightLine
 from codegen.symbolic.tables import TableData
+from codegen.symbolic.terms import are_many, families
 
 _LONG = 1000
 """Number of operations from which common subexpressions of the equations are found on an expression graph."""
@@ -305,19 +309,9 @@ def _record(
     if not any(e.has(model.time) for e in (model.function, *model.force, *model.dynamics, *held)):
         out.append("time in the kernels: nothing depends on it explicitly")
     return SimulationRecord(
-        **record_fields(model),
-        method=Method(program.method),
-        scheme=program.scheme,
-        order=program.order,
-        form=Form(model.form),
-        coordinates=tuple(s.name for s in model.coordinates),
-        rates=tuple(s.name for s in model.rates),
+        **record_fields(program, program.order, kernels, out),
+        **system_fields(model, tables),
         start=tuple(value.quantity for value in program.start_values),
-        attitudes=model.attitudes,
-        units=dict(model.units),
-        tables=table_records(tables),
-        operations={k.name: (k.operations_before, k.operations_after) for k in kernels},
-        left_out=tuple(out),
         parts=len(program.fractions),
         solver=solver,
         momenta=tuple(u.name for u in program.state[len(model.coordinates) :]),
@@ -336,3 +330,96 @@ def _record(
         and not any(c.xreplace(dict.fromkeys(model.rates, sympy.S.Zero)) for c in model.rolling)
         and all(gap.restitution == 1 for gap in program.gaps),
     )
+
+
+# Events and gaps
+
+EVENT_KERNELS = {
+    "event_values": (
+        "values",
+        "Fill `values` (events + gaps, 3): value, rate along the motion, and sum of the moduli of the terms.",
+    ),
+    "event_jumps": ("jumps", "Fill `jumps` (changes, STATE): the state after each event that changes the state."),
+    "gap_normals": (
+        "normals",
+        "Fill `normals` (gaps, 3 + 2 coordinates): acceleration, restitution, size of the rate, G, M^-1 G^T.",
+    ),
+}
+"""The kernels of events and gaps: the array that they fill, and the first line of their docstring."""
+
+
+def rows_of_events(program: StepProgram) -> dict[str, list[tuple[str, Expr]]]:
+    """Return the entries, with their meanings, of the arrays that the kernels of events and gaps fill."""
+    names = [q.name for q in program.model.coordinates]
+    of_contact = (
+        "acceleration",
+        "restitution",
+        "size of the rate",
+        *(f"slope by {q}" for q in names),
+        *(f"response of {q}" for q in names),
+    )
+    rows = {
+        "event_values": [
+            (f"{meaning} of {event.name}", value)
+            for event in (*program.events, *program.gaps)
+            for meaning, value in zip(("value", "rate", "scale"), event.row, strict=True)
+        ],
+        "event_jumps": [
+            (f"{unknown.name} after {event.name}", value)
+            for event in program.events
+            if event.after
+            for unknown, value in zip(program.state, event.after, strict=True)
+        ],
+        "gap_normals": [
+            (f"{meaning}, {gap.name}", value)
+            for gap in program.gaps
+            for meaning, value in zip(of_contact, gap.contact, strict=True)
+        ],
+    }
+    return {name: entries for name, entries in rows.items() if entries}
+
+
+def event_kernels(program: StepProgram, codes: Mapping[Symbol, str]) -> list[Kernel]:
+    """Return the kernels of events and gaps; none without events and gaps."""
+    assignments, kernels = (*program.state_assignments, *program.event_assignments), list[Kernel]()
+    for name, entries in rows_of_events(program).items():
+        array, summary = EVENT_KERNELS[name]
+        read = needed(assignments, [value for _, value in entries])
+        # Assignments of a large mass matrix share all common subexpressions; those of constraint forces do not.
+        is_shared = bool(program.state_assignments)
+        kernels.append(
+            kernel(
+                name, summary, ("state", "t", "parameters", array), codes,
+                [Output(f"{array}[{i}]", value, meaning) for i, (meaning, value) in enumerate(entries)],
+                assignments=() if is_shared else read, decorators=KERNEL, straight_line=read if is_shared else (),
+            )
+        )  # fmt: skip
+    return kernels
+
+
+def event_fields(program: StepProgram) -> dict[str, str]:
+    """Return the fields of the StepProblem with their code."""
+    if not (program.events or program.gaps):
+        return {}
+    actions, rules, row = list(EventAction), list[str](), 0
+    for event in (*program.events, *program.gaps):
+        rules.append(f"({actions.index(event.action)}, {event.direction}, {row if event.after else -1})")
+        row += bool(event.after)
+    fields = {"events": "event_values", "rules": f"np.array([{', '.join(rules)}])"}
+    fields |= {"jumps": "event_jumps"} if row else {}
+    return fields | ({"normals": "gap_normals"} if program.gaps else {})
+
+
+def event_lines(program: StepProgram) -> list[str]:
+    """Return the lines about events and gaps in the docstring of a module."""
+    lines = list[str]()
+    if program.events:
+        lines += ["", "Events, at zeros of:", ""]
+        for event in program.model.events:
+            changes = ", ".join(f"{symbol} = {readable(value)}" for symbol, value in event.changes)
+            effect = f"then {changes}" if changes else {"stop": "end of the motion"}.get(event.action, event.action)
+            lines.append(f"    {event.name}: {readable(event.expression)}, {effect}")
+    if program.gaps:
+        lines += ["", "Gaps, which do not become negative, with their coefficients of restitution:", ""]
+        lines += [f"    {readable(gap.expression)}: {readable(gap.restitution)}" for gap in program.model.gaps]
+    return lines

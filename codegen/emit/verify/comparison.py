@@ -25,8 +25,7 @@ import numpy as np
 from sympy import Symbol
 
 from codegen.discretise.interval import LENGTHS, STEP
-from codegen.emit.verify.execution import Arithmetic, Function, Operand
-from codegen.errors import VerificationError
+from codegen.emit.verify.execution import Arithmetic, Function, Operand, defect
 from codegen.symbolic.functions import by_name
 
 DIGITS = 400
@@ -303,9 +302,8 @@ def judge(names: Sequence[str], evaluate: Evaluate, opinion: Opinion) -> None:
             except (ValueError, TypeError, ArithmeticError):  # no value at the point with more digits
                 continue
             if differs:
-                raise VerificationError(
-                    f"the emitted code gives {numbers[0]} for {names[int(entry)]}, where {numbers[1]} is right",
-                    "this is a defect of codegen, and nothing was written; please report it with the problem file",
+                raise defect(
+                    f"the emitted code gives {numbers[0]} for {names[int(entry)]}, where {numbers[1]} is right"
                 )
 
 

@@ -33,6 +33,13 @@ Function: TypeAlias = Callable[..., Operand]
 """A function of operands, or a kernel that the interpreter executes."""
 
 
+def defect(finding: str) -> VerificationError:
+    """Return the error for text that differs from the problem."""
+    return VerificationError(
+        finding, "this is a defect of codegen, and nothing was written; please report it with the problem file"
+    )
+
+
 @dataclass(frozen=True)
 class Arithmetic:
     """The operations on one type of operands: `number` from digits, `function` by its name in `math`, and so on."""
@@ -345,8 +352,7 @@ def verify_tables(tables: Sequence[TableData], first: int, text: Text) -> None:
                 for axis, o in zip(table.axes, order, strict=True):
                     size /= float(np.diff(axis).min(initial=1.0)) ** o
                 if not abs(value - right) <= _TOLERANCE * size:
-                    raise VerificationError(
+                    raise defect(
                         f"the emitted code gives {value:.8g} for derivative {order} of table {table.shape.name}, where "
-                        f"{right:.8g} is right",
-                        "this is a defect of codegen, and nothing was written; please report it with the problem file",
+                        f"{right:.8g} is right"
                     )

@@ -1,9 +1,9 @@
 """Verification of the kernels of all three tasks against the expressions of the discretised problem.
 
-A control problem has kernels of intervals of all kinds, samples, both ends, and the controls' Hessian block. A
-simulation has the scheme's equations, the reduced equations for Newton's method, and the energy. Particles have loops
-for H, its derivatives and Hessian products: the reference is the sum of the author's two terms over a few particles.
-Its first derivatives are complex steps, its second derivatives differences of these in extended precision.
+A control problem has kernels of intervals of all kinds, samples and both ends. A simulation has the scheme's equations,
+the reduced equations for Newton's method, and the energy. Particles have loops for H, its derivatives and Hessian
+products: the reference is the sum of the author's two terms over a few particles. Its first derivatives are complex
+steps, its second derivatives differences of these in extended precision.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.emit.differentiation import data_of
 from codegen.emit.lower.control.kernels import named_elements
 from codegen.emit.lower.control.layout import parameters
-from codegen.emit.lower.events import EVENT_KERNELS, rows_of_events
+from codegen.emit.lower.simulate import EVENT_KERNELS, rows_of_events
 from codegen.emit.verify.comparison import (
     EXACT,
     SIZED,
@@ -38,9 +38,8 @@ from codegen.emit.verify.comparison import (
     step_of,
     with_time,
 )
-from codegen.emit.verify.execution import Arithmetic, Function, Operand, Tape, Text
+from codegen.emit.verify.execution import Arithmetic, Function, Operand, Tape, Text, defect
 from codegen.emit.verify.shares import Share, ShareComparison, columns_of, mixed_shares, pattern_of
-from codegen.errors import VerificationError
 from codegen.symbolic.checks import rounded_at
 from codegen.symbolic.graph import Assignment
 
@@ -57,12 +56,11 @@ def verify_control(program: ControlProgram, text: Text) -> None:
     """Compare every kernel with its share of the Lagrangian; raise VerificationError with the name of a wrong entry."""
     guessed = guessed_points(program, text)
     intervals = list(_intervals(program, guessed))
-    block = [_control_block(program, *intervals[0])] if text.defines("control_hessian") else []
     samples = [_sample(program, *intervals[0])] if program.sample is not None else []
     ends = list(_ends(program, guessed))
     mixed = _mixed(program, text, intervals, samples, ends) if text.defines("QUANTITIES") else []
     others = [*parameters(program), program.model.time, STEP, *(program.sample.symbols if program.sample else ())]
-    for share, near in (*intervals, *block, *samples, *ends, *mixed):
+    for share, near in (*intervals, *samples, *ends, *mixed):
         symbols = list(dict.fromkeys([*share.unknowns, *others]))
         drawn = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
         ShareComparison(share, text, [with_time(near, program.model.time), drawn]).verify()
@@ -81,7 +79,7 @@ def guessed_points(program: ControlProgram, text: Text) -> GuessedPoints:
 def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Share, Values]]:
     """Yield share and points of each kind of interval, then of intervals of each kind that begin at no inner time."""
     others, time = parameters(program), program.model.time
-    local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
+    local = program.element_symbols[: len(program.element_symbols) - len(program.linking.unknowns)]
 
     def calling(begins_at: int) -> Operand:
         """Return a function that calls a kernel of an interval that begins at inner time `begins_at`, or none (-1)."""
@@ -143,7 +141,7 @@ def _sample(program: ControlProgram, share: Share, near: Values) -> tuple[Share,
     """Return the share of a sample of measurements, and the points with random measured values."""
     assert program.sample is not None, "there are samples"
     others, time, sample = parameters(program), program.model.time, program.sample
-    local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
+    local = program.element_symbols[: len(program.element_symbols) - len(program.linking.unknowns)]
 
     def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> Operand:
         # A sample is stored behind the parameters. Its first entry is its middle, which kernels do not read.
@@ -183,10 +181,7 @@ def _verify_shooting(text: Text, share: Share, near: Values) -> None:
     excesses = [*(a - b for a, b in zip(found, expected, strict=True)), excess]
     for name, each in zip(names, excesses, strict=True):
         if np.any(np.abs(each) / size_of_terms > _ROUNDING):
-            raise VerificationError(
-                f"{name} of {share.name} without stages differs from its value at the stages",
-                "this is a defect of codegen, and nothing was written; please report it with the problem file",
-            )
+            raise defect(f"{name} of {share.name} without stages differs from its value at the stages")
 
 
 def _verify_values(program: ControlProgram, text: Text, share: Share, near: Values) -> None:
@@ -201,32 +196,7 @@ def _verify_values(program: ControlProgram, text: Text, share: Share, near: Valu
     for observed, value, right in zip(program.model.observed, emitted, exact, strict=True):
         finite = np.isfinite(right)
         if not np.allclose(np.where(finite, value, 0.0), np.where(finite, right, 0.0), rtol=_ROUNDING, atol=_ROUNDING):
-            raise VerificationError(
-                f"the emitted code gives another value than the expression that {observed.name} measures",
-                "this is a defect of codegen, and nothing was written; please report it with the problem file",
-            )
-
-
-def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple[Share, Values]:
-    """Return the share whose Hessian is the kernel of the controls' block, a lower triangle, and its points."""
-    others, size = parameters(program), len(program.control_symbols)
-    first = len(program.left_symbols) + len(program.interval_symbols)
-    pairs = [(row, column) for row in range(size) for column in range(row + 1)]
-
-    def call(kernel: Function, values: Mapping[Symbol, Operand], filled: list[Operand]) -> None:
-        block: dict[tuple[int, int], Operand] = {}
-        kernel(values[STEP], [values[s] for s in others], block)
-        for index, pair in enumerate(pairs):
-            filled[index] = block.get(pair, filled[index])
-
-    block = replace(
-        share,
-        indices=tuple(range(first, first + size)),
-        pattern=tuple((first + row, first + column) for row, column in pairs),
-        hessian="control_hessian",
-        call_hessian=call,
-    )
-    return block, near
+            raise defect(f"the emitted code gives another value than the expression that {observed.name} measures")
 
 
 def part_of_chain(program: ControlProgram, stem: str) -> tuple[float, float]:
@@ -251,7 +221,7 @@ def _ends(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Sha
         ) -> Operand:
             return kernel([values[s] for s in node], values[time], [values[s] for s in others], filled)
 
-        unknowns, pinned = (*node, *program.shared_symbols), {index for index, _ in end.pins}
+        unknowns, pinned = (*node, *program.linking.symbols), {index for index, _ in end.pins}
         share = Share(
             name=f"the {name}",
             scalar=end.element,
@@ -451,10 +421,9 @@ def verify_particles(program: PairwiseProgram, text: Text) -> None:
                 odd = ~(abs(emitted - right) <= tolerance * abs(right).max(initial=0.0))
                 if odd.any():
                     index = tuple(int(i) for i in np.argwhere(odd)[0])
-                    raise VerificationError(
+                    raise defect(
                         f"the emitted code gives {float(emitted[index]):.8g} for {quantity}{list(index) or ''}, where "
-                        f"{float(right[index]):.8g} is right",
-                        "this is a defect of codegen, and nothing was written; please report it with the problem file",
+                        f"{float(right[index]):.8g} is right"
                     )
 
 

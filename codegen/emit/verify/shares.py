@@ -206,11 +206,11 @@ _KERNEL, _MIXED = "coupling_term", "coupling_mixed"
 
 def verify_couplings(program: ControlProgram, text: Text) -> None:
     """Compare every condition between bodies with its terms in the module; raise VerificationError for a wrong one."""
-    if not program.couplings:
+    if not program.linking.couplings:
         return
     module = text.interpreted(*_TABLES)
     terms = list(zip(*(module[table].tolist() for table in _TABLES), strict=True))
-    for number, coupling in enumerate(program.couplings):
+    for number, coupling in enumerate(program.linking.couplings):
         own = [(kind, indices[:count]) for kind, row, count, indices in terms if row == number]
         share = _share(program, coupling, own)
         symbols = list(dict.fromkeys([*share.unknowns, *parameters(program)]))
@@ -299,7 +299,7 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
 
 def shared_symbols(program: ControlProgram) -> list[Symbol]:
     """Return a symbol for every linking variable: first for each body in turn, then for the whole problem."""
-    symbols = [Symbol(f"_shared_{index}", real=True) for index in range(program.bodies * program.own)]
-    for symbol, body, j in program.coupling_symbols:
-        symbols[body * program.own + j] = symbol
-    return [*symbols, *program.shared_symbols[program.own :]]
+    symbols = [Symbol(f"_shared_{index}", real=True) for index in range(program.model.bodies * program.linking.own)]
+    for symbol, body, j in program.linking.coupling_symbols:
+        symbols[body * program.linking.own + j] = symbol
+    return [*symbols, *program.linking.common_symbols]

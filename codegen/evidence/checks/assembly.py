@@ -163,11 +163,11 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: G
         return function_of([*unknowns, *others], [scalar])
 
     elements = {e.element: function(e.element, program.element_symbols) for e in program.interval_elements}
-    start = function(program.start.element, (*program.left_symbols, *program.shared_symbols))
-    end = function(program.end.element, (*program.right_symbols, *program.shared_symbols))
+    start = function(program.start.element, (*program.left_symbols, *program.linking.symbols))
+    end = function(program.end.element, (*program.right_symbols, *program.linking.symbols))
     sample = program.sample
     losses = function(sample.element, (*sample.symbols, *program.element_symbols)) if sample else end
-    for body in range(program.bodies):
+    for body in range(program.model.bodies):
         for k in range(flat.steps):
             yield _Share(elements[flat.share(k).element], flat.element(body, k), data(body, k))
         for time, *row in context.model.measurements[body].rows if sample else ():
@@ -180,7 +180,7 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: G
         yield _Share(start, flat.end(body, "start"), data(body, 0))
         yield _Share(end, flat.end(body, "end"), data(body, flat.steps))
     symbols, every = shared_symbols(program), np.arange(flat.first_shared, flat.first_coupling)
-    for i, coupling in enumerate(program.couplings):
+    for i, coupling in enumerate(program.linking.couplings):
         multiplier = Symbol(f"_{coupling.multiplier.name}", real=True)
         indices = np.append(every, flat.first_coupling + i)
         yield _Share(function(multiplier * coupling.expression, (*symbols, multiplier)), indices, data(0, 0))
@@ -248,7 +248,7 @@ def check_given_values(context: Context) -> Iterator[Finding]:
     else:
         entries = [*(f"parameter {p}" for p in model.parameters), *ends]
         names, pairs = list[str](), list[tuple[float, float]]()
-        for body in range(program.bodies):
+        for body in range(program.model.bodies):
             ours = [_number(written[v.where, v.quantity], program, body) for v in program.boundary_values]
             names += [f"{entry} of body {body} is" for entry in entries]
             pairs += zip(grid.parameters[body][: len(entries)], [*model.defaults, *ours], strict=True)
@@ -256,7 +256,7 @@ def check_given_values(context: Context) -> Iterator[Finding]:
     # Compare the entries that `with_pinned_values` overwrites in an arbitrary vector, and their values.
     before = np.random.default_rng(5).uniform(1.0, 2.0, flat.size)
     expected, free = before.copy(), flat.free()
-    for body in range(program.bodies):
+    for body in range(program.model.bodies):
         values = {v.symbol: _number(v.value, program, body) for v in program.boundary_values}
         for k, end in ((0, program.start), (flat.steps, program.end)):
             node, shared = flat.node(body, k), flat.shared(body)
@@ -279,7 +279,7 @@ def check_given_values(context: Context) -> Iterator[Finding]:
         return
     lower, upper = np.full(flat.size, -np.inf), np.full(flat.size, np.inf)
     common: _Limits = {free.symbol.name: (free.lower, free.upper) for free in model.free_parameters}
-    common |= {u.name: (sympy.S.Zero, None) for u in program.shared if u.kind.role is Role.SLACK}
+    common |= {u.name: (sympy.S.Zero, None) for u in program.linking.unknowns if u.kind.role is Role.SLACK}
     common |= {slack.name: (slack.lower, None) for slack in program.slacks}
     common |= {u.name: (u.lower, None) for u in program.node if u.kind.role is Role.SLACK or u.kind is Kind.PACE}
     of_phases: list[_Limits] = [
@@ -306,14 +306,14 @@ def check_given_values(context: Context) -> Iterator[Finding]:
             lower[index], upper[index] = -1.0 if is_slack else -np.inf, np.inf
 
     inner, nodes = program.inner, {number: k for k, number in flat.inner_nodes.items()}
-    for body in range(program.bodies):
+    for body in range(program.model.bodies):
         for k in range(flat.steps + 1):
             # The node at a switch belongs to the phase before it.
             put(flat.node(body, k), program.node, body, of_phases[max(k - 1, 0) // flat.phase_steps])
             if k < flat.steps:
                 inside = flat.inside[len(program.node) :]
                 put(flat.interval(body, k), inside, body, of_phases[k // flat.phase_steps])
-        put(flat.shared(body), program.shared, body, of_phases[0])
+        put(flat.shared(body), program.linking.unknowns, body, of_phases[0])
         for k, end in ((0, program.start), (flat.steps, program.end)):
             lower[flat.node(body, k)[[slack for slack, _ in end.slacks]]] = 0.0
             for index, bound in end.bounds:
@@ -348,8 +348,8 @@ def check_given_values(context: Context) -> Iterator[Finding]:
 def _number(value: Expr, program: ControlProgram, body: int, more: Mapping[Symbol, float] | None = None) -> float:
     """Return the value of an expression of parameters, the body's index and `more` symbols; nan if it has no value."""
     values: dict[Symbol, float] = dict(program.model.default_values) | dict(more or {})
-    if program.body is not None:
-        values[program.body] = float(body)
+    if program.model.body is not None:
+        values[program.model.body] = float(body)
     number = expressions.number_at(sympy.sympify(value), values)
     return float("nan") if number is None else number
 

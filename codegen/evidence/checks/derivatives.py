@@ -24,7 +24,7 @@ from sympy import Expr, S, Symbol
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Model
 from codegen.discretise.program import ControlProgram, EndElement, SampleElement, StepProgram
-from codegen.emit.lower.events import rows_of_events
+from codegen.emit.lower.simulate import rows_of_events
 from codegen.emit.verify.comparison import complex_numbers, step_of
 from codegen.emit.verify.execution import Tape
 from codegen.emit.verify.shares import shared_symbols
@@ -76,7 +76,7 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
         module, pattern = context.module, pattern_of(context.module, "interval")
         shooting = getattr(module, f"{stem}_shooting", None)
         names = [f"dl/d{x}" for x in unknowns]
-        local, size = unknowns[: len(unknowns) - len(program.shared)], len(unknowns)
+        local, size = unknowns[: len(unknowns) - len(program.linking.unknowns)], len(unknowns)
         likely = near_interval(context, program, stem)
         for point in random_points([share.element, share.cost], symbols, program.model, likely=likely):
             numbers = [point[symbol] for symbol in symbols]
@@ -234,7 +234,7 @@ def _end(
     context: Context, program: ControlProgram, name: str, end: EndElement, node: Sequence[Symbol]
 ) -> Iterator[Finding]:
     """Compare the kernels of the start or end (`name`), which omit derivatives with respect to prescribed unknowns."""
-    unknowns = [*node, *program.shared_symbols]
+    unknowns = [*node, *program.linking.symbols]
     symbols = [*unknowns, *other_symbols(program)]
     scalar, cost = function_of(symbols, [end.element]), function_of(symbols, [end.cost])
     pinned = {i for i, _ in end.pins}
@@ -264,21 +264,21 @@ def _end(
 
 def check_couplings(context: Context, program: ControlProgram) -> Iterator[Finding]:
     """Compare values, slopes and curvatures of all conditions between bodies with the author's expressions."""
-    if not program.couplings:
+    if not program.linking.couplings:
         return
     model, module, symbols = context.model, context.module, shared_symbols(program)
     # The linking unknown of a coordinate that is periodic and coupled is its value at the start, without its shift.
     shifts = dict(model.periodic)
     shifted = {v.symbol: v.symbol + shifts.get(model.coordinates[v.coordinate], 0) for v in model.end_values}
     written = {condition.name: condition.expression for condition in model.couplings}
-    conditions = [written[coupling.multiplier.meaning.of].xreplace(shifted) for coupling in program.couplings]
+    conditions = [written[coupling.multiplier.meaning.of].xreplace(shifted) for coupling in program.linking.couplings]
     others = [s for s in (*program.model.parameters, *(v.symbol for v in program.boundary_values)) if s not in symbols]
     every = [*symbols, *others]
     functions = [function_of(every, [condition]) for condition in conditions]
     tables = module.COUPLING_KINDS, module.COUPLING_ROWS, module.COUPLING_COUNTS, module.COUPLING_INDICES
     values, slopes, curvatures = Agreement(), Agreement(), Agreement()
     for point in random_points(conditions, every, program.model):
-        parameters = parameter_vector(dict.fromkeys(program.shared_symbols, 0.0) | point, program)
+        parameters = parameter_vector(dict.fromkeys(program.linking.symbols, 0.0) | point, program)
         # Assemble values, slopes (conditions, shared) and curvatures (conditions, shared, shared) from the terms.
         total, slope = np.zeros(len(conditions)), np.zeros((len(conditions), len(symbols)))
         curvature = np.zeros((len(conditions), len(symbols), len(symbols)))
@@ -290,7 +290,7 @@ def check_couplings(context: Context, program: ControlProgram) -> Iterator[Findi
             np.add.at(slope[row], read, first[:count])
             np.add.at(curvature[row], np.ix_(read, read), second[: count * count].reshape(count, count))
         numbers = [point[s] for s in every]
-        for r, (coupling, function) in enumerate(zip(program.couplings, functions, strict=True)):
+        for r, (coupling, function) in enumerate(zip(program.linking.couplings, functions, strict=True)):
             name = f"condition of {coupling.multiplier.name}"
             read = [i for i, s in enumerate(symbols) if conditions[r].has(s) or slope[r][i] or curvature[r][i].any()]
             pairs = [(i, j) for i in read for j in read]
@@ -326,7 +326,7 @@ def check_sparsity(context: Context) -> Iterator[Finding]:
         ("start", program.start, program.left_symbols),
         ("end", program.end, program.right_symbols),
     ):
-        pinned, unknowns = {index for index, _ in end.pins}, (*node, *program.shared_symbols)
+        pinned, unknowns = {index for index, _ in end.pins}, (*node, *program.linking.symbols)
         likely = near_end(context, program, name)[:2]
         yield from _compared_pattern(context, program, name, [end.element], unknowns, pinned, likely)
 
@@ -473,7 +473,7 @@ def check_measurements(context: Context) -> Iterator[Finding]:
     first, second = Agreement("measurements"), Agreement("measurements")
     pairs = [(i, j) for i in range(size) for j in range(i + 1)]
     for point in random_points([program.sample.element], symbols, program.model):
-        x = np.array([point[s] for s in unknowns[: size - len(program.shared)]])
+        x = np.array([point[s] for s in unknowns[: size - len(program.linking.unknowns)]])
         t, h = point[program.model.time], point[STEP]
         row = np.array([*parameter_vector(point, program), t + h / 2, *(point[s] for s in program.sample.symbols)])
         arguments = x, t, h, row, module.problem.structure.first_sample

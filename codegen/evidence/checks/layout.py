@@ -29,7 +29,7 @@ from codegen.discretise.interval import STEP
 from codegen.discretise.program import ControlProgram, IntervalElement, StepProgram, Unknown
 from codegen.emit.lower.control.kernels import named_elements
 from codegen.emit.lower.control.layout import parameters
-from codegen.emit.lower.events import EVENT_KERNELS, rows_of_events
+from codegen.emit.lower.simulate import EVENT_KERNELS, rows_of_events
 from codegen.emit.verify.comparison import Values, with_time
 from codegen.emit.verify.kernels import part_of_chain
 from codegen.emit.verify.shares import shared_symbols
@@ -93,9 +93,11 @@ class FlatVector:
         self.phase_steps = steps // max(1, len(program.phases))
         self.inside: tuple[Unknown, ...] = (*program.node, *program.interval, *program.controls, *program.slacks)
         self.chain = steps * len(self.inside) + len(program.node)
-        self.first_shared = program.bodies * self.chain
-        self.first_coupling = self.first_shared + program.bodies * program.own + len(program.shared) - program.own
-        self.size = self.first_coupling + len(program.couplings)
+        self.first_shared = program.model.bodies * self.chain
+        self.first_coupling = (
+            self.first_shared + program.model.bodies * program.linking.own + len(program.linking.common)
+        )
+        self.size = self.first_coupling + len(program.linking.couplings)
         count = len(program.inner.times)
         self.inner_nodes = {number + 1: number for number in range(count)} if steps == count + 1 else {}
 
@@ -124,9 +126,9 @@ class FlatVector:
     def shared(self, body: int) -> Indices:
         """Return the indices of the linking unknowns of a body, then of the whole problem."""
         program = self.program
-        common = self.first_shared + program.bodies * program.own
-        of_body = self.first_shared + body * program.own + np.arange(program.own)
-        return np.concatenate([of_body, common + np.arange(len(program.shared) - program.own)])
+        common = self.first_shared + program.model.bodies * program.linking.own
+        of_body = self.first_shared + body * program.linking.own + np.arange(program.linking.own)
+        return np.concatenate([of_body, common + np.arange(len(program.linking.common))])
 
     def element(self, body: int, k: int) -> Indices:
         """Return the indices of all unknowns in the terms of interval k in the Lagrangian."""
@@ -141,14 +143,14 @@ class FlatVector:
         chain = [*[u.multiplier for u in self.inside] * self.steps, *[u.multiplier for u in self.program.node]]
         shared = np.zeros(self.size - self.first_shared, bool)
         shared[self.first_coupling - self.first_shared :] = True
-        for body in range(self.program.bodies):
-            shared[self.shared(body) - self.first_shared] = [u.multiplier for u in self.program.shared]
-        return np.concatenate([np.tile(np.array(chain, bool), self.program.bodies), shared])
+        for body in range(self.program.model.bodies):
+            shared[self.shared(body) - self.first_shared] = [u.multiplier for u in self.program.linking.unknowns]
+        return np.concatenate([np.tile(np.array(chain, bool), self.program.model.bodies), shared])
 
     def free(self) -> NDArray[np.bool_]:
         """Return the mask of unknowns that are neither prescribed, nor tied to a linking unknown, nor unused."""
         program, free = self.program, np.ones(self.size, bool)
-        for body in range(program.bodies):
+        for body in range(program.model.bodies):
             for k in range(1, self.steps):
                 free[self.node(body, k)[list(program.only_at_ends)]] = False
             for k in range(self.steps):
@@ -165,7 +167,7 @@ class FlatVector:
     def representatives(self) -> Indices:
         """Return for every unknown its index, or the index of the linking unknown that it equals up to an offset."""
         indices = np.arange(self.size)
-        for body in range(self.program.bodies):
+        for body in range(self.program.model.bodies):
             for k, end in ((0, self.program.start), (self.steps, self.program.end)):
                 for index, j, _ in end.shared:
                     indices[self.node(body, k)[index]] = self.shared(body)[j]
@@ -173,26 +175,26 @@ class FlatVector:
 
     def names(self) -> list[str]:
         """Return a name for every unknown, for example `lambda_x at node 3 of body 0`."""
-        program, several = self.program, self.program.bodies > 1
+        program, several = self.program, self.program.model.bodies > 1
         names = []
-        for body in range(program.bodies):
+        for body in range(program.model.bodies):
             of_body = f" of body {body}" if several else ""
             for k in range(self.steps):
                 names += [f"{u.name} at node {k}{of_body}" for u in program.node]
                 names += [f"{u.name} on interval {k}{of_body}" for u in self.inside[len(program.node) :]]
             names += [f"{u.name} at node {self.steps}{of_body}" for u in program.node]
-        for body in range(program.bodies):
-            names += [f"{u.name} of body {body}" if several else u.name for u in program.shared[: program.own]]
-        names += [u.name for u in program.shared[program.own :]]
-        return names + [c.multiplier.name for c in program.couplings]
+        for body in range(program.model.bodies):
+            names += [f"{u.name} of body {body}" if several else u.name for u in program.linking.of_bodies]
+        names += [u.name for u in program.linking.common]
+        return names + [c.multiplier.name for c in program.linking.couplings]
 
     def meanings(self) -> list[Meaning]:
         """Return the meaning of every unknown."""
         program = self.program
         chain = [*[u.meaning for u in self.inside] * self.steps, *[u.meaning for u in program.node]]
-        own, common = program.shared[: program.own], program.shared[program.own :]
-        of_bodies = [*chain * program.bodies, *[u.meaning for u in own] * program.bodies]
-        return [*of_bodies, *(u.meaning for u in common), *(c.multiplier.meaning for c in program.couplings)]
+        own, common = program.linking.of_bodies, program.linking.common
+        of_bodies = [*chain * program.model.bodies, *[u.meaning for u in own] * program.model.bodies]
+        return [*of_bodies, *(u.meaning for u in common), *(c.multiplier.meaning for c in program.linking.couplings)]
 
 
 def other_symbols(program: ControlProgram) -> list[Symbol]:
@@ -227,7 +229,7 @@ def parameter_vector(point: Point, program: ControlProgram) -> Vector:
         time, step = point[program.model.time], point[STEP]
         inner += [time, *(time + 2.0 * i * step for i in later)]
         inner += [value for s in program.inner.symbols for value in (point[s], *(0.0 for _ in later))]
-    shared = [point[s] for s in program.shared_symbols]
+    shared = [point[s] for s in program.linking.symbols]
     return np.array([*(point[s] for s in data), *inner, *shared, *numbers_of(program.model)])
 
 
@@ -249,7 +251,7 @@ def near_interval(context: Context, program: ControlProgram, stem: str) -> list[
     """Return points (numbers by symbol) near the initial guess, in intervals that use the kernel `stem`."""
     if context.guessed is None:
         return []
-    local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
+    local = program.element_symbols[: len(program.element_symbols) - len(program.linking.unknowns)]
     return _points(context.guessed.on_intervals(local, parameters(program), part_of_chain(program, stem)), program)
 
 
@@ -298,35 +300,35 @@ def _control_problems(module: ModuleType, program: ControlProgram) -> Iterator[s
     if structure.condensed not in possible:
         yield f"condensed of the structure is {structure.condensed}, expected {' or '.join(map(str, possible))}"
 
-    node, shared, unknowns = len(program.node), len(program.shared), program.element_symbols
+    node, shared, unknowns = len(program.node), len(program.linking.unknowns), program.element_symbols
     for prefix, size in (("", len(unknowns)), ("START_", node + shared), ("END_", node + shared)):
         rows, columns = (_indices(module, f"{prefix}HESSIAN_{side}") for side in ("ROWS", "COLUMNS"))
         if rows.size != columns.size or np.any(columns > rows) or np.any(columns < 0) or np.any(rows >= size):
             yield f"{prefix}HESSIAN_ROWS and {prefix}HESSIAN_COLUMNS are no lower triangle of a matrix of size {size}"
 
-    if program.couplings:  # tables of the terms of conditions between bodies
+    if program.linking.couplings:  # tables of the terms of conditions between bodies
         kinds, indices = _indices(module, "COUPLING_KINDS"), _indices(module, "COUPLING_INDICES")
         available = sum(hasattr(module, f"coupling_{kind}") for kind in range(kinds.size))
         for name, limit in (
             ("KINDS", available),
-            ("ROWS", len(program.couplings)),
+            ("ROWS", len(program.linking.couplings)),
             ("COUNTS", indices.shape[-1] + 1),
-            ("INDICES", program.bodies * program.own + len(program.shared) - program.own),
+            ("INDICES", program.model.bodies * program.linking.own + len(program.linking.common)),
         ):
             table = _indices(module, f"COUPLING_{name}")
             if table.shape[0] != kinds.size or np.any(table < 0) or np.any(table >= limit):
                 yield f"COUPLING_{name} is {table.tolist()}, expected {kinds.size} entries below {limit}"
     grid = module.make_grid(flat.phase_steps)
     count = len(program.model.parameters) + len(program.boundary_values) + len(program.inner.values)
-    count += len(program.shared) + len(numbers_of(program.model))
+    count += len(program.linking.unknowns) + len(numbers_of(program.model))
     if program.sample is not None:
         samples = count, 1 + len(program.sample.symbols)
         first, size = module.problem.structure.first_sample, module.problem.structure.sample
         if samples != (first, size):
             yield f"samples of {size} numbers begin at {first}, expected {samples[1]} at {samples[0]}"
         count += samples[1] * max(len(data.rows) for data in program.model.measurements)
-    if grid.parameters.shape != (program.bodies, count):
-        yield f"grid.parameters has shape {grid.parameters.shape}, expected {(program.bodies, count)}"
+    if grid.parameters.shape != (program.model.bodies, count):
+        yield f"grid.parameters has shape {grid.parameters.shape}, expected {(program.model.bodies, count)}"
     for name, mask, expected in (
         ("grid.is_multiplier", grid.is_multiplier, flat.multipliers()),
         ("free_unknowns", free_unknowns(grid), flat.free()),
@@ -363,18 +365,18 @@ def _indices(module: ModuleType, name: str) -> NDArray[np.int64]:
 
 def _constants(program: ControlProgram) -> dict[str, object]:
     """Return the expected sizes and index arrays of the module by name, derived from the program."""
-    own, shared = program.own, len(program.shared)
-    node, couplings = len(program.node), len(program.couplings)
+    own, shared = program.linking.own, len(program.linking.unknowns)
+    node, couplings = len(program.node), len(program.linking.couplings)
     stride = node + len(program.interval) + len(program.controls) + len(program.slacks)
     constants: dict[str, object] = {
         "NODE": node,
         "STRIDE": stride,
         "ELEMENT": stride + node,
-        "BODIES": program.bodies,
-        **({"OWN": own} if program.shared else {}),
+        "BODIES": program.model.bodies,
+        **({"OWN": own} if program.linking.unknowns else {}),
         "SHARED": shared,
         "COUPLINGS": couplings,
-        "ROOT": program.bodies * own + shared - own + couplings,
+        "ROOT": program.model.bodies * own + shared - own + couplings,
         **({"PHASES": len(program.phases)} if program.phases else {}),
         "IS_MULTIPLIER": [u.multiplier for u in FlatVector(program, _STEPS).inside],
         "ONLY_AT_ENDS": list(program.only_at_ends),
@@ -395,8 +397,8 @@ def _constants(program: ControlProgram) -> dict[str, object]:
         inside = range(stride - node)
         constants["PHASE_LACKS"] = [[i in phase.regular.lacking for i in inside] for phase in program.phases]
         constants["SWITCH_LACKS"] = [[i in phase.elements[0].lacking for i in inside] for phase in program.phases[1:]]
-    if any(u.multiplier for u in program.shared):
-        constants["SHARED_IS_MULTIPLIER"] = [u.multiplier for u in program.shared]
+    if any(u.multiplier for u in program.linking.unknowns):
+        constants["SHARED_IS_MULTIPLIER"] = [u.multiplier for u in program.linking.unknowns]
     return constants
 
 
@@ -406,7 +408,7 @@ def _failing_kernels(module: ModuleType, program: ControlProgram) -> Iterator[st
     values = [e for share in program.interval_elements for e in (share.element, share.cost)]
     values += [program.start.element, program.end.element]
     (point,) = random_points(values, symbols, program.model, count=1)
-    shared, size, node = len(program.shared), len(unknowns), len(program.node)
+    shared, size, node = len(program.linking.unknowns), len(unknowns), len(program.node)
     x, data = np.array([point[s] for s in unknowns[: size - shared]]), parameter_vector(point, program)
     t, h = point[program.model.time], point[STEP]
     entries = _indices(module, "HESSIAN_ROWS").size
@@ -424,8 +426,8 @@ def _failing_kernels(module: ModuleType, program: ControlProgram) -> Iterator[st
         yield from _run(module, "sample_values", arguments, values=(len(program.sample.values),))
         yield from _run(module, "sample_gradient", arguments, adds=True, gradient=(size,))
         yield from _run(module, "sample_hessian", arguments, adds=True, hessian=(entries,))
-    if program.couplings:  # the tables have the number of values that each term reads
-        conditions, symbols = [coupling.expression for coupling in program.couplings], shared_symbols(program)
+    if program.linking.couplings:  # the tables have the number of values that each term reads
+        conditions, symbols = [coupling.expression for coupling in program.linking.couplings], shared_symbols(program)
         (point,) = random_points(conditions, [*symbols, *other_symbols(program)], program.model, count=1)
         linking = np.array([point[symbol] for symbol in symbols])
         tables = module.COUPLING_KINDS, module.COUPLING_COUNTS, module.COUPLING_INDICES

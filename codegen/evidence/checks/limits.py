@@ -24,7 +24,6 @@ LIMIT = 1e-6  # largest difference of a limit, relative to the sum of the moduli
 UNSURE = 3e-4  # largest error of an extrapolated limit, in the same unit, at which the limit counts as measured
 ROUNDING = 1e-11  # largest relative difference of two numbers
 PANELS, POINTS = 64, 8  # panels of the reference quadrature, and Gauss-Legendre points of a panel
-_STAGE_STEPS = 6
 
 
 @dataclass(frozen=True)

@@ -157,7 +157,7 @@ def _dependent_equations(program: ControlProgram, intervals: int, null: Vector, 
     meanings = flat.meanings()
     equations = dict.fromkeys(phrase(meanings[i], role=False) for i in np.flatnonzero(weights > bound))
     values, conditions = {value.symbol: value for value in program.boundary_values}, dict[str, None]()
-    for body in range(program.bodies):
+    for body in range(program.model.bodies):
         for where, end, k, symbols in (
             ("start", program.start, 0, program.left_symbols),
             ("end", program.end, flat.steps, program.right_symbols),
@@ -332,7 +332,7 @@ def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) 
     )
     if not convex:
         return values
-    nodes = {*program.left_symbols, *program.right_symbols, *program.shared_symbols}
+    nodes = {*program.left_symbols, *program.right_symbols, *program.linking.symbols}
     nodes |= {model.time, STEP, *model.parameters, *(value.symbol for value in program.boundary_values)}
     values = [value for value in values if not value.free_symbols <= nodes]
     return [value for value in values if not _is_mean(value, imposed, program.element_symbols)]
@@ -367,7 +367,7 @@ def _measured(
         steps, worst = solution.t.size - 1, 0.0
         grid, flat = context.module.make_grid(steps), FlatVector.on_grid(program, steps)
         times = grid.nodes * grid.h
-        for body in range(program.bodies):
+        for body in range(program.model.bodies):
             for k in range(steps):
                 point = solution.unknowns[flat.element(body, k)]
                 numbers = times[k], times[k + 1] - times[k], *grid.parameters[body][: len(others)]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from codegen.errors import ArgumentError
 from codegen.evidence.report import drift, modules, optima, simulations, thesis
 from codegen.evidence.report.building import MODULES, SURVEYS, Variant, Workshop, build_one, gather, survey_of, workers
-from codegen.evidence.report.orders import Measured
+from codegen.evidence.report.comparison import Measured
 from codegen.evidence.report.page import Section, Table, number, page, seconds
 from codegen.evidence.report.store import Case, Extent, Store, Values
 from codegen.files import write_text

@@ -34,9 +34,9 @@ import numpy as np
 
 from codegen.errors import CodegenError
 from codegen.evidence.report import comparison as compare
-from codegen.evidence.report import peers, reference, timing
+from codegen.evidence.report import peers, timing
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop, workers
-from codegen.evidence.report.orders import (
+from codegen.evidence.report.comparison import (
     ABOVE_REFERENCE,
     LARGE,
     SETTLED,
@@ -90,9 +90,9 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     first = max(LEAST_STEPS, min(MOST_STEPS, modules[default].metadata.steps) // 4)
     if modules[default].metadata.phases == 1:
         candidates = [(v.label, modules[v]) for v in trusted[:MOST_TRIED]]
-        yield Case(references, "motion", partial(reference.refined, candidates, first, extent.reference_seconds))
+        yield Case(references, "motion", partial(peers.refined, candidates, first, extent.reference_seconds))
     motion = store.get(references, "motion") or {}
-    trajectory = reference.read_trajectory(motion) if motion.get("label") else None
+    trajectory = peers.read_trajectory(motion) if motion.get("label") else None
     runs: dict[str, Callable[[], object]] = {}
     for variant, module in modules.items():
         for steps in (max(LEAST_STEPS, first // 2) * 2**k for k in range(extent.control_doublings + 1)):
@@ -141,7 +141,7 @@ def solved(
     steps: int,
     driver: str = "newton",
     budget: float = 0.0,
-    trajectory: reference.Trajectory | None = None,
+    trajectory: peers.Trajectory | None = None,
 ) -> Values:
     """Return status, cost and residuals of a solve from the problem's own initial guess.
 
@@ -160,7 +160,7 @@ def solved(
         "load seconds": result.seconds_code,
     }  # fmt: skip
     if trajectory is not None and result.solved:
-        values |= trajectory.errors(reference.trajectory_of(result))
+        values |= trajectory.errors(peers.trajectory_of(result))
     if budget:
         measured = timing.timed(timing.solver(module, steps, driver), budget)
         values |= {"seconds": measured.processor, "wall seconds": measured.wall, "spread": measured.spread}
@@ -564,7 +564,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         parts = [f"{number(uncertain[key], 2)} for {key}" for key in ("states", "controls") if uncertain.get(key)]
         texts.append(
             f"Reference of states and controls: {motion['label']} on {motion['steps']} intervals, with splines of "
-            f"degree {reference.DEGREE}; the grid before differs by {listed(parts)}. {_ERRORS}"
+            f"degree {peers.DEGREE}; the grid before differs by {listed(parts)}. {_ERRORS}"
         )
     ladders = [ladder_of(v.label, v.order, m.rows, m.errors) for v, m in schemes.items()]
     peer = store.get(section_of(problem, "peers"), peers.NAME) or {"rows": []}

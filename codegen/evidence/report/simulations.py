@@ -22,7 +22,7 @@ from scipy.integrate import solve_ivp
 
 from codegen.errors import CodegenError
 from codegen.evidence.report import comparison as compare
-from codegen.evidence.report import orders, timing
+from codegen.evidence.report import timing
 from codegen.evidence.report.building import Variant, Workshop
 from codegen.evidence.report.page import Section, Table, listed, number, power_of_ten
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
@@ -96,7 +96,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
             errors.append(values.get("trajectory"))
             if values.get("status") == "solved":
                 runs[name] = timing.solver(module, steps[-1], every=steps[-1] // CHECKPOINTS)
-            if (values.get("seconds of first solve") or 0.0) > extent.limit or orders.is_exhausted(steps, errors):
+            if (values.get("seconds of first solve") or 0.0) > extent.limit or compare.is_exhausted(steps, errors):
                 break
     yield from timing.cases(problem, runs, store, extent.time_budget)
 
@@ -252,9 +252,10 @@ def order_values(module: SimulateModule, spans: Iterable[Motion], limit: float) 
                 error = float(np.sqrt(np.mean(((states - motion.states) / sizes)[1:] ** 2)))
             steps.append(count)
             errors.append(error if math.isfinite(error) else None)
-            order = orders.measured_order(steps, errors, motion.error)
+            order = compare.measured_order(steps, errors, motion.error)
             enough = order is not None and order.spread <= ENOUGH and len(steps) >= LEAST_RUNGS
-            if enough or orders.is_exhausted(steps, errors) or (len(steps) > 1 and time.perf_counter() - begin > limit):
+            is_late = len(steps) > 1 and time.perf_counter() - begin > limit
+            if enough or is_late or compare.is_exhausted(steps, errors):
                 break
         values = {"span": duration, "steps": steps, "errors": errors, "floor": motion.error}
         if order is not None:
@@ -346,13 +347,13 @@ def _errors(module: SimulateModule, euler: SimulateModule | None, reference: Val
     return values
 
 
-def measured(store: Store, problem: Path, variant: Variant) -> orders.Measured:
+def measured(store: Store, problem: Path, variant: Variant) -> compare.Measured:
     """Return the solves of a scheme, the errors of their trajectories, and the order measured on a short span."""
     rows = timing.timed_rows(store, problem, variant, "errors")
     values = store.get(section_of(problem, "orders"), variant.label)
-    order = None if values is None else orders.measured_order(values["steps"], values["errors"], values["floor"])
+    order = None if values is None else compare.measured_order(values["steps"], values["errors"], values["floor"])
     errors = [row.get("trajectory") for row in rows]
-    return orders.Measured(rows, errors, order, variant.order, orders.verdict(order, variant.order))
+    return compare.Measured(rows, errors, order, variant.order, compare.verdict(order, variant.order))
 
 
 def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
@@ -385,8 +386,8 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     text = (
         f"Orders are measured on a short span of the motion, of duration {listed([number(s) for s in spans])}, so that "
         "rounding does not come before the asymptotic range. The number of steps N grows by a third of a doubling at a "
-        f"time until the orders between neighbours agree within {orders.SETTLED:g} ({orders.SETTLED_HIGH:g} for high "
-        f"orders) over a range of {orders.LEAST_RANGE:g} or more in N, at {orders.ABOVE_REFERENCE:g} times the "
+        f"time until the orders between neighbours agree within {compare.SETTLED:g} ({compare.SETTLED_HIGH:g} for high "
+        f"orders) over a range of {compare.LEAST_RANGE:g} or more in N, at {compare.ABOVE_REFERENCE:g} times the "
         "reference's error or above. The finest such range counts. Without such a range, convergence is called not "
         "asymptotic."
     )
@@ -397,7 +398,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         solved = [v for v in scheme.rows if v.get("trajectory") is not None]
         failures, last = len(scheme.rows) - len(solved), solved[-1] if solved else None
         rows.append((
-            variant.label, str(variant.order), orders.order_text(scheme.order, scheme.verdict),
+            variant.label, str(variant.order), compare.order_text(scheme.order, scheme.verdict),
             scheme.order.range if scheme.order else "–",
             number(min((v["trajectory"] for v in solved), default=None), 2),
             number(min((v["energy"] for v in solved if "energy" in v), default=None), 2),

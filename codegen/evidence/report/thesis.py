@@ -21,8 +21,8 @@ from scipy.interpolate import CubicSpline
 
 from codegen.evidence.report import landmark_study, timing
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
+from codegen.evidence.report.comparison import measured_order, order_text, verdict
 from codegen.evidence.report.optima import solved
-from codegen.evidence.report.orders import measured_order, order_text, verdict
 from codegen.evidence.report.page import Picture, Section, Table, colour_of, number, seconds, svg
 from codegen.evidence.report.store import Case, Extent, Store, Values, quick_settings
 from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREEN, GREY, RED, body_colours

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import CodegenError, LandmarkError, RegistrationError
-from codegen.registration.alignment import KINDS
 from codegen.registration.app import solving, worker
 from codegen.registration.app.autosave import TOKEN, OtherWriterError, Saved, Store, new_token
 from codegen.registration.app.reading import LIMITS, MOST_LANDMARK_BYTES
@@ -30,6 +29,7 @@ from codegen.registration.app.worker import Deliver, Worker, delivered, saving, 
 from codegen.registration.formats import FORMATS
 from codegen.registration.maps import Registration
 from codegen.registration.noise import SigmaEstimate
+from codegen.registration.pairs import KINDS
 
 Message: TypeAlias = Mapping[str, Any]
 Values: TypeAlias = dict[str, Any]

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from numpy.typing import NDArray
 from codegen.runtime.record import Kind, Meaning, Place, phrase
 from codegen.runtime.search.termination import sizes_of_terms
 from codegen.solving.loading import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.solving.warm_start import interpolated
 
 PARTS = 8
 """Number of parts into which every interval is divided."""
@@ -70,10 +70,7 @@ STAGES_NEGLIGIBLE = 1e-6
 
 
 def _divided(module: ControlModule, coarse: Grid, cuts: Matrix) -> Grid:
-    """Return the finer grid: interval i is divided into parts whose relative lengths are row i of `cuts`.
-
-    `cuts` has the shape (intervals, parts).
-    """
+    """Return the finer grid: row i of `cuts` (intervals, parts) has the relative lengths of the parts of interval i."""
     phases = module.metadata.phases
     parts = (np.diff(coarse.nodes)[:, None] * cuts).reshape(phases, -1)
     parts /= parts.sum(axis=1, keepdims=True)
@@ -104,10 +101,7 @@ def _transferred(
             share = np.clip((at - t[left]) / width, 0.0, 1.0)[None, :, None]
             new_nodes[:, new] = (1.0 - share) * values[:, left] + share * values[:, right]
         else:
-            from scipy.interpolate import PchipInterpolator  # its import is slow
-
-            with np.errstate(over="ignore"):  # scipy divides by slopes, which may be almost zero
-                new_nodes[:, new] = PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1]))
+            new_nodes[:, new] = interpolated(t, values, at)
     new_intervals[:] = np.repeat(intervals, parts, axis=1)
     new_intervals[:, :, module.problem.structure.slacks - nodes.shape[2]] = 0.0
     root = module.problem.structure.root
@@ -550,17 +544,16 @@ def stages_beyond(
     States whose stage values have bounds of their own are omitted. `unknowns` (n,) belong to `steps` intervals in each
     phase. `fractions` are the lengths of the intervals relative to the duration; None means equal intervals.
     """
-    generated: Any = module
     metadata = module.metadata
     if not metadata.inequalities or any(m.kind == Kind.BOUND_SLACK for m in metadata.meanings.values()):
         return
     grid, names = time_grid(module, steps, fractions), list(metadata.node)
-    nodes, intervals = generated.views(grid, unknowns)
-    limits = [generated.views(grid, bound) for bound in module.variable_bounds(grid)]
+    nodes, intervals = module.views(grid, unknowns)
+    limits = [module.views(grid, bound) for bound in module.variable_bounds(grid)]
     stages = dict[str, list[int]]()
     for column, name in enumerate(metadata.interval):
         state = metadata.stages.get(name)
-        if state in names and not generated.problem.structure.is_multiplier[len(names) + column]:
+        if state in names and not module.problem.structure.is_multiplier[len(names) + column]:
             stages.setdefault(state, []).append(column)
     times = module.unpack(grid, unknowns)[0] if stages else np.empty(0)
     for state, columns in stages.items():

@@ -122,7 +122,7 @@ def control_result(
     equations = derivatives.constraints(grid, unknowns)[at_end[module.multiplier_unknowns(grid)]]
     # The multiplier of an integral constraint is minus the derivative of the cost with respect to its prescribed value.
     root = unknowns.size - module.problem.structure.root
-    named = _free_parameters(module, unknowns)
+    named = free_parameters(module, unknowns)
     named |= {f"multiplier of {name}": float(unknowns[root + index]) for name, index in metadata.integrals}
     if metadata.inner_conditions:
         nodes, _ = module.views(grid, unknowns)
@@ -131,11 +131,13 @@ def control_result(
                 of_body = f" of body {body}" if len(nodes) > 1 else ""
                 named[f"multiplier of {name}{of_body}"] = float(values[grid.inner[int(number)], int(index)])
     contact = contact_of(module, grid, unknowns) if metadata.relaxation else None
+    is_control = [name not in metadata.contact_forces for name in metadata.control_names]
+    controls = u[:, np.tile(is_control, bodies)] if u.size else u
     summary = {
         **({"maximum": -verdict.cost} if metadata.maximised else {}),
         "duration": float(t[-1] - t[0]),
         "final_state_miss": max(max_norm(_misses(module, grid, unknowns)), max_norm(equations)),
-        **_largest_control(metadata, u),
+        **({"largest_control": max_norm(controls)} if controls.size else {}),
         **({} if contact is None else {"complementarity": contact.complementarity}),
         "stationarity": verdict.stationarity,
         **named,
@@ -149,13 +151,6 @@ def control_result(
         labels={name: name for name in named}, gaps={} if contact is None else contact.gaps,
         notes=() if contact is None else contact.notes,
     )  # fmt: skip
-
-
-def _largest_control(metadata: ControlRecord, u: Matrix) -> dict[str, float]:
-    """Return the largest control that is no contact force, if there are such controls."""
-    own = [name not in metadata.contact_forces for name in metadata.control_names]
-    columns = u[:, np.tile(own, metadata.bodies)] if u.size else u
-    return {"largest_control": max_norm(columns)} if columns.size else {}
 
 
 @dataclass(frozen=True)
@@ -200,7 +195,7 @@ def control_outline(module: ControlModule, driver: str, run: Run, attempt: Contr
     """
     if segments_of(module.metadata) is not None:
         outline = outline_of(put_together(control_result(module, driver, run, attempt), module.metadata))
-        return replace(outline, free=_free_parameters(module, attempt.unknowns))
+        return replace(outline, free=free_parameters(module, attempt.unknowns))
     grid = time_grid(module, run.steps, run.grid)
     verdict = control_verdict(module, driver, run, attempt, grid)
     return _outline(module, grid, verdict, attempt.unknowns, attempt.trajectories)
@@ -216,7 +211,7 @@ def _outline(
 ) -> Outline:
     names = ("t", "q", "p", "u", "multipliers")
     arrays = dict(zip(names, trajectories or module.unpack(grid, unknowns), strict=True))
-    free = _free_parameters(module, unknowns) if module.metadata.free_parameters else {}
+    free = free_parameters(module, unknowns) if module.metadata.free_parameters else {}
     return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, unknowns, free)
 
 
@@ -249,7 +244,7 @@ def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tupl
     return (unknowns - scales * lower)[primal], (scales * upper - unknowns)[primal]
 
 
-def _free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:
+def free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:
     """Return the values of free parameters by name; their unknowns precede the multipliers of coupling conditions."""
     names = module.metadata.free_parameters
     last = unknowns.size - module.problem.structure.couplings

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from codegen.errors import PointsError
 from codegen.runtime.record import EventAction, Record, SimulationRecord
-from codegen.solving.loading import Case, ConnectModule, EventArrays, Matrix, SimulateModule, Vector
+from codegen.solving.loading import Case, ConnectModule, Matrix, SimulateModule, Vector
 from codegen.solving.results.result import (
     ConnectAttempt,
     MotionEvents,
@@ -48,11 +48,11 @@ def simulate_result(
     `seconds` is the time of the fastest run. Residuals below the level of rounding errors are accepted. Variational
     schemes divide rounding errors by the time step h.
     """
-    residual, step = attempt.residual, attempt.t[-1] / max(attempt.steps, 1)
-    rounding = float(rounding_of(np.hstack([attempt.q, attempt.p]), step))
+    states, residual = np.hstack([attempt.q, attempt.p]), attempt.residual
+    rounding = float(rounding_of(states, attempt.t[-1] / max(attempt.steps, 1)))
     scale = rounding / ROUNDING
     if attempt.events is None and run.every == 1 and attempt.t.size > 1:
-        residual = module.path_residual(module.make_grid(run.steps), np.hstack([attempt.q, attempt.p]))
+        residual = module.path_residual(module.make_grid(run.steps), states)
         if residual > max(attempt.tolerance, rounding):
             rounding = max(rounding, 10.0 * rounding_level(module, run.steps, attempt.q, attempt.p))
     status, message = attempt.status, attempt.message
@@ -60,15 +60,12 @@ def simulate_result(
         finding = f"the scheme's equations have residual {residual:.1e}"
         status, message = contradicted(driver, finding, "try more steps")
     if status == "solved" and not attempt.generated and (first_outside := getattr(module, "first_outside", None)):
-        number, table = first_outside(module.make_grid(run.steps), np.hstack([attempt.q, attempt.p]))
+        number, table = first_outside(module.make_grid(run.steps), states)
         if number and run.every == 1:
             status, message = "outside a table", f"outside a table in step {number} of {run.steps}: {table}"
     names = component_names(module.metadata)
     final = dict(zip((*names["q"], *names["p"]), (*attempt.q[-1], *attempt.p[-1]), strict=True))
-    summary = {
-        "duration": float(attempt.t[-1]),
-        **{f"final_{name}": float(value) for name, value in final.items()},
-    }
+    summary = {"duration": float(attempt.t[-1]), **{f"final_{name}": float(value) for name, value in final.items()}}
     if attempt.energy is not None:
         # The energy of a driven or damped motion changes, and this change is no error of the scheme.
         with np.errstate(invalid="ignore"):  # the first energy may be infinite
@@ -80,7 +77,6 @@ def simulate_result(
     if isinstance(module.metadata, SimulationRecord) and module.metadata.constraints:
         from codegen.runtime.stepping.motion import constraint_errors  # imports numba
 
-        states = np.hstack([attempt.q, attempt.p])
         errors = constraint_errors(module.make_grid(run.steps), states, attempt.t)
         count = len(module.metadata.constraints) - len(module.metadata.rolling)
         if count:
@@ -89,12 +85,15 @@ def simulate_result(
             summary["rolling_error"] = float(errors[1, count:].max())
     events = None
     if attempt.events is not None and isinstance(module.metadata, SimulationRecord):
-        events = motion_events(module.metadata, attempt.events)
+        found, labels, actions = attempt.events, (*module.metadata.events, *module.metadata.gaps), tuple(EventAction)
+        events = MotionEvents(
+            tuple(labels[int(i)] for i in found.number), tuple(actions[int(i)] for i in found.action), found.t,
+            found.before, found.after,
+        )  # fmt: skip
         summary["events"] = float(len(events))
         if module.metadata.gaps:
             from codegen.runtime.stepping.motion import gap_values  # imports numba
 
-            states = np.hstack([attempt.q, attempt.p])
             summary["least_gap"] = gap_values(module.make_grid(run.steps), states, attempt.t)
             if status == "solved" and not summary["least_gap"] > -PENETRATION * scale:
                 finding = f"a gap is {summary['least_gap']:.1e}"
@@ -104,15 +103,6 @@ def simulate_result(
         **origin(module.metadata, driver, run, attempt, seconds), status=status, message=message,
         residual=float(residual), t=attempt.t, q=attempt.q, p=attempt.p, energy=attempt.energy, names=names,
         summary=summary, labels={f"final_{name}": f"final {name}" for name in final}, events=events,
-    )  # fmt: skip
-
-
-def motion_events(metadata: SimulationRecord, events: EventArrays) -> MotionEvents:
-    """Return the events of a motion by name."""
-    names, actions = (*metadata.events, *metadata.gaps), tuple(EventAction)
-    return MotionEvents(
-        tuple(names[int(i)] for i in events.number), tuple(actions[int(i)] for i in events.action), events.t,
-        events.before, events.after,
     )  # fmt: skip
 
 

@@ -159,11 +159,7 @@ def estimates_tables(record: JsonObject) -> list[Table]:
     `record` is the entry "estimates" of the object for `--json`. The second table is omitted for a single parameter,
     and for more than `_CORRELATED` parameters.
     """
-    from rich import box
-    from rich.table import Table
-
-    title: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "box": box.SIMPLE_HEAD}
-    table, names = Table(title="Estimates", **title), list(record["parameters"])
+    table, names = _titled_table("Estimates"), list(record["parameters"])
     table.caption, table.caption_justify = "standard errors from the reduced Hessian", "left"
     if record["deviation_is_estimated"]:
         errors = f"standard deviation of errors {_number(record['deviation'])}"
@@ -178,7 +174,7 @@ def estimates_tables(record: JsonObject) -> list[Table]:
         table.add_row(name, *map(_number, numbers), interval)
     if not 1 < len(names) <= _CORRELATED:
         return [table]
-    beside = Table(title="Correlations", **title)
+    beside = _titled_table("Correlations")
     beside.add_column("", style="cyan", no_wrap=True)
     for name in names[:-1]:
         beside.add_column(name, justify="right")
@@ -194,11 +190,7 @@ def sensitivities_table(record: JsonObject) -> Table:
     The columns are the derivatives of the cost, of free parameters and of the first states at the end. `record` is the
     entry "sensitivities" of the object for `--json`.
     """
-    from rich import box
-    from rich.table import Table
-
-    table = Table(title="Sensitivities", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
-    rows = record["by"]
+    table, rows = _titled_table("Sensitivities"), record["by"]
     first = next(iter(rows.values()))
     free, end = list(first["free_parameters"]), list(first["end"])[:_SHOWN]
     table.add_column("by", style="cyan", no_wrap=True)
@@ -218,10 +210,7 @@ _CORRELATED = 10
 
 def log_table(result: Result) -> Table:
     """Return the table of the iterates of the generated solver."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(title="Iterations", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table = _titled_table("Iterations")
     rows = result.log if result.log is not None else ()
     headings = ["iteration", "cost", "residual", "stationarity", "shift", "step"]
     if any(len(row) > len(headings) - 1 for row in rows):  # only the interior point method has a barrier parameter
@@ -234,6 +223,13 @@ def log_table(result: Result) -> Table:
         weight = (f"{mu:.1e}" for mu in barrier)
         table.add_row(str(k), f"{cost:.12g}", *errors, f"{shift:.1e}" if shift else "", f"{length:g}", *weight)
     return table
+
+
+def _titled_table(title: str) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    return Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
 
 
 def _escaped(text: str) -> str:
@@ -330,8 +326,8 @@ def notes(record: Record) -> list[str]:
         )
     if unseen := metadata.unseen_controls:
         lines.append(
-            f"the scheme averages nodal controls, and their alternation costs nothing ({', '.join(unseen)}): what is "
-            "lines may be no optimum; codegen check explains, and --controls interval has no such mode"
+            f"the scheme averages nodal controls, and their alternation costs nothing ({', '.join(unseen)}): the "
+            "solution may be no optimum; codegen check explains, and --controls interval has no such mode"
         )
     return lines
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from codegen.errors import ArgumentError
 from codegen.runtime.record import Task, phrase
-from codegen.solving.loading import Grid, Vector, few_steps, time_grid
+from codegen.solving.loading import ControlModule, GeneratedModule, Grid, Vector, few_steps, time_grid
 from codegen.solving.results.estimates import as_finite
 from codegen.solving.results.result import Derivatives, Result, Sensitivities
 from codegen.solving.results.segments import put_together, segments_of
@@ -21,7 +21,7 @@ UNSOLVED = "the problem was not solved"
 """The reason for missing sensitivities of a failed solve."""
 
 
-def require_sensitive(module: Any) -> None:
+def require_sensitive(module: GeneratedModule) -> None:
     """Raise ArgumentError if a module for optimal control was built without code for sensitivities."""
     task, problem = module.metadata.task, module.metadata.problem
     if task == Task.CONTROL and module.metadata.sensitivities is None:
@@ -37,7 +37,7 @@ class Rates:
     `sensitivities` has the names and derivatives of the cost, but no derivatives of trajectories yet.
     """
 
-    module: Any
+    module: ControlModule
     grid: Grid
     unknowns: Vector
     found: Any
@@ -60,7 +60,7 @@ class Rates:
         each = []
         for i, _ in enumerate(self.sensitivities.names):
             unpacked = module.unpacked_rates(self.grid, self.unknowns, found, i)
-            arrays = dict(zip(("t", "q", "p", "u", "multipliers"), unpacked))
+            arrays: dict[str, Any] = dict(zip(("t", "q", "p", "u", "multipliers"), unpacked))
             durations = found.durations[i]
             if segments:
                 bare = replace(result, **arrays, levels=(), accuracy=None, grid=None, message="")
@@ -74,7 +74,7 @@ class Rates:
 
 
 def rates_at(
-    module: Any, steps: int, unknowns: Vector, given: Sequence[str] = (), fractions: Vector | None = None
+    module: ControlModule, steps: int, unknowns: Vector, given: Sequence[str] = (), fractions: Vector | None = None
 ) -> Rates:
     """Return the derivatives of a solution `unknowns` (n,) on a grid of `steps` intervals.
 
@@ -83,7 +83,7 @@ def rates_at(
     derivatives do not exist, the problem is solved again with the tolerance `SHARP`. Errors of the multipliers may hide
     a minimum whose curvatures are small.
     """
-    names, grid = tuple(module.metadata.sensitivities), time_grid(module, steps, fractions)
+    names, grid = module.metadata.sensitivities or (), time_grid(module, steps, fractions)
     found = module.sensitivities(grid, unknowns, given)
     if found.failure:
         options = {} if fractions is None else {"grid": fractions}
@@ -95,13 +95,13 @@ def rates_at(
     return Rates(module, grid, unknowns, found, Sensitivities(names, costs, found.failure, doubtful, residual, {}))
 
 
-def with_sensitivities(result: Result, module: Any, given: tuple[str, ...] = ()) -> Result:
+def with_sensitivities(result: Result, module: ControlModule, given: tuple[str, ...] = ()) -> Result:
     """Return the result with its sensitivities; for a problem with delays its segments must not be assembled yet.
 
     `given` names boundary values or durations that parameters do not change; see `rates_at`.
     """
     if not result.solved or result.unknowns is None:
-        names = tuple(module.metadata.sensitivities)
+        names = module.metadata.sensitivities or ()
         missing = Sensitivities(names, np.full(len(names), np.nan), UNSOLVED, (), np.nan, {})
         return replace(result, sensitivity=missing)
     rates = rates_at(module, result.steps, result.unknowns, given, result.grid)
@@ -112,17 +112,17 @@ def with_sensitivities(result: Result, module: Any, given: tuple[str, ...] = ())
     return replace(result, sensitivity=sensitivities)
 
 
-def quantity_values(module: Any, result: Result) -> dict[str, Vector]:
+def quantity_values(module: ControlModule, result: Result) -> dict[str, Vector]:
     """Return the values (bodies,) of the quantities with respect to which sensitivities are taken, by name.
 
     Parameters and boundary values have their default values. The duration is read from the result.
     """
-    names, parameters = module.metadata.sensitivities, module.make_grid(few_steps(module, 4)).parameters
+    names, parameters = module.metadata.sensitivities or (), module.make_grid(few_steps(module, 4)).parameters
     values = dict(zip(names[: module.OWN_QUANTITIES], parameters.T))
     return values | ({"duration": np.array([result.t[-1] - result.t[0]])} if "duration" in names else {})
 
 
-def _unknown_name(module: Any, grid: Grid, index: int) -> str:
+def _unknown_name(module: ControlModule, grid: Grid, index: int) -> str:
     """Return the description of the unknown with an index, for example "state x at node 3"."""
     metadata = module.metadata
     node, bodies = len(metadata.node), metadata.bodies

@@ -23,7 +23,7 @@ def pins(program: ControlProgram) -> PinText:
         for index, value in sorted(end.pins, key=lambda pin: pin[0]):
             lines.append(Line(f"nodes[:, {node}, {index}]", array_code(value)))
         for index, j, offset in end.shared:
-            shared = f"own[:, {j}]" if j < program.own else f"common[{j - program.own}]"
+            shared = f"own[:, {j}]" if j < program.linking.own else f"common[{j - program.linking.own}]"
             code = shared if offset == 0 else f"{shared} + {array_code(offset)}"
             lines.append(Line(f"nodes[:, {node}, {index}]", code))
     for number, index in enumerate(program.inner.unknowns):
@@ -105,12 +105,12 @@ def bound_values(program: ControlProgram) -> list[Bound]:
         for group, unknowns in (
             ("nodes[:, :", program.node),
             ("intervals[:, :", (*program.interval, *program.controls)),
-            ("own[:", program.shared[: program.own]),
+            ("own[:", program.linking.of_bodies),
         ):
             for j, unknown in enumerate(unknowns):
                 add(f"{group}, {j}]", unknown)
-    for j, unknown in enumerate(program.shared[program.own :]):
-        add(f"common[{j}]", unknown, is_common=program.bodies > 1)
+    for j, unknown in enumerate(program.linking.common):
+        add(f"common[{j}]", unknown, is_common=program.model.bodies > 1)
     for number, *window in () if program.phases else program.inner.windows:
         for side, value in zip(("lower", "upper"), window, strict=True):
             if value is not None:

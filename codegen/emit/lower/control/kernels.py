@@ -16,9 +16,8 @@ from codegen.discretise.interval import STEP
 from codegen.discretise.program import ControlProgram
 from codegen.emit.differentiation import ControlDerivatives, ElementDerivatives
 from codegen.emit.lower.control.layout import integers, parameters
-from codegen.emit.lower.kernels import INNER, Kernel, Line, Output, kernel
+from codegen.emit.lower.kernels import INNER, Input, Kernel, Line, Output, inputs_kernel, kernel
 from codegen.emit.lower.module import Choice
-from codegen.emit.lower.tables import Input, inputs_kernel
 from codegen.runtime.record import ObservationRecord
 from codegen.symbolic.functions import tables_of
 from codegen.symbolic.tables import TableData
@@ -222,7 +221,7 @@ def inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[Ke
     ]  # fmt: skip
     ends = (("start", program.start, program.left_symbols), ("end", program.end, program.right_symbols))
     for name, end, node in ends:
-        codes = symbol_codes(program, (*node, *program.shared_symbols))
+        codes = symbol_codes(program, (*node, *program.linking.symbols))
         arguments, expressions = ("unknowns", "t", "parameters"), (end.element, end.cost)
         kernels.append(inputs_kernel(f"{name}_inputs", f"at the {name}", arguments, codes, ranged, expressions))
     return tuple(kernels)
@@ -230,12 +229,12 @@ def inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[Ke
 
 def coupling_terms(program: ControlProgram) -> tuple[tuple[Kind, ...], tuple[Instance, ...]]:
     """Return the kinds of terms in conditions between bodies, and all terms as indices of linking variables."""
-    if not program.couplings:
+    if not program.linking.couplings:
         return (), ()
-    indices = {symbol: body * program.own + j for symbol, body, j in program.coupling_symbols}
-    first = program.bodies * program.own
-    indices |= {symbol: first + j for j, symbol in enumerate(program.shared_symbols[program.own :])}
-    return sorted_terms([coupling.expression for coupling in program.couplings], indices)
+    indices = {symbol: body * program.linking.own + j for symbol, body, j in program.linking.coupling_symbols}
+    first = program.model.bodies * program.linking.own
+    indices |= {symbol: first + j for j, symbol in enumerate(program.linking.common_symbols)}
+    return sorted_terms([coupling.expression for coupling in program.linking.couplings], indices)
 
 
 def coupling_kernels(program: ControlProgram, kinds: Sequence[Kind]) -> tuple[Kernel, ...]:

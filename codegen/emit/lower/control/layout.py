@@ -27,17 +27,17 @@ FRACTION = Symbol("fraction", real=True)
 
 def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, int], ...]:
     """Return names and values of the sizes that specialise loops: counts of unknowns and conditions, and flags."""
-    own, shared, couplings = program.own, len(program.shared), len(program.couplings)
+    own, shared, couplings = program.linking.own, len(program.linking.unknowns), len(program.linking.couplings)
     costs = [*(part.cost for part in program.interval_elements), program.start.cost, program.end.cost]
     return (
-        ("BODIES", program.bodies),
-        ("SEVERAL", int(program.bodies > 1)),
+        ("BODIES", program.model.bodies),
+        ("SEVERAL", int(program.model.bodies > 1)),
         ("OWN", own),
         ("SHARED", shared),
         ("COUPLINGS", couplings),
-        ("ROOT", program.bodies * own + shared - own + couplings),
+        ("ROOT", program.model.bodies * own + shared - own + couplings),
         ("TIED", len(program.start.shared) + len(program.end.shared)),
-        ("SHARED_MULTIPLIERS", sum(u.multiplier for u in program.shared)),
+        ("SHARED_MULTIPLIERS", sum(u.multiplier for u in program.linking.unknowns)),
         ("PHASES", len(program.phases)),
         ("INNER_TIMES", len(program.inner.times)),
         ("FREE_TIMES", len(program.inner.lacking)),
@@ -56,7 +56,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
 def parameters(program: ControlProgram) -> tuple[Symbol, ...]:
     """Return the symbols of the vector of parameters: the author's, boundary values, inner times, linking variables."""
     prescribed = (*program.model.parameters, *(value.symbol for value in program.boundary_values))
-    return (*prescribed, *program.inner.parameters, *program.shared_symbols)
+    return (*prescribed, *program.inner.parameters, *program.linking.symbols)
 
 
 def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[Line]:
@@ -69,8 +69,8 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         str(stages),
         f"unknowns of stages, eliminated first, as many as equations {_names(inside[stages : 2 * stages])}",
     )
-    own = Line("OWN", str(number["OWN"]), f"linking variables of a body: {_names(program.shared[: program.own])}")
-    shared = [unknown.multiplier for unknown in program.shared]
+    own = Line("OWN", str(number["OWN"]), f"linking variables of a body: {_names(program.linking.of_bodies)}")
+    shared = [unknown.multiplier for unknown in program.linking.unknowns]
     lines = [
         Line("NODE", str(len(program.node)), f"unknowns of a node: {_names(program.node)}"),
         Line("CONDENSED", str(condensed), f"eliminated inside their interval: {_names(eliminated)}"),
@@ -78,9 +78,11 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         Line("STRIDE", str(stride), f"unknowns of a node and of the interval after it, which has {_names(inside)}"),
         Line("ELEMENT", str(stride + len(program.node)), "unknowns of an interval with both its nodes"),
         Line("BODIES", str(number["BODIES"]), "bodies, each with a chain of nodes and intervals"),
-        *([own] if program.shared else []),
+        *([own] if program.linking.unknowns else []),
         Line(
-            "SHARED", str(number["SHARED"]), f"linking variables of a body and of the problem: {_names(program.shared)}"
+            "SHARED",
+            str(number["SHARED"]),
+            f"linking variables of a body and of the problem: {_names(program.linking.unknowns)}",
         ),
         Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between linking variables"),
         Line(
@@ -121,8 +123,8 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         lines.append(Line(f"{name}_HESSIAN_COLUMNS", integers([c for _, c, _ in entries])))
     for name, entries in ends:
         lines.append(Line(f"{name}_COUNT", str(len(entries) if curved else 0), "entries of its Hessian"))
-    if program.shared:
-        first = len(parameters(program)) - len(program.shared_symbols)
+    if program.linking.unknowns:
+        first = len(parameters(program)) - len(program.linking.symbols)
         lines.append(Line("LINKING", str(first), "where linking variables stand behind the parameters"))
     if program.slack_multipliers:
         first = len(program.node) + len(program.interval) + len(program.controls)
@@ -209,7 +211,9 @@ def _motion_indices(program: ControlProgram) -> tuple[list[int], list[int]]:
     motion, because the start leaves states free or the end prescribes values.
     """
     ends = program.start, program.end
-    is_plain = program.method != "variational" and program.bodies == 1 and not program.phases and not program.sample
+    is_plain = (
+        program.method != "variational" and program.model.bodies == 1 and not program.phases and not program.sample
+    )
     if not is_plain or program.inner.times or any(end.shared for end in ends):
         return [], []
     node, inside = len(program.node), program.interval[: len(program.interval) - program.path_multipliers]
@@ -272,18 +276,18 @@ def inputs(program: ControlProgram, values: Sequence[Expr], column: bool = True)
     """
     used = set[Symbol]().union(*(value.free_symbols for value in values))
     suffix = ", None" if column else ""
-    count = len(parameters(program)) - len(program.shared_symbols)
-    index = "[0, {}]" if program.bodies == 1 else f"[:, {{}}{suffix}]"
+    count = len(parameters(program)) - len(program.linking.symbols)
+    index = "[0, {}]" if program.model.bodies == 1 else f"[:, {{}}{suffix}]"
     symbols = enumerate(parameters(program)[:count])
     lines = [Line(s.name, f"grid.parameters{index.format(i)}") for i, s in symbols if s in used]
-    if program.body in used:
-        lines.append(Line(str(program.body), f"np.arange(BODIES)[:{suffix}]" if column else "np.arange(BODIES)"))
+    if program.model.body in used:
+        lines.append(Line(str(program.model.body), f"np.arange(BODIES)[:{suffix}]" if column else "np.arange(BODIES)"))
     return tuple(lines)
 
 
 def shared_views(program: ControlProgram, target: str, vector: str) -> tuple[Line, ...]:
     """Return the line that assigns array views of the linking variables in `vector` to `target`, if there are any."""
-    return (Line(target, f"shared_views(grid, {vector})"),) if program.shared else ()
+    return (Line(target, f"shared_views(grid, {vector})"),) if program.linking.unknowns else ()
 
 
 def phase_steps(program: ControlProgram) -> tuple[Line, ...]:
@@ -339,8 +343,8 @@ def duration(program: ControlProgram) -> DurationText:
 
 def duration_inputs(program: ControlProgram, durations: Sequence[Expr]) -> tuple[Line, ...]:
     """Return lines that read the symbols of durations from the parameters and the unknowns."""
-    first = len(program.shared) - program.own + len(program.couplings)
-    codes = {s: f"unknowns[{j - first}]" for j, s in enumerate(program.shared_symbols[program.own :])}
+    first = len(program.linking.common) + len(program.linking.couplings)
+    codes = {s: f"unknowns[{j - first}]" for j, s in enumerate(program.linking.common_symbols)}
     codes |= {s: f"grid.parameters[0, {i}]" for i, s in enumerate(program.model.parameters)}
     used = set[Symbol]().union(*(duration.free_symbols for duration in durations))
     return tuple(Line(s.name, code) for s, code in codes.items() if s in used)
@@ -367,7 +371,7 @@ def solution(program: ControlProgram) -> SolutionText:
 def guesses(program: ControlProgram) -> GuessText:
     """Return code of the initial guess, evaluated at arrays of times."""
     lines, read = _phase_guesses(program) if program.phases else _guesses(program)
-    common = program.shared_guess[program.own :]
+    common = program.linking.guess[program.linking.own :]
     used = set[Symbol]().union(*(value.free_symbols for value in common))
     common_inputs = [
         Line(s.name, f"grid.parameters[0, {i}]") for i, s in enumerate(program.model.parameters) if s in used
@@ -375,15 +379,15 @@ def guesses(program: ControlProgram) -> GuessText:
     own: dict[int, Line] = {}  # guess of a body's linking variable, which equals an unknown of an end node
     for node, end in (("0", program.start), ("-1", program.end)):
         for index, j, _ in end.shared:
-            if j < program.own:
-                own.setdefault(j, Line(f"own[:, {j}]", f"nodes[:, {node}, {index}]", program.shared[j].name))
+            if j < program.linking.own:
+                own.setdefault(j, Line(f"own[:, {j}]", f"nodes[:, {node}, {index}]", program.linking.unknowns[j].name))
     return GuessText(
         inputs=inputs(program, read),
         lines=tuple(lines),
         shared_inputs=(*common_inputs, *shared_views(program, "own, common", "unknowns")),
         common=tuple(
             Line(f"common[{j}]", scalar_code(sympy.sympify(value)), unknown.name)
-            for j, (unknown, value) in enumerate(zip(program.shared[program.own :], common, strict=True))
+            for j, (unknown, value) in enumerate(zip(program.linking.common, common, strict=True))
         ),
         own=tuple(own.values()),
         result="with_slacks(grid, unknowns)" if program.slack_multipliers else "unknowns",
@@ -410,12 +414,12 @@ def _phase_guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
 
 def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
     """Return lines that guess the unknowns of nodes and intervals without phases, and the expressions in them."""
-    at_nodes = [(i, program.node[i].name, value) for i, value in enumerate(program.node_guess)]
-    stages = enumerate(zip(program.interval_symbols, program.stage_guess, strict=False))
+    at_nodes = [(i, program.node[i].name, value) for i, value in enumerate(program.guess.node)]
+    stages = enumerate(zip(program.interval_symbols, program.guess.stages, strict=False))
     inside = [(i, symbol.name, value) for i, (symbol, value) in stages]
     first = len(program.node) - len(program.model.controls) if program.nodal_controls else len(program.interval)
     symbols = program.model.controls if program.nodal_controls else program.control_symbols
-    pairs = enumerate(zip(symbols, program.control_guess, strict=True), start=first)
+    pairs = enumerate(zip(symbols, program.guess.controls, strict=True), start=first)
     controls = [(i, symbol.name, value) for i, (symbol, value) in pairs]
     if program.nodal_controls:
         at_nodes += controls
@@ -438,10 +442,10 @@ def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
         call = f"through_samples(grid, {target}, {column}, {index in prescribed[0]}, {index in prescribed[1]})"
         node_lines.append(Line(target, call, f"{name}, as measured"))
         mean = f"0.5 * (nodes[:, :-1, {index}] + nodes[:, 1:, {index}])"
-        for j, stage in enumerate(program.interval[: len(program.stage_guess)]):
+        for j, stage in enumerate(program.interval[: len(program.guess.stages)]):
             if stage.name.rpartition("_")[0] == name:
                 straight.append(Line(f"intervals[:, :, {j}]", mean, stage.name))
-    read = [*program.node_guess, *program.stage_guess, *program.control_guess]
+    read = [*program.guess.node, *program.guess.stages, *program.guess.controls]
     for index, values, at_start, at_end in program.inner.guess:
         numbers, codes = [number for number, _ in values], ", ".join(array_code(value) for _, value in values)
         target = f"nodes[:, :, {index}]"

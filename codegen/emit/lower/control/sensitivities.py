@@ -16,21 +16,8 @@ from sympy import Expr, Symbol
 from codegen.discretise.program import ControlProgram
 from codegen.emit.differentiation import ControlSensitivities, DataDerivatives, data_of
 from codegen.emit.lower.control.bounds import Bound, bound_values, bound_views, common_code, slack_bounds
-from codegen.emit.lower.control.kernels import (
-    coupling_terms,
-    named_elements,
-    sample_codes,
-    symbol_codes,
-    term_codes,
-)
-from codegen.emit.lower.control.layout import (
-    duration_inputs,
-    inputs,
-    integers,
-    parameters,
-    phase_steps,
-    solution,
-)
+from codegen.emit.lower.control.kernels import coupling_terms, named_elements, sample_codes, symbol_codes, term_codes
+from codegen.emit.lower.control.layout import duration_inputs, inputs, integers, parameters, phase_steps, solution
 from codegen.emit.lower.kernels import INNER, Kernel, Line, Output, kernel
 from codegen.emit.lower.module import SensitivityText
 from codegen.emit.lower.printer import array_code, scalar_code
@@ -89,7 +76,7 @@ def kernels(program: ControlProgram, derivatives: ControlSensitivities) -> tuple
         ("start", derivatives.start, program.left_symbols),
         ("end", derivatives.end, program.right_symbols),
     ):
-        unknowns = (*node, *program.shared_symbols)
+        unknowns = (*node, *program.linking.symbols)
         written.append(
             _mixed_kernel(
                 f"{name}_mixed", f"the {name}'s own share l", ("unknowns", "t", "parameters"),
@@ -161,14 +148,14 @@ def text_of(program: ControlProgram) -> SensitivityText:
     )
     durations, duration_lines = "duration[:, None]", tuple[Line, ...]()
     if program.scaled_time:
-        symbols = (*program.model.parameters, *program.shared_symbols[program.own :])
+        symbols = (*program.model.parameters, *program.linking.common_symbols)
         parts = [phase.duration for phase in program.phases] or [program.model.duration]
         rates = [_rate(duration, symbols) for duration in parts]
         codes = ", ".join(f"np.broadcast_to({scalar_code(rate)}, len(vectors))" for rate in rates)
         durations = f"np.stack([{codes}], axis=1)"
         used = set[Symbol]().union(*(rate.free_symbols for rate in rates))
-        first = len(program.shared) - program.own + len(program.couplings)
-        reads = {s: f"vectors[:, {j - first}]" for j, s in enumerate(program.shared_symbols[program.own :])}
+        first = len(program.linking.common) + len(program.linking.couplings)
+        reads = {s: f"vectors[:, {j - first}]" for j, s in enumerate(program.linking.common_symbols)}
         reads |= {s: f"rates[:, 0, {i}]" for i, s in enumerate(program.model.parameters)}
         named = [(_rate_symbol(symbol, symbols), code) for symbol, code in reads.items()]
         lines = [Line(symbol.name, code) for symbol, code in named if symbol in used]
@@ -221,7 +208,7 @@ def _quantity_rates(
     """
     model, read = program.model, list[Expr]()
     values = (*(v.value for v in program.boundary_values), *program.inner.values)
-    is_same = program.body is None or not any(value.has(program.body) for value in values)
+    is_same = program.model.body is None or not any(value.has(program.model.body) for value in values)
     numbers = scalar_code if is_same else array_code
     count = len(model.parameters) + len(program.boundary_values)
 
@@ -257,7 +244,7 @@ def _varies_duration(program: ControlProgram) -> bool:
 def _data(program: ControlProgram) -> tuple[Symbol, ...]:
     """Return the symbols in the vector of parameters, without linking variables."""
     every = parameters(program)
-    return every[: len(every) - len(program.shared_symbols)]
+    return every[: len(every) - len(program.linking.symbols)]
 
 
 def _rate_symbol(symbol: Symbol, taken: Sequence[Symbol]) -> Symbol:

@@ -26,10 +26,9 @@ from codegen.emit.differentiation import ControlDerivatives
 from codegen.emit.lower.control.kernels import sample_record
 from codegen.emit.lower.control.layout import has_nonlinear_ends
 from codegen.emit.lower.kernels import Kernel
-from codegen.emit.lower.module import record_fields
+from codegen.emit.lower.module import record_fields, system_fields
 from codegen.emit.lower.printer import readable
-from codegen.emit.lower.tables import table_records
-from codegen.runtime.record import ControlRecord, Form, Kind, Method, Role, SegmentRecord, Sites
+from codegen.runtime.record import ControlRecord, Kind, Role, SegmentRecord, Sites
 from codegen.symbolic.tables import TableData
 
 _WIDTH = 110
@@ -46,8 +45,8 @@ def description(program: ControlProgram, kernels: Sequence[Kernel], tables: Sequ
         *_end(program, "start", program.start, program.left_symbols),
         *_end(program, "end", program.end, program.right_symbols),
     ]
-    if program.couplings:
-        lines = [f"0 = {sympy.sstr(coupling.expression)}" for coupling in program.couplings]
+    if program.linking.couplings:
+        lines = [f"0 = {sympy.sstr(coupling.expression)}" for coupling in program.linking.couplings]
         blocks.append(_block("At the end, between bodies (_0 marks the first):", lines))
     if tables:
         blocks.append(_block("Tables, and what holds between and beyond their breakpoints:", tables))
@@ -66,7 +65,7 @@ def _problem(program: ControlProgram) -> Iterator[list[str]]:
     model = program.model
     terms = []
     if any(cost != 0 for cost in [phase.regular.cost for phase in program.phases] or [program.cost]):
-        terms.append("the sum of Cd over all intervals" + (" of all bodies" if program.bodies > 1 else ""))
+        terms.append("the sum of Cd over all intervals" + (" of all bodies" if program.model.bodies > 1 else ""))
     terms += ["the losses of all samples"] if program.sample else []
     switches = [i for i, phase in enumerate(program.phases) if any(e.left == "cost" for e in phase.switch_equations)]
     terms += [f"the cost at switch {i}" for i in switches]
@@ -78,7 +77,7 @@ def _problem(program: ControlProgram) -> Iterator[list[str]]:
     lines = [f"duration = {sympy.sstr(model.duration)}"]
     if not program.phases:
         lines += _bounds((*program.node, *program.controls))
-    lines += _bounds(program.shared[program.own :])
+    lines += _bounds(program.linking.common)
     if not program.phases:
         lines += _conditions(model)
     yield _block(f"Find {_unknowns(program)}{objective}, where", lines)
@@ -108,7 +107,7 @@ def _unknowns(program: ControlProgram) -> str:
     values = [condition.value for end in (program.start, program.end) for condition in end.conditions]
     shared = [
         unknown
-        for unknown, symbol in zip(program.shared, program.shared_symbols, strict=True)
+        for unknown, symbol in zip(program.linking.unknowns, program.linking.symbols, strict=True)
         if symbol in free or any(value.has(symbol) for value in values)
     ]
     groups = (
@@ -121,7 +120,11 @@ def _unknowns(program: ControlProgram) -> str:
     named = [(list(dict.fromkeys(_quantity(u) for u in group if not u.multiplier)), where) for group, where in groups]
     parts = [", ".join(names) + where for names, where in named if names]
     text = " and ".join([", ".join(parts[:-1]), parts[-1]] if parts[1:] else parts)
-    return f"for {program.bodies} bodies (body = 0, ..., {program.bodies - 1}) {text}" if program.bodies > 1 else text
+    return (
+        f"for {program.model.bodies} bodies (body = 0, ..., {program.model.bodies - 1}) {text}"
+        if program.model.bodies > 1
+        else text
+    )
 
 
 def _quantity(unknown: Unknown) -> str:
@@ -296,7 +299,7 @@ def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[s
         out.append("curvature of the boundary conditions: positions that they depend on are prescribed")
     if not program.has_inequalities:
         out.append("interior point: there are no inequalities")
-    if not program.shared:
+    if not program.linking.unknowns:
         out.append("a border of the linear system: no unknown is shared by all intervals")
     functions = tuple(f for m in models for f in (m.function, *m.force, *m.dynamics))
     absent = ", ".join(str(q) for q in model.coordinates if not any(f.has(q) for f in functions))
@@ -327,15 +330,17 @@ def record(
 ) -> ControlRecord:
     """Return the module's metadata record; `sensitivities` name the quantities that a user may vary, if any."""
     model, values, inner = program.model, program.boundary_values, program.inner
-    models, redundant = model.phases or (model,), program.redundant_couplings
-    own, common = program.shared[: program.own], program.shared[program.own :]
+    models, redundant = model.phases or (model,), program.linking.redundant
+    own, common = program.linking.of_bodies, program.linking.common
     shared = [
-        f"{u.name} of body {body}" if program.bodies > 1 else u.name for body in range(program.bodies) for u in own
+        f"{u.name} of body {body}" if program.model.bodies > 1 else u.name
+        for body in range(program.model.bodies)
+        for u in own
     ]
-    shared += [u.name for u in common] + [c.multiplier.name for c in program.couplings]
+    shared += [u.name for u in common] + [c.multiplier.name for c in program.linking.couplings]
     # Multipliers, slacks and constraint forces need meanings; other unknowns have names that suffice.
-    unknowns = (*program.node, *program.interval, *program.slacks, *program.shared)
-    unknowns += tuple(coupling.multiplier for coupling in program.couplings)
+    unknowns = (*program.node, *program.interval, *program.slacks, *program.linking.unknowns)
+    unknowns += tuple(coupling.multiplier for coupling in program.linking.couplings)
     meanings = {u.name: u.meaning for u in unknowns if u.kind.role is not Role.VALUE or u.kind is Kind.NORMAL_FORCE}
     first = len(program.interval) + len(program.controls)
     slacks = tuple(
@@ -360,22 +365,12 @@ def record(
     ends = (("start", program.start), ("end", program.end))
     decided = dict.fromkeys((name, where) for where, end in ends for _, name in end.determined if name)
     return ControlRecord(
-        **record_fields(model),
-        method=Method(program.method),
-        scheme=program.scheme,
-        order=scheme.order,
-        form=Form(model.form),
-        coordinates=tuple(s.name for s in model.coordinates),
-        rates=tuple(s.name for s in model.rates),
+        **record_fields(program, scheme.order, kernels, left_out(program, derivatives)),
+        **system_fields(model, tables),
         start=tuple(v.quantity for v in values if v.where == "start"),
         end=tuple(v.quantity for v in values if v.where == "end"),
-        attitudes=model.attitudes,
-        units=dict(model.units),
-        tables=table_records(tables),
-        operations={k.name: (k.operations_before, k.operations_after) for k in kernels},
-        left_out=tuple(left_out(program, derivatives)),
         controls=Sites(program.controlled),
-        bodies=program.bodies,
+        bodies=program.model.bodies,
         phases=len(program.phases) or 1,
         control_names=tuple(s.name for s in model.controls),
         free_parameters=tuple(p.symbol.name for p in model.free_parameters),
@@ -406,7 +401,7 @@ def record(
         kinks=tuple(cost_kinks),
         discontinuities=tuple(discontinuities),
         singular_at_guess=tuple(dict.fromkeys(name for part in models for name in singular_at_guess(part))),
-        coupling_conditions=len(program.couplings) + len(redundant) if redundant else 0,
+        coupling_conditions=len(program.linking.couplings) + len(redundant) if redundant else 0,
         redundant_conditions=redundant,
         dependent_values=tuple((name, where) for where, end in ends for name in end.dependent),
         decided_conditions=tuple(decided),
@@ -462,11 +457,11 @@ def _history_jumps(model: Model) -> tuple[tuple[str, str, str], ...]:
 
 def _integral_multipliers(program: ControlProgram) -> tuple[tuple[str, int], ...]:
     """Return each integral constraint's name, and its multiplier's index among the linking variables of all bodies."""
-    own, bodies = program.own, program.bodies
+    own, bodies = program.linking.own, program.model.bodies
     multipliers = []
     for index, integrals in [(0, program.integrals), *((i, p.integrals) for i, p in enumerate(program.phases, 1))]:
         for integral in integrals:
-            j = program.shared_symbols.index(integral.multiplier)
+            j = program.linking.symbols.index(integral.multiplier)
             where = f" in phase {index}" if index else ""
             for body in range(bodies if j < own else 1):
                 of_body = f" of body {body}" if bodies > 1 else ""
