@@ -45,7 +45,7 @@ from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic.checks import rounded_at, rounding_at
 from codegen.symbolic.derivatives import gradient
 
-LEAST = 1e-7
+LEAST = 1e-8
 """Least relaxation, relative to the energy of the motion."""
 FASTER = 2.0
 """Largest velocity of a motion from rest to rest, relative to its mean, at least."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-FIRST = 1e7  # relaxation at the weight AT, relative to the final relaxation
+FIRST = 1e8  # relaxation at the weight AT, relative to the final relaxation
 AT = 0.1
 LEAST = 1e-9  # largest weight with the final relaxation, unless the tolerance is larger
 

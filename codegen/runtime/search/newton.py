@@ -76,9 +76,10 @@ def descend(
         if status == RESTORE:
             iterate = stored(search)
             outcome, feasible = restored(search, iterate, 0.9, work.pairs[: integers[descent.PAIRS]], log)
-            if outcome in UNLUCKY and integers[descent.HAS_LOOSE] == 1:
+            if outcome in UNLUCKY and integers[descent.HAS_LOOSE] == 1 and search.relaxation is None:
                 # If equations force unknowns onto their bounds and all multipliers are huge, only the relaxation gives
                 # the feasible set an interior. Continue, as IPOPT does, with bounds as relaxed as at the beginning.
+                # Contact laws have an interior, and may be no more relaxed than the bounds.
                 search = search._replace(least=descent.RELAXED)
                 reals[descent.LEAST_RELAXATION], integers[descent.HAS_LOOSE] = search.least, 2
                 barriers = work.barriers[descent.LOOSE_DISTANCE], work.barriers[descent.LOOSE_DUALS]
