@@ -14,7 +14,7 @@ from typing import Any, ClassVar, TypeVar
 from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
 from codegen.problem import AuthorObject, perhaps
-from codegen.problem.rotations import in_coordinates
+from codegen.problem.rotations import in_coordinates, jumps_in_coordinates, phases_with_arcs
 from codegen.problem.tables import Measurements, Trajectory
 
 FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
@@ -336,7 +336,8 @@ class Phases(AuthorObject):
                 f"Phases(...) has no argument {name!r}",
                 SAME_AT_BOTH_ENDS if name == "periodic" else "give phases and jumps; the rest belongs to each Control",
             )
-        object.__setattr__(self, "phases", phases)
+        jumps = jumps_in_coordinates(jumps)
+        object.__setattr__(self, "phases", phases_with_arcs(phases, jumps))
         object.__setattr__(self, "jumps", jumps)
 
 
