@@ -42,6 +42,7 @@ from codegen.discretise.conditions.path import nodal_conditions
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Boundary, Condition, Model, prescribed
 from codegen.discretise.model.guesses import coordinate_guess, momentum_guess, with_guesses
+from codegen.discretise.model.values import values_at_guess
 from codegen.discretise.program import (
     ControlProgram,
     EndElement,
@@ -54,7 +55,6 @@ from codegen.discretise.program import (
     occurring,
     symbols,
 )
-from codegen.discretise.model.values import values_at_guess
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic.checks import rounded_at
 from codegen.symbolic.derivatives import gradient
