@@ -222,7 +222,7 @@ class Controller:
         ----------
         state : array (states,) or dict of str to float
             The measured state in the units of the problem. In a dict, the attitude and the angular velocity of a
-            rotation may be the matrix `R` and the vector `omega`, as in results. The sign of a quaternion has no effect.
+            rotation may be the matrix `R` and the vector `omega`, as in results. The sign of a quaternion is ignored.
         t : float
             Time of the measurement in seconds. The inputs act from this time on, or later by the delay. With a delay,
             `step` must be called at every sampling time.

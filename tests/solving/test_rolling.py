@@ -544,7 +544,7 @@ def test_rolling_needs_velocities_of_a_lagrangian_and_numbers():
     with pytest.raises(ExpressionError, match="rolling beside particles; leave it out"):
         codegen.solve(replace(particles, rolling=[q * dq]))
     control = unicycle()
-    _, _, phi, dx, _, dphi = control.start
+    _, _, _, dx, _, dphi = control.start
     (f,) = (symbol for symbol in control.cost.free_symbols if symbol.name == "f")
     with pytest.raises(ExpressionError, match="depends on f; write it in path"):
         codegen.solve(replace(control, rolling=[dx - f]))
