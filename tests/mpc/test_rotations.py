@@ -40,7 +40,7 @@ def test_a_closed_loop_turns_back_whatever_the_signs_of_the_measured_quaternions
             R = R * Rotation.from_rotvec(0.002 * omega)
         angles.append(R.magnitude())
     assert statuses == {"solved"}
-    # The horizon recedes: the least effort over 4 s brings the angle down like a damped motion, never up to a whole turn.
+    # The horizon recedes: the angle decreases like a damped motion, and never grows to a whole turn.
     assert max(angles) < 1.1 * angles[0]
     assert angles[-1] < 0.4 * angles[0]
 
