@@ -697,6 +697,11 @@ def test_the_angular_velocity_of_a_slew_about_one_axis():
     assert errors[0] < 5e-3
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.2)
     assert result["R"][-1] == pytest.approx(Rotation.from_rotvec([0, 0, 1.2]).as_matrix(), abs=1e-10)
+    for chosen in (["|omega|", "omega_z"], None):
+        axes = {each.get_ylabel(): each for each in result.plot(panels=chosen).figure.axes}
+        assert "$p_{R,w}$" not in axes
+        for name in ("|$\\omega$|", "$\\omega_{z}$"):
+            assert axes[name].lines[0].get_ydata() == pytest.approx(exact[:, 2], abs=5e-3)
 
 
 def test_a_start_without_an_attitude_is_one_line():
