@@ -391,7 +391,7 @@ class _Reading:
         values. Opposite values are joined by a turn about the axis that is written at the end.
         """
         arcs = dict[Any, Expr]()
-        for sphere, last in self.ends["end"].items():
+        for sphere, last in self.ends["end"].items() if _is_duration(problem.duration) else ():
             first = self.ends["start"].get(sphere)
             if first is not None and sphere not in self.guessed:
                 part = _time_in(problem) / problem.duration
@@ -405,12 +405,15 @@ def phases_with_arcs(phases: Sequence[Any], jumps: Any) -> tuple[Any, ...]:
     A guess leads from a prescribed value to the next one, which may be at the end of a later phase.
     """
     changed = list(phases)
-    if not all(isinstance(getattr(phase, "end", None), Mapping) for phase in phases):
+    ends = [getattr(phase, "end", None) for phase in phases]
+    if not phases or not all(isinstance(each, Mapping) for each in (getattr(phases[0], "start", None), *ends)):
+        return tuple(changed)
+    if not all(_is_duration(phase.duration) for phase in phases):
         return tuple(changed)
     mappings = [jump for jump in jumps if isinstance(jump, Mapping)] if isinstance(jumps, (list, tuple)) else []
     jumping = {key for jump in mappings for key in jump}
     times = [sympy.Add(*(phase.duration for phase in phases[:i])) for i in range(len(phases) + 1)]
-    values = [phases[0].start, *(phase.end for phase in phases)]
+    values = [phases[0].start, *ends]
     for sphere in spheres_in(*(sympy.sympify(key) for each in values for key in each if isinstance(key, Quantity))):
         qs = sphere.coordinates
         known = [(i, [each[q] for q in qs]) for i, each in enumerate(values) if {*qs} <= {*each}]
@@ -424,6 +427,11 @@ def phases_with_arcs(phases: Sequence[Any], jumps: Any) -> tuple[Any, ...]:
                     arc = _arc(sphere, first, last, part, (1, 0, 0))
                     changed[k] = replace(changed[k], guess={**arc, **guess})
     return tuple(changed)
+
+
+def _is_duration(value: Any) -> bool:
+    """Return True for a number other than zero, or an expression; the duration of a problem is checked later."""
+    return _is_number(value) and value != 0
 
 
 def _arc(sphere: Sphere, first: Any, last: Any, part: Expr, axis: Sequence[Any]) -> dict[Any, Expr]:

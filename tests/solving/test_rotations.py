@@ -16,6 +16,7 @@ import codegen
 from codegen import (
     Control,
     Event,
+    Phases,
     Simulate,
     attitude,
     controls,
@@ -560,6 +561,20 @@ def test_other_mistakes_are_refused(make, error, text):
     with pytest.raises(error) as caught:
         codegen.solve(make())
     assert text in str(caught.value)
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("duration", [None, "2", [2], 0])
+@pytest.mark.parametrize("phases", [1, 2])
+def test_unusable_durations_are_named(duration, phases):
+    R, omega = rotation("R")
+    u = Matrix(controls("u1:4"))
+    body = {"lagrangian": omega.dot(omega) / 2, "force": {R: u}, "cost": u.dot(u)}
+    start, end = {R: eye(3), omega: (0, 0, 0)}, {R: ([0, 0, 1], 1.0), omega: (0, 0, 0)}
+    one = Control(**body, duration=duration, start=start, end=end)
+    both = [Control(**body, duration=duration, start=start), Control(**body, duration=1, end=end)]
+    with pytest.raises(CodegenError, match="duration is"):
+        codegen.solve(one if phases == 1 else Phases(*both))
 
 
 @pytest.mark.fast
