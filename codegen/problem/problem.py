@@ -312,9 +312,10 @@ class Control(Problem):
 class Phases(AuthorObject):
     """Control problems that follow each other in time, with different dynamics, bounds and costs.
 
-    All phases have the same form (Lagrangian, Hamiltonian or dynamics) and the same coordinates or states. Each phase
-    has its own duration, and `steps` intervals. Time continues from phase to phase. Only the first phase has a `start`.
-    The arguments `end`, `end_conditions` and `terminal_cost` of an earlier phase hold at the switch before the jump.
+    All phases have the same form (Lagrangian, Hamiltonian or dynamics), the same coordinates or states, and the same
+    holonomic and rolling constraints. Each phase has its own duration, and `steps` intervals. Time continues from phase
+    to phase. Only the first phase has a `start`. The arguments `end`, `end_conditions` and `terminal_cost` of an earlier
+    phase hold at the switch before the jump.
 
     Parameters
     ----------
