@@ -314,8 +314,8 @@ class Phases(AuthorObject):
 
     All phases have the same form (Lagrangian, Hamiltonian or dynamics), the same coordinates or states, and the same
     holonomic and rolling constraints. Each phase has its own duration, and `steps` intervals. Time continues from phase
-    to phase. Only the first phase has a `start`. The arguments `end`, `end_conditions` and `terminal_cost` of an earlier
-    phase hold at the switch before the jump.
+    to phase. Only the first phase has a `start`. The arguments `end`, `end_conditions` and `terminal_cost` of an
+    earlier phase hold at the switch before the jump.
 
     Parameters
     ----------
