@@ -182,3 +182,12 @@ def test_constraints_of_one_phase_alone_are_refused():
     problem = Phases(Control(**body, start={x: 0, y: 0, dx: 0, dy: 0}), Control(**body, end={x: 1}, rolling=[dy]))
     with pytest.raises(ExpressionError, match="rolling dy holds in one of the phases 1 and 2"):
         codegen.solve(problem)
+
+
+def test_checks_pass_after_a_solve_of_two_phases():
+    """A solve takes the machine code of inner kernels away from Python. The layout check then ended the process."""
+    solver = codegen.compile(slew([free, at_rest([1, 2, 2], 1.5)], (1, 2), [lambda omega: {omega: omega / 2}]))
+    assert solver.solve().status == "solved"
+    findings = solver.check()
+    assert findings.passed, [finding for finding in findings if not finding.passed]
+    assert any(finding.check == "switches" and finding.applies for finding in findings)
