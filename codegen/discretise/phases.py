@@ -20,6 +20,10 @@ the velocity (of a Hamiltonian: the momentum) w before the switch is an unknown 
 where q_k+ and w+ are the values after the jump, P and P+ the momenta of a velocity by the Lagrangian before and after
 it (of a Hamiltonian: w itself). The first equation keeps the multiplier lambda_k of the node, the second has pi, an
 unknown of the interval.
+
+Constraints, holonomic or rolling, are the same in all phases. Where momenta are continuous, the constraint force
+kappa_k of the node acts in both phases. Elsewhere each phase has its own force at the switch, because each must give
+the momentum of the same velocity w. That velocity satisfies the constraint: dc/dt = 0, or A w + b = 0.
 """
 
 from __future__ import annotations
@@ -27,15 +31,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import sympy
 from sympy import Add, Expr, S, Symbol
 
 from codegen.discretise.conditions.ends import imposed
+from codegen.discretise.conditions.holonomic import Constraints
 from codegen.discretise.conditions.integral import end_share, own_unknowns, with_distinct_integral_names
 from codegen.discretise.conditions.path import nodal_conditions
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Boundary, Condition, Model, prescribed
 from codegen.discretise.model.guesses import coordinate_guess, momentum_guess, with_guesses
+from codegen.discretise.model.values import values_at_guess
 from codegen.discretise.program import (
     ControlProgram,
     EndElement,
@@ -49,6 +56,7 @@ from codegen.discretise.program import (
     symbols,
 )
 from codegen.runtime.record import Kind, Meaning
+from codegen.symbolic.checks import rounded_at
 from codegen.symbolic.derivatives import gradient
 from codegen.symbolic.zeros import identically_zero
 
@@ -197,8 +205,10 @@ class Transition:
         self.slots, self.variational = slots, programs[0].method == "variational"
         self.left = dict(zip((u.name for u in programs[number].node), programs[number].left_symbols, strict=True))
         self.quantities = (*self.before.coordinates, *self.before.rates)
+        self.constraints = Constraints(self.before, Names(self.before))
         fixed = prescribed(self.before, "end")
-        values = tuple(Condition(f"{symbol} = {value}", symbol - value) for symbol, value in fixed.items())
+        implied = _implied(self.before, fixed)
+        values = tuple(Condition(f"{s} = {value}", s - value) for s, value in fixed.items() if s not in implied)
         earlier = [g.expression for g in nodal_conditions(self.before, equality=False)]
         new = tuple(
             g
@@ -209,6 +219,9 @@ class Transition:
         )
         self.conditions = (*values, *self.before.end_conditions, *new)
         self.matched = self._matched() if self.variational else set()
+        if self.matched and self.before.end is not None:
+            at_end = {value: value for value in fixed.values()}
+            self.conditions += self.constraints.tangency(self.before.end, self.matched, at_end)
         substitution: dict[Symbol, Expr] = {q: self.left[q.name] for q in self.before.coordinates}
         for i, rate in enumerate(self.before.rates):
             if self.variational:
@@ -233,6 +246,7 @@ class Transition:
         matched |= {i for i, (p, q) in enumerate(zip(before, after, strict=True)) if not identically_zero(p - q)}
         while True:
             further = occurring(rates, *(p for i in matched for p in (before[i], after[i])))
+            further |= {i for touched in self.constraints.touched if touched & matched for i in touched}
             if further <= matched:
                 return matched
             matched |= further
@@ -249,6 +263,25 @@ class Transition:
         """Return an expression in coordinates and rates after the jump in symbols of the interval."""
         after = {s: self.jumped(s) for s in self.quantities if s in self.substitution}
         return expression.subs(after, simultaneous=True)
+
+
+def _implied(model: Model, fixed: Mapping[Symbol, Expr]) -> set[Symbol]:
+    """Return coordinates whose values at the end of a phase follow from its other values and the constraints.
+
+    Each constraint on prescribed coordinates alone determines one of them: that with the largest slope.
+    """
+    at = values_at_guess(model) | {model.time: 0.0}
+    numbers = {q: rounded_at(fixed[q], at) for q in model.coordinates if q in fixed}
+    at |= {q: number for q, number in numbers.items() if number is not None}
+    closed = [c for c in model.holonomic if c.free_symbols & {*model.coordinates} <= {*numbers}]
+    slopes = np.array([[rounded_at(sympy.diff(c, q), at) or 0.0 for q in numbers] for c in closed])
+    implied = set[Symbol]()
+    for row in range(len(closed)):
+        column = int(np.abs(slopes[row]).argmax())
+        if slopes[row, column]:
+            implied.add([*numbers][column])
+            slopes[row + 1 :] -= np.outer(slopes[row + 1 :, column] / slopes[row, column], slopes[row])
+    return implied
 
 
 def _momenta(model: Model) -> list[Expr]:
@@ -323,6 +356,12 @@ def _matched_momenta(transition: Transition) -> Switch:
         broken.append(f"p_{q}" if has_velocities else rate.name)
         equations.append(Equation(arriving, f"p_{q} before the switch", momentum=True))
         equations.append(Equation(leaving, f"p_{q} after the switch", momentum=True))
+    for force, touched in zip(transition.constraints.kappa, transition.constraints.touched, strict=True):
+        if touched & transition.matched:
+            own = transition.slots.named("switch", Symbol(force.name, real=True))
+            primal.append(Unknown(own, replace(force.meaning, kind=Kind.SWITCH_FORCE)))
+            (values[transition.left[force.name]],) = symbols([own], "_k")
+            guess.append((own, S.Zero))
     return Switch(
         values,
         element=element,

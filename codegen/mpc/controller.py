@@ -17,6 +17,7 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError
 from codegen.mpc import interface
 from codegen.mpc.acceptance import BestIterate, Pace, better, holds
+from codegen.mpc.attitudes import attitudes_of
 from codegen.mpc.motion import Delay, Motion
 from codegen.runtime.search.cascade import factor_nearby, minimise
 from codegen.runtime.search.messages import describe, reached
@@ -176,6 +177,7 @@ class Controller:
         self.module: ControlModule = interface.module_of(problem, arguments or {}, scheme, method)
         self._interface = interface.interface_of(self.module)
         self.states, self.inputs = self._interface.states, self._interface.inputs
+        self._attitudes = attitudes_of(tuple(self.module.metadata.attitudes), self.states)
         self.steps = int(self.module.metadata.steps) if steps is None else steps
         of_solves = {} if horizon is None else {"duration": horizon}
         self._values = interface.Values(self._interface, parameters or {}, of_solves)
@@ -189,6 +191,7 @@ class Controller:
             finding = f"the sampling time {self.sample:g} is longer than the horizon {self.horizon:g}"
             raise NumericsError(finding, "give a shorter sample, or a longer horizon")
         intervals = float(round(intervals)) if abs(intervals - round(intervals)) <= interface.WHOLE else intervals
+        self._usual_start = self._interface.start_of(grid)
         self._shift = interface.shift_by(self.module, grid, intervals)
         self.delay = delay
         self._delay: Delay | None = None
@@ -218,7 +221,8 @@ class Controller:
         Parameters
         ----------
         state : array (states,) or dict of str to float
-            The measured state in the units of the problem.
+            The measured state in the units of the problem. In a dict, the attitude and the angular velocity of a
+            rotation may be the matrix `R` and the vector `omega`, as in results. The sign of a quaternion is ignored.
         t : float
             Time of the measurement in seconds. The inputs act from this time on, or later by the delay. With a delay,
             `step` must be called at every sampling time.
@@ -239,12 +243,14 @@ class Controller:
         """
         deadline, clock = self.options.deadline, self._clock
         begin = clock()
-        measured = interface.vector(state, self.states, "the state", is_finite=False)
+        measured = interface.vector(self._attitudes.by_state(state), self.states, "the state", is_finite=False)
         t = interface.number(t, "the time")
         pairs = zip(self.states, measured.tolist(), strict=True)
         invalid = ", ".join(f"{name} is {value}" for name, value in pairs if not math.isfinite(value))
         with self._lock:
             failure: tuple[str, str] | None = None  # status and message of a step without a search
+            if not invalid and self._attitudes.indices:
+                measured = self._attitudes.aligned(measured, self._usual_start if self._state is None else self._state)
             start: Vector | None = measured
             if invalid:
                 remedy = "give finite numbers, for example an estimate"

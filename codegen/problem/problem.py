@@ -14,7 +14,7 @@ from typing import Any, ClassVar, TypeVar
 from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
 from codegen.problem import AuthorObject, perhaps
-from codegen.problem.rotations import in_coordinates
+from codegen.problem.rotations import in_coordinates, jumps_in_coordinates, phases_with_arcs
 from codegen.problem.tables import Measurements, Trajectory
 
 FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
@@ -312,9 +312,10 @@ class Control(Problem):
 class Phases(AuthorObject):
     """Control problems that follow each other in time, with different dynamics, bounds and costs.
 
-    All phases have the same form (Lagrangian, Hamiltonian or dynamics) and the same coordinates or states. Each phase
-    has its own duration, and `steps` intervals. Time continues from phase to phase. Only the first phase has a `start`.
-    The arguments `end`, `end_conditions` and `terminal_cost` of an earlier phase hold at the switch before the jump.
+    All phases have the same form (Lagrangian, Hamiltonian or dynamics), the same coordinates or states, and the same
+    holonomic and rolling constraints. Each phase has its own duration, and `steps` intervals. Time continues from phase
+    to phase. Only the first phase has a `start`. The arguments `end`, `end_conditions` and `terminal_cost` of an
+    earlier phase hold at the switch before the jump.
 
     Parameters
     ----------
@@ -336,7 +337,8 @@ class Phases(AuthorObject):
                 f"Phases(...) has no argument {name!r}",
                 SAME_AT_BOTH_ENDS if name == "periodic" else "give phases and jumps; the rest belongs to each Control",
             )
-        object.__setattr__(self, "phases", phases)
+        jumps = jumps_in_coordinates(jumps)
+        object.__setattr__(self, "phases", phases_with_arcs(phases, jumps))
         object.__setattr__(self, "jumps", jumps)
 
 

@@ -28,7 +28,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -265,6 +266,21 @@ def in_coordinates(problem: Any) -> dict[str, Any]:
     return changed
 
 
+def jumps_in_coordinates(jumps: Any) -> Any:
+    """Return the jumps of phases with matrices, which are keys, written out in coordinates.
+
+    Components of a vector that do not change are left out. Raise the errors of `in_coordinates`.
+    """
+    if not isinstance(jumps, (list, tuple)):
+        return jumps
+    return [
+        {key: value for key, value in _Reading().components("jumps", jump) if key in jump or key != value}
+        if isinstance(jump, Mapping)
+        else jump
+        for jump in jumps
+    ]
+
+
 def _with(written: Any, more: Sequence[Expr], name: str) -> Any:
     """Return relations with more of them: a list, or a mapping with names; other values as they are."""
     if isinstance(written, Mapping):
@@ -309,7 +325,7 @@ class _Reading:
         attitudes = self.ends.get(what, {})
         for key, value in mapping.items():
             sphere = _attitude(key)
-            if sphere is not None and what in self.ends:
+            if sphere is not None and (what in self.ends or what == "jumps"):
                 attitudes[sphere] = quaternion_of(value, f"{what} of {sphere.name}")
                 if isinstance(value, (list, tuple)) and len(value) == 2:
                     self.axes[sphere] = tuple(value[0])
@@ -322,16 +338,16 @@ class _Reading:
             if what in ("bounds", "scale"):
                 remedy = "bound parts by path=[... <= ...]" if what == "bounds" else "give the scale of each symbol"
                 raise ExpressionError(f"{what} has the key {name}, which is no number", remedy)
-            if (sphere and what in ("periodic", "history")) or (spinning and what not in self.ends):
+            if (sphere and what in ("periodic", "history")) or (spinning and what not in (*self.ends, "jumps")):
                 remedies = {"guess": "guess the attitude", "force": "give the torque as force={R: torque}"}
                 instead = remedies.get(what, "give the coordinates, or a list [R, omega]")
                 raise SymbolError(f"{what} has the key {name}", instead)
             if sphere is not None:
                 yield from zip(sphere.coordinates, self._of_attitude(what, sphere, value), strict=False)
-            elif spinning is not None and what in self.ends:
+            elif spinning is not None:
                 rates = vector(value, f"{what} of {name}")
-                if spinning in attitudes:
-                    half = product(attitudes[spinning], (sympy.S.Zero, *rates))
+                if spinning in attitudes or what == "jumps":
+                    half = product(attitudes.get(spinning, spinning.coordinates), (sympy.S.Zero, *rates))
                     yield from zip(spinning.velocities, (part / 2 for part in half), strict=True)
                 elif what == "start":
                     raise BoundaryError(f"start has {name} without the attitude", f"add {spinning.name}: ... to start")
@@ -361,6 +377,8 @@ class _Reading:
         if what == "guess":
             self.guessed.add(sphere)
             return quaternion_of(value, f"guess of {sphere.name}")
+        if what == "jumps":
+            return quaternion_of(value, f"jumps of {sphere.name}")
         if what == "end" and not sphere.velocities:  # the length of a quaternion of states follows from its dynamics
             self.conditions += product(conjugate(self.ends["end"][sphere]), sphere.coordinates)[1:]
             return ()
@@ -373,31 +391,75 @@ class _Reading:
         values. Opposite values are joined by a turn about the axis that is written at the end.
         """
         arcs = dict[Any, Expr]()
-        for sphere, last in self.ends["end"].items():
+        for sphere, last in self.ends["end"].items() if _is_duration(problem.duration) else ():
             first = self.ends["start"].get(sphere)
-            if first is None or sphere in self.guessed or any(sympy.sympify(x).free_symbols for x in (*first, *last)):
-                continue
-            part = _time_in(problem) / problem.duration
-            a, b = (np.array(point, dtype=float) for point in (first, last))
-            angle = math.acos(min(1.0, max(-1.0, float(a @ b))))
-            if angle < _STRAIGHT:
-                continue
-            if math.pi - angle < _STRAIGHT:
-                last, angle = self._across(sphere, a), math.pi / 2
-                part = 2 * part
-            weights = (sympy.sin((1 - part) * angle) / math.sin(angle), sympy.sin(part * angle) / math.sin(angle))
-            for q, x, y in zip(sphere.coordinates, first, last, strict=True):
-                arcs[q] = weights[0] * x + weights[1] * y
+            if first is not None and sphere not in self.guessed:
+                part = _time_in(problem) / problem.duration
+                arcs |= _arc(sphere, first, last, part, self.axes.get(sphere, (1, 0, 0)))
         return arcs
 
-    def _across(self, sphere: Sphere, point: NDArray[np.float64]) -> tuple[float, ...]:
-        """Return a unit vector that is perpendicular to a point of a sphere."""
-        if sphere.is_attitude:
-            axis = np.array(self.axes.get(sphere, (1, 0, 0)), dtype=float)
-            return tuple(float(part) for part in product((0.0, *axis / np.linalg.norm(axis)), point))
-        along = np.eye(3)[np.abs(point).argmin()]
-        across = along - (along @ point) * point
-        return tuple(across / np.linalg.norm(across))
+
+def phases_with_arcs(phases: Sequence[Any], jumps: Any) -> tuple[Any, ...]:
+    """Return the phases of a problem with guesses of rotations and unit vectors along the sphere.
+
+    A guess leads from a prescribed value to the next one, which may be at the end of a later phase.
+    """
+    changed = list(phases)
+    ends = [getattr(phase, "end", None) for phase in phases]
+    if not phases or not all(isinstance(each, Mapping) for each in (getattr(phases[0], "start", None), *ends)):
+        return tuple(changed)
+    if not all(_is_duration(phase.duration) for phase in phases):
+        return tuple(changed)
+    mappings = [jump for jump in jumps if isinstance(jump, Mapping)] if isinstance(jumps, (list, tuple)) else []
+    jumping = {key for jump in mappings for key in jump}
+    times = [sympy.Add(*(phase.duration for phase in phases[:i])) for i in range(len(phases) + 1)]
+    values = [phases[0].start, *ends]
+    for sphere in spheres_in(*(sympy.sympify(key) for each in values for key in each if isinstance(key, Quantity))):
+        qs = sphere.coordinates
+        known = [(i, [each[q] for q in qs]) for i, each in enumerate(values) if {*qs} <= {*each}]
+        for (i, first), (j, last) in pairwise(known):
+            if jumping & {*qs}:
+                continue
+            for k in range(i, j):
+                guess = changed[k].guess
+                if isinstance(guess, Mapping) and not {*qs} & {*guess}:
+                    part = (_time_in(phases[k]) - times[i]) / (times[j] - times[i])
+                    arc = _arc(sphere, first, last, part, (1, 0, 0))
+                    changed[k] = replace(changed[k], guess={**arc, **guess})
+    return tuple(changed)
+
+
+def _is_duration(value: Any) -> bool:
+    """Return True for a number other than zero, or an expression; the duration of a problem is checked later."""
+    return _is_number(value) and value != 0
+
+
+def _arc(sphere: Sphere, first: Any, last: Any, part: Expr, axis: Sequence[Any]) -> dict[Any, Expr]:
+    """Return the great circle between two points; {} for nearly equal points, and for points with parameters.
+
+    `axis` is the axis of the turn between opposite quaternions. Opposite unit vectors are joined by any half circle.
+    """
+    if any(sympy.sympify(x).free_symbols for x in (*first, *last)):
+        return {}
+    a, b = (np.array(point, dtype=float) for point in (first, last))
+    angle = math.acos(min(1.0, max(-1.0, float(a @ b))))
+    if angle < _STRAIGHT:
+        return {}
+    if math.pi - angle < _STRAIGHT:
+        last, angle = _across(sphere, a, axis), math.pi / 2
+        part = 2 * part
+    weights = (sympy.sin((1 - part) * angle) / math.sin(angle), sympy.sin(part * angle) / math.sin(angle))
+    return {q: weights[0] * x + weights[1] * y for q, x, y in zip(sphere.coordinates, first, last, strict=True)}
+
+
+def _across(sphere: Sphere, point: NDArray[np.float64], axis: Sequence[Any]) -> tuple[float, ...]:
+    """Return a unit vector that is perpendicular to a point of a sphere."""
+    if sphere.is_attitude:
+        unit = np.array(axis, dtype=float)
+        return tuple(float(part) for part in product((0.0, *unit / np.linalg.norm(unit)), point))
+    along = np.eye(3)[np.abs(point).argmin()]
+    across = along - (along @ point) * point
+    return tuple(across / np.linalg.norm(across))
 
 
 def _time_in(problem: Any) -> Time:

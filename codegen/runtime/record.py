@@ -132,6 +132,7 @@ class Kind(StrEnum):
     SWITCH_VELOCITY = Role.VALUE, "velocity {}", Place.BEFORE_SWITCH
     SWITCH_MOMENTUM = Role.VALUE, "momentum {}", Place.BEFORE_SWITCH
     NORMAL_FORCE = Role.VALUE, "force along the normal of the constraint {}", Place.OWN
+    SWITCH_FORCE = Role.VALUE, "force along the normal of the constraint {}", Place.AFTER_SWITCH
     TIME = Role.VALUE, "time at a node", Place.OWN
     PACE = Role.VALUE, "pace of time before a node", Place.OWN
     FREE_PARAMETER = Role.VALUE, "free parameter {}", Place.OWN

@@ -60,7 +60,7 @@ MALFORMED_PHASES: tuple[Malformed, ...] = (
             f"return Phases(Control(**motion, constraint=[x - y]), Control(**motion))"
         ),
         ExpressionError,
-        "phase 1: it has a holonomic constraint",
+        "constraint x - y holds in one of the phases 1 and 2",
     ),
     Malformed("phases-path-equality", phased(second={"path": "[x - v]"}), BoundaryError, "fixes coordinates"),
     Malformed("phases-later-drawing", phased(second={"drawing": "[1]"}), ExpressionError, "a drawing"),

@@ -12,7 +12,7 @@ from scipy.special import ellipj, ellipk
 from sympy import Eq, cos, pi, sin
 
 import codegen
-from codegen import Control, Phases, Simulate, body_number, controls, coordinates, free_parameter, parameters, time
+from codegen import Control, Simulate, body_number, controls, coordinates, free_parameter, parameters, time
 from codegen.emit.naming import Choices
 from codegen.errors import (
     ArgumentError,
@@ -544,15 +544,13 @@ def test_rolling_needs_velocities_of_a_lagrangian_and_numbers():
     with pytest.raises(ExpressionError, match="rolling beside particles; leave it out"):
         codegen.solve(replace(particles, rolling=[q * dq]))
     control = unicycle()
-    _, _, phi, dx, _, dphi = control.start
+    _, _, _, dx, _, dphi = control.start
     (f,) = (symbol for symbol in control.cost.free_symbols if symbol.name == "f")
     with pytest.raises(ExpressionError, match="depends on f; write it in path"):
         codegen.solve(replace(control, rolling=[dx - f]))
     radius = free_parameter("r", 1.0)
     with pytest.raises(ExpressionError, match="depends on r"):
         codegen.solve(replace(control, rolling=[dx - radius * dphi]))
-    with pytest.raises(ExpressionError, match="phase 1: it has a rolling constraint; write it in path"):
-        codegen.solve(Phases(replace(control, end={}), replace(control, start={}, end={phi: 1})))
 
 
 # ---- Evidence ----

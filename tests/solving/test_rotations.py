@@ -16,6 +16,7 @@ import codegen
 from codegen import (
     Control,
     Event,
+    Phases,
     Simulate,
     attitude,
     controls,
@@ -563,6 +564,20 @@ def test_other_mistakes_are_refused(make, error, text):
 
 
 @pytest.mark.fast
+@pytest.mark.parametrize("duration", [None, "2", [2], 0])
+@pytest.mark.parametrize("phases", [1, 2])
+def test_unusable_durations_are_named(duration, phases):
+    R, omega = rotation("R")
+    u = Matrix(controls("u1:4"))
+    body = {"lagrangian": omega.dot(omega) / 2, "force": {R: u}, "cost": u.dot(u)}
+    start, end = {R: eye(3), omega: (0, 0, 0)}, {R: ([0, 0, 1], 1.0), omega: (0, 0, 0)}
+    one = Control(**body, duration=duration, start=start, end=end)
+    both = [Control(**body, duration=duration, start=start), Control(**body, duration=1, end=end)]
+    with pytest.raises(CodegenError, match="duration is"):
+        codegen.solve(one if phases == 1 else Phases(*both))
+
+
+@pytest.mark.fast
 def test_constraints_with_names_beside_a_rotation():
     (x, R), (v, omega) = pose("B")
     problem = Simulate(
@@ -697,6 +712,11 @@ def test_the_angular_velocity_of_a_slew_about_one_axis():
     assert errors[0] < 5e-3
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.2)
     assert result["R"][-1] == pytest.approx(Rotation.from_rotvec([0, 0, 1.2]).as_matrix(), abs=1e-10)
+    for chosen in (["|omega|", "omega_z"], None):
+        axes = {each.get_ylabel(): each for each in result.plot(panels=chosen).figure.axes}
+        assert "$p_{R,w}$" not in axes
+        for name in ("|$\\omega$|", "$\\omega_{z}$"):
+            assert axes[name].lines[0].get_ydata() == pytest.approx(exact[:, 2], abs=5e-3)
 
 
 def test_a_start_without_an_attitude_is_one_line():

@@ -54,11 +54,6 @@ class Holonomic(ConditionKind):
 
     argument, field, words = "constraint", "holonomic", "holonomic constraints"
     scope: ClassVar[Scope] = {"constraint": (Coordinate, Time, Parameter)}
-    not_in_phases = (
-        ExpressionError,
-        "it has a holonomic constraint",
-        "use generalised coordinates in problems of phases",
-    )
     check = "holonomic drift"
 
     def written(self, control: Control | Simulate) -> Iterator[Entry]:

@@ -57,7 +57,6 @@ class Rolling(ConditionKind):
         ControlInput: "write it in path, with the force as a further control",
         FreeParameter: "declare a parameter",
     }
-    not_in_phases = (ExpressionError, "it has a rolling constraint", "write it in path, with the force as a control")
     check = "rolling constraints"
 
     def written(self, control: Control | Simulate) -> Iterator[Entry]:

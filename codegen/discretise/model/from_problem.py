@@ -13,13 +13,14 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import sympy
 
-from codegen.discretise.conditions import CONDITIONS
+from codegen.discretise.conditions import CONDITIONS, holonomic
 from codegen.discretise.model import delays, normal_form, scope, smoothness, values
 from codegen.discretise.model.definitions import FreeParameter, Model, prescribed
 from codegen.discretise.model.pairwise import PairwiseModel, is_pairwise, normalise_pairwise
-from codegen.discretise.model.relations import Entry
+from codegen.discretise.model.relations import Entry, text
 from codegen.discretise.model.scope import Kinds, kinds_of
 from codegen.discretise.model.units import units_of
 from codegen.discretise.model.written import jump_entries, maximises, used_quantities, written_costs, written_entries
@@ -30,6 +31,9 @@ from codegen.problem.sources import Source, source_of, with_location
 from codegen.problem.symbols import Quantity
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.checks import rounding_of
+
+_TRIALS, _ITERATIONS, _NEARLY = 3, 20, 1e-8
+"""Random states, Newton iterations, and tolerance of the test whether a jump leads away from a constraint."""
 
 
 def load_problem(problem: Source | Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:
@@ -179,6 +183,16 @@ def _chain(
 ) -> Model:
     """Return the model of the problem; its phases have common parameters, time, name and title."""
     first, last = models[0], models[-1]
+    for index, model in enumerate(models[1:], start=2):
+        for argument, own, others in (
+            ("constraint", model.holonomic, first.holonomic),
+            ("rolling", model.rolling, first.rolling),
+        ):
+            if different := [c for c in (*own, *others) if (c in own) != (c in others)]:
+                raise ExpressionError(
+                    f"{argument} {text(different[0])} holds in one of the phases 1 and {index}",
+                    "give all phases the same constraints, in the same order",
+                )
     for entry in (entry for jump in jumps for entry in jump):
         if entry.expression == entry.key:
             raise ExpressionError(f"{entry.what} is its value before", "leave it out, it is continuous")
@@ -227,6 +241,7 @@ def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
             )
     for switch, (before, after) in enumerate(pairwise(chain.phases)):
         _require_common_values(switch, before, after, dict(chain.jumps[switch]))
+        _require_constraints_after(switch, before, dict(chain.jumps[switch]))
     begin: sympy.Expr = sympy.S.Zero
     for index, model in enumerate(chain.phases):
         with _in_phase(index):
@@ -259,3 +274,43 @@ def _require_common_values(switch: int, before: Model, after: Model, jump: Mappi
                 f"the bounds of {symbol} leave {'one value' if least == greatest else 'no value'} {where}",
                 f"widen them, or give {symbol} a value in the end of phase {switch + 1}",
             )
+
+
+def _require_constraints_after(switch: int, model: Model, jump: Mapping[sympy.Symbol, sympy.Expr]) -> None:
+    """Raise BoundaryError if a jump leads away from a constraint: from a random state that satisfies all constraints.
+
+    Newton's method moves coordinates, and then velocities, to the constraints.
+    """
+    if not jump or not (model.holonomic or model.rolling):
+        return
+    c = sympy.Matrix(model.holonomic)
+    q, v = sympy.Matrix(model.coordinates), sympy.Matrix(model.rates)
+    rates = sympy.Matrix([*(holonomic.rates(model) if model.holonomic else ()), *model.rolling])
+    fixed = {**values.values_at_guess(model), model.time: 0.0}
+    state = [*q, *v]
+    numeric = {symbol: sympy.Float(number) for symbol, number in fixed.items() if symbol not in state}
+    after = {symbol: jump.get(symbol, symbol) for symbol in state}
+    parts = (c, c.jacobian(q), rates, rates.jacobian(v), c.subs(after, simultaneous=True))
+    named = (*parts, rates.subs(after, simultaneous=True))
+    functions = [sympy.lambdify([state], part.xreplace(numeric), "numpy") for part in named]
+    random = np.random.default_rng(0)
+    for _ in range(_TRIALS):
+        x, n = random.uniform(0.3, 1.0, len(state)), len(model.coordinates)
+        for _ in range(_ITERATIONS):
+            if model.holonomic:
+                x[:n] -= np.linalg.lstsq(functions[1](x), functions[0](x)[:, 0], rcond=None)[0]
+            x[n:] -= np.linalg.lstsq(functions[3](x), functions[2](x)[:, 0], rcond=None)[0]
+        if (
+            not np.all(np.isfinite(x))
+            or max(np.abs(f(x)).max(initial=0.0) for f in (functions[0], functions[2])) > _NEARLY
+        ):
+            continue  # no state was found; the solver tells
+        excess = [*np.ravel(functions[4](x)), *np.ravel(functions[5](x))]
+        names = [*model.holonomic, *(f"d/dt ({text(each)})" for each in model.holonomic), *model.rolling]
+        for name, value in zip(names, excess, strict=True):
+            if not abs(value) <= _NEARLY:
+                written = name if isinstance(name, str) else text(name)
+                raise BoundaryError(
+                    f"after jumps[{switch}] the constraint {written} = 0 does not hold",
+                    "correct the jump; of a rotation give the angular velocity, as in {omega: omega / 2}",
+                )

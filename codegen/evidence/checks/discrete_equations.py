@@ -467,6 +467,14 @@ def check_switches(context: Context) -> Iterator[Finding]:
             slopes = [_number(sympy.diff(model.function, v), after) for v in model.rates]
             values |= {f"p_{q}": slope for q, slope in zip(model.coordinates, slopes, strict=True)}
         unknowns = solution.unknowns[flat.element(0, node)]
+        # Forces of constraints at the node, where the later phase has other ones than the earlier phase.
+        size, lacking = len(program.node), program.phases[number].elements[0].lacking
+        forces = {
+            u.meaning.of: unknowns[size + i]
+            for i, u in enumerate(program.interval)
+            if u.kind is Kind.SWITCH_FORCE and i not in lacking
+        }
+        values |= {u.name: forces[u.meaning.of] for u in program.node if u.meaning.of in forces and not u.multiplier}
         for index, unknown in enumerate(program.node):
             if not unknown.multiplier:
                 unknowns[index] = values.get(unknown.name, unknowns[index])

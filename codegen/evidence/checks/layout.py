@@ -15,9 +15,10 @@ exponential atmosphere, a reaction rate or a Gaussian may be constant, and a che
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
+from types import FunctionType, ModuleType
+from typing import Any, cast
 
 import numpy as np
 import sympy
@@ -484,6 +485,22 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
     yield from _run(module, "complete_step", (y, *base), interval=(whole,))
 
 
+def _in_python(module: ModuleType, kernel: Any) -> Callable[..., Any]:
+    """Return a kernel as a function of plain Python, which calls other kernels in plain Python too.
+
+    After a solve, kernels that only compiled functions call have no machine code that Python could call.
+    """
+
+    def plain(value: Any) -> Any:
+        return getattr(value, "py_func", getattr(value, "function", value))
+
+    function = plain(kernel)
+    if not isinstance(function, FunctionType):
+        return cast("Callable[..., Any]", function)
+    kernels = {name: plain(each) for name, each in vars(module).items() if name.endswith(("_gradient", "_hessian"))}
+    return FunctionType(function.__code__, {**function.__globals__, **kernels}, argdefs=function.__defaults__)
+
+
 def _run(
     module: ModuleType, name: str, inputs: Inputs, adds: bool = False, **outputs: tuple[int, ...]
 ) -> Iterator[str]:
@@ -494,7 +511,7 @@ def _run(
         return
     arrays = {key: np.full(shape, 0.0 if adds else np.nan) for key, shape in outputs.items()}
     try:
-        getattr(kernel, "py_func", getattr(kernel, "function", kernel))(*inputs, **arrays)
+        _in_python(module, kernel)(*inputs, **arrays)
     except Exception as error:  # a damaged kernel may fail in any way
         yield " ".join(f"kernel {name} fails ({type(error).__name__}: {error})".split())
     for key, array in arrays.items():

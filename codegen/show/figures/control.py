@@ -36,6 +36,7 @@ from codegen.show.figures.picture import (
 from codegen.show.figures.quantities import (
     Inequality,
     Quantity,
+    angular_velocities,
     by_expression,
     inequalities_of_segments,
     quantities_of_segments,
@@ -167,7 +168,13 @@ _MOST_ROWS = 12
 _MOST_INEQUALITIES = 4
 _MANY = 6
 _MOST_BESIDE, _MOST_COLUMNS_BESIDE = 4, 3
-_TITLES = {"state": "states", "momentum": "momenta", "multiplier": "multipliers", "control": "controls"}
+_TITLES = {
+    "state": "states",
+    "momentum": "momenta",
+    "spin": "angular velocity",
+    "multiplier": "multipliers",
+    "control": "controls",
+}
 
 
 @dataclass(frozen=True)
@@ -216,13 +223,14 @@ def control_figure(
     conditions replace all others. Raises ArgumentError for an unknown name.
     """
     groups, conditions = quantities_of_segments(module, result), inequalities_of_segments(module, result)
-    style = present_style()
+    style, spins = present_style(), angular_velocities(result) if module.metadata.bodies == 1 else {}
+    groups["spin"] = [*spins.values()]
     if not style.has_details:
         groups["multiplier"] = []
     if chosen is not None or not style.has_guess:
         groups = {kind: [replace(one, guess=None) for one in group] for kind, group in groups.items()}
     samples, bodies = measured(module, result), int(module.metadata.bodies)
-    states = _state_rows(groups, samples, bands(module, result) if samples else {})
+    states = _state_rows(groups, spins, samples, bands(module, result) if samples else {})
     others = [_panel(control) for control in groups["control"][:_MOST_ROWS]]
     constrained = by_expression(conditions)
     if len(constrained) > _MOST_INEQUALITIES:
@@ -321,16 +329,23 @@ def _chosen_rows(
 
 
 def _state_rows(
-    groups: dict[str, list[Quantity]], samples: Sequence[Measured], bands: Mapping[str, Matrix]
+    groups: dict[str, list[Quantity]],
+    spins: Mapping[int, Quantity],
+    samples: Sequence[Measured],
+    bands: Mapping[str, Matrix],
 ) -> list[Row]:
-    """Return a row of panels for each state with its momentum and multiplier; many states have two in a row."""
+    """Return a row of panels for each state with its momentum and multiplier; many states have two in a row.
+
+    Quaternions have the angular velocity in place of momenta, which mean little.
+    """
     states, momenta, multipliers = groups["state"], groups["momentum"], groups["multiplier"]
     shown = min(len(states), _MOST_ROWS)
     rows: list[Row] = []
     for i in range(shown):
         # A Hamiltonian system has two equations, and two multipliers, for each coordinate.
         pair = multipliers[i : i + 1] + multipliers[i + len(states) : i + len(states) + 1]
-        own: Row = [_state_panel(states[i], samples, bands), *map(_panel, momenta[i : i + 1])]
+        rates = [spins[i]] if i in spins else momenta[i : i + 1]
+        own: Row = [_state_panel(states[i], samples, bands), *map(_panel, rates)]
         if present_style().has_details:
             own.append(_panel(*pair) if pair else None)
         rows.append(own)

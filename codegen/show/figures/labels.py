@@ -31,6 +31,8 @@ def label(name: str) -> str:
             return rf"\dot{{{identifiers.word(rest)}}}"
         return identifiers.word(part)
 
+    if name.startswith("|"):  # a length
+        return f"|{label(name.strip('|'))}|"
     parts = re.sub(r"(?<=[A-Za-z])(\d+)$", r"_\1", name).split("_")
     letters = [letter(part) for part in parts if part] or [identifiers.word(name)]
     return "$" + letters[0] + ("_{" + ",".join(letters[1:]) + "}" if len(letters) > 1 else "") + "$"

@@ -30,7 +30,7 @@ from codegen.show.figures.picture import (
 from codegen.show.figures.quantities import Inequality, Quantity
 from codegen.solving.loading import Matrix, Vector
 
-KINDS = {"state": BLUE, "momentum": GREEN, "multiplier": PINK, "control": RED}
+KINDS = {"state": BLUE, "momentum": GREEN, "spin": GREEN, "multiplier": PINK, "control": RED}
 """Colours of the kinds of quantities for a single body."""
 
 _FLAT = 1e-3  # relative range of a constrained expression below which it is drawn as constant

@@ -11,6 +11,7 @@ import numpy as np
 from codegen.runtime.record import Form, Kind, Meaning, Method, Place
 from codegen.runtime.search.grid import free_unknowns
 from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid
+from codegen.solving.results import attitudes
 from codegen.solving.results.result import Result
 from codegen.solving.results.segments import multiplier_names, put_together, segments_of
 
@@ -334,6 +335,19 @@ def _constant(table: Matrix, none: float) -> Vector:
     """Return the constant bound of every body from rows in which boundary conditions may replace the bound."""
     bounds = np.where(np.isfinite(table), table, -np.inf if none < 0 else np.inf)
     return np.asarray(bounds.max(axis=0) if none < 0 else bounds.min(axis=0), dtype=float)
+
+
+def angular_velocities(result: Result) -> dict[int, Quantity]:
+    """Return a part of the angular velocity for each column of a quaternion of a single body; |omega| for w."""
+    shown, none = dict[int, Quantity](), np.full(1, np.inf)
+    columns, spins = attitudes.columns_of(result), attitudes.angular_velocity_names(result)
+    for spin, name in spins.items() if result.by_segments is None else ():
+        omega = attitudes.angular_velocity(result, name)
+        names = (f"|{spin}|", *(f"{spin}_{axis}" for axis in "xyz"))
+        values = np.column_stack([np.linalg.norm(omega, axis=1), omega])
+        for column, own, part in zip(columns[name], names, values.T, strict=True):
+            shown[column] = Quantity(own, "spin", result.t, part[:, None], -none, none)
+    return shown
 
 
 def quantities_of_segments(module: ControlModule, result: Result) -> dict[str, list[Quantity]]:

@@ -18,8 +18,8 @@ from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
 from codegen.show.figures.labels import in_unit, label, set_title, title
 from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, DARK, GREY, RED, Look, letter_size, new_figure
-from codegen.solving.loading import ConnectModule, Vector
-from codegen.solving.results import attitudes
+from codegen.show.figures.quantities import angular_velocities
+from codegen.solving.loading import ConnectModule
 from codegen.solving.results.result import Result
 
 _MOST_COORDINATES = 12
@@ -38,7 +38,7 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
     place of phase portraits.
     """
     names, units, momenta = result.names["q"], {"t": unit, **result.units}, result.names["p"]
-    spins = _angular_velocities(result)
+    spins = angular_velocities(result) if result.background else {}
     shown = min(len(names), _MOST_COORDINATES)
     columns = 1 if shown <= _MOST_IN_A_COLUMN else 2
     rows = math.ceil(shown / columns)
@@ -88,7 +88,7 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
             continue
         portrait, p = curves.add_subplot(grid[line, 3 * column + 2]), result.p[::stride, i]
         if i in spins:  # a portrait of a quaternion means little
-            symbol, rate = spins[i]
+            symbol, rate = label(spins[i].name), spins[i].values[:, 0]
             portrait.plot(t, rate[::stride], color=BLUE, linewidth=1.2)
             portrait.set_ylabel(symbol)
             portrait.set_xlabel(in_unit("time", units["t"]) if is_lowest else "")
@@ -110,18 +110,6 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
     if drawing is not None:
         figure.draw_without_rendering()  # axes of equal scales need a second pass of the layout
     return figure
-
-
-def _angular_velocities(result: Result) -> dict[int, tuple[str, Vector]]:
-    """Return label and values of a part of the angular velocity for each column of a quaternion; |omega| for w."""
-    shown = dict[int, tuple[str, Vector]]()
-    columns, spins = attitudes.columns_of(result), attitudes.angular_velocity_names(result)
-    for spin, name in spins.items() if result.background else ():
-        omega = attitudes.angular_velocity(result, name)
-        labels = (f"|{label(spin)}|", *(label(f"{spin}_{axis}") for axis in "xyz"))
-        values = (np.linalg.norm(omega, axis=1), *omega.T)
-        shown |= dict(zip(columns[name], zip(labels, values, strict=True), strict=True))
-    return shown
 
 
 def _draw_events(axes: Axes, result: Result, i: int, is_labelled: bool) -> None:
