@@ -4,13 +4,19 @@ import fcntl
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
+
+import pytest
+from served_builds import Served
 
 from codegen.runtime.kept_code import code_folder
 from codegen.runtime.kkt import specialised
 from codegen.solving.compiler import cache_folder
 from codegen.solving.loading import GeneratedModule, load
+from codegen.solving.machine_code import compilation, processes
 from codegen.solving.machine_code.compilation import has_machine_code
 
 
@@ -68,3 +74,22 @@ def compiled_once():
 
 
 specialised.compiled_any_shape = compiled_once
+
+
+@contextmanager
+def quick_builds() -> Iterator[None]:
+    """Let builds compile nothing but kernels, in processes that need not load numba.
+
+    Compiled problems of every shape use one linear system, whose numbers of unknowns are no constants. That of a new
+    shape takes nine seconds of processor time, and the kernels of a small problem take one.
+    """
+    parts_of = compilation.parts_of
+
+    def start(compilers: processes.Compilers) -> None:
+        compilers.processes = compilers.processes or [Served()]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("codegen.runtime.search.problem.system_address", lambda shape: specialised.any_shape_address())
+        patch.setattr(compilation, "parts_of", lambda m: [part for part in parts_of(m) if part.serves != "shape"])
+        patch.setattr(processes.Compilers, "start", start)
+        yield

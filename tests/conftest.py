@@ -6,6 +6,7 @@ import fcntl
 import gc
 import os
 from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import lru_cache
 
 # Threads of linear algebra wait for each other in busy loops: two workers with two each take several times as long.
@@ -21,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer.testing
-from compiled_modules import compiled
+from compiled_modules import compiled, quick_builds
 from hypothesis import HealthCheck, settings
 from interpreted import Interpreted, all_uncompiled
 from registered_images import SHAPE
@@ -56,6 +57,11 @@ FAST = frozenset(
     " prose thesis warm_start barrier polynomials both_sides journal tally columns".split()
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
+
+QUICK_BUILDS = frozenset(
+    "rotations contact rolling degenerate_lagrangians stage_bounds events constrained_motions many".split()
+)
+"""Files of tests on the mathematics of many problems; others test the machine code that a build makes."""
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -154,3 +160,10 @@ def pairs() -> LandmarkPairs:
 @pytest.fixture(scope="session")
 def registration(solver: FlowModule, pairs: LandmarkPairs) -> Registration:
     return register(pairs, SHAPE)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Let the builds of files in QUICK_BUILDS compile what is particular to a problem, and nothing else."""
+    with quick_builds() if item.path.stem.removeprefix("test_") in QUICK_BUILDS else nullcontext():
+        return (yield)

@@ -256,22 +256,25 @@ def solve_many(
         raise ArgumentError(f"codegen.solve_many takes no {other}", f"use one of {', '.join(_OPTIONS)}")
     is_on_device, request = require_place(executor), Request(problem, steps=steps, **options)
     workers = 1 if is_on_device else team_size(threads, None)
-    module = _module(request, building)
+    module, build = _module(request, building)
     columns = _columns(module, parameters)
+    if is_simulation(module):
+        if guess is not None or warm:
+            raise ArgumentError("a guess for a simulation", "leave it out")
+        require_motions(module, is_on_device)
+    varied = dict(zip(quantities(columns, module, ()), columns.values(), strict=True))
+    if build is not None:  # an unusable request is refused without compilation
+        processes.require(build.path, module, build.written, building)
     number = next((column.size for column in columns.values()), 1)
     count = module.metadata.steps if steps is None else steps
     limits = Limits(
         request.tolerance, request.max_iterations, math.inf if request.time_limit is None else request.time_limit,
         request.scaling, warm, is_on_device,
     )  # fmt: skip
-    varied = dict(zip(quantities(columns, module, ()), columns.values(), strict=True))
     ended, size = threading.Event(), number
     if not is_on_device:
         size = min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
     if is_simulation(module):
-        if guess is not None or warm:
-            raise ArgumentError("a guess for a simulation", "leave it out")
-        require_motions(module, is_on_device)
         motions = empty_motions(module, varied, count, request.every, limits, number)
         if not is_on_device and not are_motions_ready(module.problem):
             with building("Compiling what follows many motions, once"):
@@ -313,8 +316,9 @@ def _in_threads(
             raise
 
 
-def _module(request: Request, working: Callable[[str], Any]) -> Any:
-    """Return the module of a request, built and compiled; raises ArgumentError for a problem of connections."""
+def _module(request: Request, working: Callable[[str], Any]) -> tuple[Any, compiler.Build | None]:
+    """Return the module of a request, and the build if there is one; or raise ArgumentError."""
+    build = None
     if request.is_built:
         module: Any = request.problem
         if isinstance(module, str | Path):
@@ -326,7 +330,6 @@ def _module(request: Request, working: Callable[[str], Any]) -> Any:
                 controls=request.controls, out=request.out, sensitivities=request.sensitivities, deriving=deriving,
             )  # fmt: skip
         module = loading.load(build.path)
-        processes.require(build.path, module, build.written, working)
     request.driver_for(module)
     if not (is_control(module) or is_simulation(module)):
         finding = f"{module.metadata.problem} is a {module.metadata.task} problem"
@@ -335,7 +338,7 @@ def _module(request: Request, working: Callable[[str], Any]) -> Any:
         require_sensitive(module)
     if not (isinstance(module.problem, ControlProblem) or is_simulation(module)):
         raise ArgumentError("a standalone module solves one case at a time", "build it without --standalone")
-    return module
+    return module, build
 
 
 def _columns(module: Any, parameters: Mapping[str, ArrayLike]) -> dict[str, Vector]:

@@ -215,12 +215,7 @@ class _System:
             if solution is None or not solution[0].free_symbols <= trusted or (is_foreign and self._is_small(i, y)):
                 self.rejected.add((i, y))
                 continue
-            others = {
-                j: (_Equation.of(e.expression.xreplace({y: solution[1]})) if y in e.symbols else e)
-                for j, e in self.equations.items()
-                if j != i
-            }
-            if sum(e.operations for e in others.values()) <= self.limit:
+            if (others := self._substituted(i, y, solution[1])) is not None:
                 changed = {j for j, e in others.items() if e is not self.equations[j]}
                 self.rejected = {(j, z) for j, z in self.rejected if j not in changed}
                 self.equations = others
@@ -229,6 +224,18 @@ class _System:
                 return True
             self.rejected.add((i, y))
         return False
+
+    def _substituted(self, i: int, y: Symbol, value: Expr) -> dict[int, _Equation] | None:
+        """Return the equations other than i with a value in place of y; None if they are too long together."""
+        others = {j: e for j, e in self.equations.items() if j != i}
+        total = sum(e.operations for e in others.values() if y not in e.symbols)
+        for j, e in others.items():
+            if total > self.limit:
+                return None
+            if y in e.symbols:
+                others[j] = _Equation.of(e.expression.xreplace({y: value}))
+                total += others[j].operations
+        return others if total <= self.limit else None
 
     def _is_small(self, i: int, y: Symbol) -> bool:
         """Return True if, for a short step, the coefficient of y is small relative to another one in equation i.

@@ -386,7 +386,7 @@ def event_kernels(program: StepProgram, codes: Mapping[Symbol, str]) -> list[Ker
         array, summary = EVENT_KERNELS[name]
         read = needed(assignments, [value for _, value in entries])
         # Assignments of a large mass matrix share all common subexpressions; those of constraint forces do not.
-        is_shared = bool(program.state_assignments)
+        is_shared = bool(program.state_assignments) and not program.constraints
         kernels.append(
             kernel(
                 name, summary, ("state", "t", "parameters", array), codes,
