@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import sympy
+from made_records import control_record
 from numpy.typing import NDArray
 
 from codegen.runtime.search.bounds import bounds_of
@@ -54,7 +55,8 @@ def dense_grid(
     )  # fmt: skip
     limits = tuple(np.concatenate([[end], values, [end]]) for end, values in ((-INFINITY, lower), (INFINITY, upper)))
     problem = ControlProblem(
-        structure, {}, Loop(gradient, True), second_derivatives(hessian, size), Loop(gradient, True), lambda *_: 1.0,
+        structure, control_record(), Loop(gradient, True), second_derivatives(hessian, size), Loop(gradient, True),
+        lambda *_: 1.0,
         lambda _: np.concatenate([[0.0], guess, [0.0]]), lambda *_: None, lambda *_: (),
         (lambda _: limits) if structure.inequalities else None,
     )  # fmt: skip
