@@ -191,6 +191,46 @@ def test_top_on_a_joint_agrees_with_eulers_equations():
     assert slopes(errors, steps) == pytest.approx(2, abs=0.15)
 
 
+def test_two_bodies_on_a_ball_joint_agree_with_newton_and_euler():
+    """The force of the joint and both angular accelerations solve nine linear equations; scipy integrates them."""
+    (x, R), (v, a) = pose("A")
+    (y, Q), (w, b) = pose("B")
+    inertia, arm = np.diag([0.5, 1, 1]), np.array([0.5, 0, 0])
+    spins = np.array([[0.3, 1, 0.5], [-1, 0.2, 0.4]])
+    problem = Simulate(
+        lagrangian=(v.dot(v) + w.dot(w) + a.dot(Matrix(inertia) * a) + b.dot(Matrix(inertia) * b)) / 2,
+        constraint=list(x - y + (R + Q) @ Matrix(arm)),
+        duration=4,
+        start={
+            **{x: (0, 0, 0), v: (0, 0, 0), R: eye(3), a: tuple(spins[0])},
+            **{y: (1, 0, 0), w: tuple(np.cross(spins.sum(axis=0), arm)), Q: eye(3), b: tuple(spins[1])},
+        },
+    )
+
+    def rates(_, state):
+        turned, spins = state[:18].reshape(2, 3, 3), state[18:].reshape(2, 3)
+        lever, system, right = np.cross(np.eye(3), arm), 2 * np.eye(9), np.zeros(9)  # lever @ u is arm x u
+        for rows, R, omega in zip((slice(3), slice(3, 6)), turned, spins, strict=True):
+            system[rows, rows], system[rows, 6:], system[6:, rows] = inertia, -lever @ R.T, -R @ lever
+            right[rows] = -np.cross(omega, inertia @ omega)
+            right[6:] -= R @ np.cross(omega, np.cross(omega, arm))
+        turning = [(R @ np.cross(np.eye(3), omega)).ravel() for R, omega in zip(turned, spins, strict=True)]
+        return np.concatenate([*turning, np.linalg.solve(system, right)[:6]])
+
+    begin = np.concatenate([*(np.eye(3).ravel(),) * 2, *spins])
+    exact = solve_ivp(rates, (0, 4), begin, method="DOP853", rtol=1e-12, atol=1e-12).y[:18, -1].reshape(2, 3, 3)
+    solver, steps, errors = codegen.compile(problem), [100, 200, 400], []
+    for n in steps:
+        result = solver.solve(steps=n)
+        assert result.solved, result.message
+        last = np.array([result["A"][-1], result["B"][-1]])
+        errors.append(np.abs(last - exact).max())
+        joints = result.q[-1, [0, 1, 2]] + last[0] @ arm, result.q[-1, [7, 8, 9]] - last[1] @ arm
+        assert joints[0] == pytest.approx(joints[1], abs=1e-12)
+    assert errors[-1] < 1e-4
+    assert slopes(errors, steps) == pytest.approx(2, abs=0.05)
+
+
 def test_rolling_disc_as_a_pose_is_that_in_angles():
     """The disc of `problems/rolling_disc.py`, whose angles are singular where it lies flat, by its attitude."""
     theta, turn, wobble, r, m, g = 0.3, 1.5, 0.8, 0.5, 1.0, 9.81
