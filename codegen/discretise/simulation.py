@@ -75,8 +75,8 @@ _EXPANSION_LIMIT = 200
 """Greatest number of operations, and of terms, of sums that are expanded to test linearity."""
 _PIVOT_LIMIT = 20
 """Greatest number of operations of a coefficient with roots by which an equation of first-order dynamics is divided."""
-_MANY = 100
-"""Number of equations from which unknowns are eliminated without fill-in."""
+_MANY, _LONG = 100, 20_000
+"""Numbers of equations, and of their operations, from which unknowns are eliminated without fill-in."""
 _SUBSTITUTED = 20
 """Greatest number of operations of a solution that is substituted into one of many equations."""
 _GROWTH_LIMIT = 150
@@ -105,7 +105,7 @@ def eliminate(
     `constants` are the symbols that are constant along a trajectory. Equations are tried in both orders; the result has
     the fewest unknowns for Newton's method, then the fewest operations. No equation is divided by a coefficient with
     roots, such as sqrt(6), that has more operations than `longest`: sympy takes minutes for the signs of polynomials in
-    roots, and a numerical solution with exchange of rows is cheap. Many equations are solved without fill-in.
+    roots, and a numerical solution with exchange of rows is cheap. Many and long equations are solved without fill-in.
     """
 
     def cost(result: Elimination) -> tuple[int, bool, int]:
@@ -114,7 +114,7 @@ def eliminate(
         return len(result.unknowns), not result.linear, operations
 
     forward = range(len(unknowns))
-    if len(unknowns) >= _MANY:
+    if len(unknowns) >= _MANY or expressions.longer_than(_LONG, equations):
         return _System(equations, unknowns, frozenset(constants), longest).solved(forward, is_large=True)
     first = _System(equations, unknowns, frozenset(constants), longest).solved(forward)
     if len(first.unknowns) in (0, len(unknowns)):

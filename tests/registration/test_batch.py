@@ -198,7 +198,10 @@ def test_a_full_disk_ends_a_batch_and_what_is_written_stays(folder, tmp_path):
     jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
     with pytest.raises(FileError, match="make room"):
         done(jobs, Options(), tmp_path / "s.csv", full)
-    assert [line["status"] for line in read_summary(tmp_path / "s.csv")] == ["solved"]
+    # Another thread may have finished a later pair, which is then kept too.
+    written = [Path(line["out"]).stem for line in read_summary(tmp_path / "s.csv")]
+    assert written[0] == "a"
+    assert "b" not in written
 
 
 def test_a_chunk_that_nobody_wants_is_left(folder, tmp_path):
