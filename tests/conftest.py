@@ -59,7 +59,7 @@ FAST = frozenset(
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
 
 QUICK_BUILDS = frozenset(
-    "rotations contact rolling degenerate_lagrangians stage_bounds events constrained_motions many".split()
+    "rotations contact rolling degenerate_lagrangians stage_bounds events constrained_motions".split()
 )
 """Files of tests on the mathematics of many problems; others test the machine code that a build makes."""
 

@@ -206,7 +206,7 @@ def independent_couplings(model: Model) -> IndependentCouplings:
 
     Earlier equations are the couplings written before, and the end conditions of single bodies, which are always kept.
     Dependence is judged to first order at the default parameters. The configuration is near the guess and satisfies all
-    equations, if possible (least squares, from the guess and from points near it).
+    equations, if possible (Levenberg-Marquardt steps, from the guess and from points near it).
     """
     if not model.couplings:
         return IndependentCouplings((), ())
@@ -320,20 +320,28 @@ def _scaled(residuals: Array, jacobian: Array) -> tuple[Array, Array]:
 def _projected(system: System, point: Array) -> tuple[Array, float]:
     """Return a nearby point of the set where all equations hold, and its relative distance from the set.
 
-    The trust-region method of scipy converges even where equations are redundant.
+    The damping of the steps is the square of the residuals, with which they converge quadratically even where
+    equations are redundant (Yamashita and Fukushima, 2001, On the rate of convergence of the Levenberg-Marquardt
+    method). A line search halves the step until the error decreases.
     """
-    from scipy.optimize import least_squares  # its import is slow
-
     residuals, jacobian = _scaled(*system(point))
-    if np.isfinite(residuals).all() and np.isfinite(jacobian).all():
-        with np.errstate(all="ignore"):  # a trial point may be far away
-            solution = least_squares(
-                lambda x: _scaled(*system(x))[0], point, lambda x: _scaled(*system(x))[1],
-                ftol=_EXACT, xtol=_EXACT, gtol=_EXACT, max_nfev=_ITERATIONS,
-            )  # fmt: skip
-        point, residuals, jacobian = solution.x, solution.fun, solution.jac
-    error = float(np.linalg.norm(residuals)) / max(1.0, float(np.abs(point).max()))
-    return point, error if np.isfinite(error) and np.isfinite(jacobian).all() else np.inf
+    error = float(np.linalg.norm(residuals))
+    for _ in range(_ITERATIONS):
+        if not np.isfinite(jacobian).all() or not _EXACT * np.abs(point).max() < error < np.inf:
+            break
+        damped = np.vstack([jacobian, min(error, 1.0) * np.eye(point.size)])
+        step = np.linalg.lstsq(damped, -np.concatenate([residuals, np.zeros(point.size)]), rcond=None)[0]
+        for length in 0.5 ** np.arange(12):
+            trial = point + length * step
+            trial_equations = _scaled(*system(trial))
+            trial_error = float(np.linalg.norm(trial_equations[0]))
+            if trial_error < error and np.isfinite(trial_equations[1]).all():
+                break
+        else:
+            break
+        point, (residuals, jacobian), error = trial, trial_equations, trial_error
+    size = max(1.0, float(np.abs(point).max()))
+    return point, error / size if np.isfinite(error) and np.isfinite(jacobian).all() else np.inf
 
 
 def _sorted_rows(

@@ -26,7 +26,7 @@ def columns_of(result: Any) -> dict[str, list[int]]:
 
     With several bodies, the name of an attitude ends with the number of its body.
     """
-    found, names = dict[str, list[int]](), result.names["q"]
+    found, names = dict[str, list[int]](), result.names["q"] if result.attitudes else ()
     for attitude in result.attitudes:
         for ending in (own.removeprefix(f"{attitude}_w") for own in names if own.startswith(f"{attitude}_w")):
             parts = [f"{attitude}_{part}{ending}" for part in _PARTS]
