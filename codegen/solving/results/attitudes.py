@@ -37,7 +37,7 @@ def columns_of(result: Any) -> dict[str, list[int]]:
 
 def angular_velocity_names(result: Any) -> dict[str, str]:
     """Return the attitude of each angular velocity by name: `omega`, or `omega_<attitude>` with several attitudes."""
-    attitudes = [*columns_of(result)] if result.names["p"] else []
+    attitudes = [*columns_of(result)] if result.attitudes and result.names["p"] else []
     return {"omega": attitudes[0]} if len(attitudes) == 1 else {f"omega_{name}": name for name in attitudes}
 
 
