@@ -307,6 +307,24 @@ def test_all_checks_pass():
     assert {"gap bumper", "normal force of bumper"} <= {f.subject for f in findings if f.check == "contact"}
 
 
+def test_checks_pass_for_a_gap_that_is_open_until_the_end():
+    """A crate reaches a wall at any speed: the force m a + f with a = 3 (1 - t) (1 + f/2m) - f/m has the least cost."""
+    walled = {
+        "unilateral": lambda s: {"floor": s["y"] >= 0, "wall": 1 - s["x"] >= 0},
+        "friction": [MU, 0],
+        "slip": lambda s: [s["dx"], ()],
+        "end": lambda s: {s["x"]: 1, s["y"]: 0},
+        "steps": 40,
+    }
+    problem = pushed(**walled)
+    result = codegen.solve(problem)
+    assert result.solved, result.message
+    assert result.cost == pytest.approx(3 * (1 + MU * G / 2) ** 2, rel=1e-3)
+    findings = [f for f in checks.run(problem, steps=40) if f.check == "contact"]
+    assert {"gap wall", "normal force of wall"} <= {f.subject for f in findings}
+    assert all(f.passed for f in findings)
+
+
 @pytest.mark.parametrize("scheme", ["trapezoidal", "rectangle"])
 def test_other_schemes_have_the_same_contact_laws(scheme):
     result = codegen.solve(pushed(steps=15), scheme=scheme)

@@ -178,6 +178,7 @@ def check_rolling(context: Context) -> Iterator[Finding]:
 
 
 _DISSOLVED = 1e-6  # product of a contact law, relative to the largest force times the largest gap or speed
+_RELAXED = 2.0  # product of a force and a gap, relative to the default relaxation, at most: of gaps that never close
 
 
 def check_contact(context: Context) -> Iterator[Finding]:
@@ -189,7 +190,8 @@ def check_contact(context: Context) -> Iterator[Finding]:
     if solution.status != "solved":
         yield not_measured("contact", "all contacts", solution.message)
         return
-    data = data_at_solution(context)
+    data, metadata = data_at_solution(context), context.module.metadata
+    allowed = _RELAXED * float(metadata.parameters[metadata.relaxation])
     q, t, h = solution.q, solution.t, np.diff(solution.t)
     left = [*q[:-1].T, *(np.diff(q, axis=0) / h[:, None]).T, t[:-1], *data.values()]
     symbols = [*model.coordinates, *model.rates, model.time, *data]
@@ -203,7 +205,7 @@ def check_contact(context: Context) -> Iterator[Finding]:
         yield Finding("contact", f"gap {contact.name}", worst >= -_HELD * size, detail)
         product = float(np.abs(normal * gaps[1:]).max())
         detail = f"force times gap at the next node is at most {product:.1g}, with forces up to {largest:.2g}"
-        passed = product <= _DISSOLVED * max(size * largest, 1e-300) and least >= -_HELD * max(1.0, largest)
+        passed = product <= max(_DISSOLVED * size * largest, allowed) and least >= -_HELD * max(1.0, largest)
         yield Finding("contact", f"normal force of {contact.name}", passed, detail)
         if not contact.slips:
             continue
