@@ -174,14 +174,14 @@ def estimates_tables(record: JsonObject) -> list[Table]:
         table.add_row(name, *map(_number, numbers), interval)
     if not 1 < len(names) <= _CORRELATED:
         return [table]
-    beside = _titled_table("Correlations")
-    beside.add_column("", style="cyan", no_wrap=True)
+    correlations_table = _titled_table("Correlations")
+    correlations_table.add_column("", style="cyan", no_wrap=True)
     for name in names[:-1]:
-        beside.add_column(name, justify="right")
+        correlations_table.add_column(name, justify="right")
     for number, (name, row) in enumerate(zip(names, record["correlations"], strict=True)):
         if number:
-            beside.add_row(name, *("" if entry is None else f"{entry:.3f}" for entry in row[:number]))
-    return [table, beside]
+            correlations_table.add_row(name, *("" if entry is None else f"{entry:.3f}" for entry in row[:number]))
+    return [table, correlations_table]
 
 
 def sensitivities_table(record: JsonObject) -> Table:
