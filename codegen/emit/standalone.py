@@ -17,7 +17,6 @@ from importlib import resources
 
 from codegen.emit.rendering import signed
 from codegen.runtime.kkt.shape import Shape
-from codegen.runtime.kkt.specialised import WITHOUT_STAGES, without_shape
 
 RUNTIME = "codegen.runtime"
 _LINKING = '''"""Functions that only compiled functions call are compiled as all others."""
@@ -36,8 +35,8 @@ from codegen.runtime.kernels import packed_operations
 
 
 @lru_cache(maxsize=1)
-def compiled_system():
-    """Return the compiled function, which has the address."""
+def compiled_system(shape):
+    """Return the compiled function, which has the address; all grids of this problem have one `shape`."""
 
     def system(
         is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
@@ -51,16 +50,6 @@ def compiled_system():
 
     with packed_operations():
         return entry_of(SYSTEM, system)
-
-
-def system_address(shape):
-    """Return the address of the linear system; all grids of this problem have one `shape`."""
-    return compiled_system().address
-
-
-def any_shape_address():
-    """Return the address of the linear system, which loops that the interpreter runs use as well."""
-    return compiled_system().address
 '''
 _KEPT_CODE = '''"""Machine code that numba keeps beside this file, and makes anew when the file has changed."""
 
@@ -98,10 +87,19 @@ def fresh_folder(file, identity):
 def add_checksums(folder, start):
     """Do nothing: machine code of this file is kept as numba keeps it."""
 '''
-_NO_STAGES = f'''"""There are no stages to be eliminated."""
+_NO_STAGES = '''"""There are no stages to be eliminated."""
 
 from numba import njit
-{WITHOUT_STAGES}
+
+HAS_STAGES = False
+eliminate_stages = reduce_right = recover_stages = None
+
+
+@njit(error_model="numpy")
+def stage_views(tables, reals, integers, bodies, body, steps):
+    """Return nothing: there are no stages."""
+    return None, None
+
 
 def stage_sizes(shape, copied, bodies, steps):
     """Return the lengths of no storage."""
@@ -410,7 +408,7 @@ def _numerics(name: str, text: str) -> str:
     for node in reversed(tree.body):
         if isinstance(node, ast.FunctionDef) and node.name not in ("factor_sizes", "stage_sizes"):
             part = slice(node.lineno - 1, node.end_lineno)
-            lines[part] = without_shape("\n".join(lines[part])).splitlines()
+            lines[part] = re.sub(r"\bshape,\s+|(?<=\()shape(?=\))", "", "\n".join(lines[part])).splitlines()
         elif isinstance(node, ast.ClassDef):
             lines.insert(node.end_lineno or 0, f"\n\nshape = Shape({', '.join(map(str, shape))})")
     if stem != "shape":

@@ -104,9 +104,8 @@ def is_whole(data, pickles):
     If they end with a checksum, the checksum must be right. Otherwise, as many complete pickles as `pickles` must be
     readable.
     """
-    body, mark, digest = data[:-SEALED], data[-SEALED : len(SEAL) - SEALED], data[len(SEAL) - SEALED :]
-    if mark == SEAL:
-        return hashlib.sha256(body).digest() == digest
+    if data[-SEALED : len(SEAL) - SEALED] == SEAL:
+        return is_sealed(data)
     stream = io.BytesIO(data)
     try:
         for _ in range(pickles):
@@ -115,6 +114,16 @@ def is_whole(data, pickles):
     except (ValueError, UnicodeDecodeError):
         return False
     return True
+
+
+def sealed(data):
+    """Return bytes with their checksum appended."""
+    return data + SEAL + hashlib.sha256(data).digest()
+
+
+def is_sealed(data):
+    """Return True if the bytes `data` end with a checksum, and the checksum is right."""
+    return data == sealed(data[:-SEALED])
 
 
 def add_checksums(folder, start=""):
@@ -130,7 +139,7 @@ def add_checksums(folder, start=""):
                     stream.seek(0)
                     data = stream.read()
                     stream.seek(len(data))  # another process would write the same here
-                    stream.write(SEAL + hashlib.sha256(data).digest())
+                    stream.write(sealed(data)[len(data) :])
 
 
 @lru_cache

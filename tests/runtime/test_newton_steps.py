@@ -13,7 +13,7 @@ import pytest
 from dense_problem import assert_optimal, dense_grid, guess_of, solve
 from known_optima import HOCK_SCHITTKOWSKI
 
-from codegen.runtime.kkt.specialised import any_shape_address
+from codegen.runtime.kkt.specialised import compiled_system
 from codegen.runtime.search.descent import SMALL_DELTA_W
 from codegen.runtime.search.grid import Grid
 from codegen.runtime.search.iterates import FROM_GUESS, begin, search_on
@@ -29,7 +29,7 @@ IS_NEW, DIAGONAL, STEP, IS_WANTED = 0, 7, 11, 12
 
 def with_system(grid: Grid, system: Callable[..., int]) -> tuple[Grid, Any]:
     """The grid whose linear system is a callback, which is handed the arguments and the compiled system."""
-    compiled, problem = SYSTEM(any_shape_address()), replace(grid.problem)
+    compiled, problem = SYSTEM(compiled_system(None).address), replace(grid.problem)
     callback = SYSTEM(lambda *arguments: system(compiled, arguments))
     vars(problem)["system"] = ctypes.cast(callback, ADDRESS).value
     return grid._replace(problem=problem), callback  # which has to be kept as long as it is called

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from numba import config, njit
 
-from codegen.runtime import addresses, kernels
+from codegen.runtime import kernels
 from codegen.runtime.kernels import packed_operations
-from codegen.runtime.kkt import specialised
-from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.search import problem
 
 
@@ -97,15 +95,4 @@ def test_functions_of_modules_are_packed(module, monkeypatch):
     monkeypatch.setattr(kernels, "cfunc", noted)
     made = module.Kernel(fill) if module is kernels else module.Loop(fill)
     assert made.compiled.function is fill
-    assert (found, config.SLP_VECTORIZE) == ([1], 0)
-
-
-def test_linear_systems_are_packed(monkeypatch):
-    """What numba is told while a linear system is compiled, and what it is told afterwards."""
-    found = []
-    monkeypatch.setattr(config, "SLP_VECTORIZE", 0)
-    monkeypatch.setattr(specialised, "system_module", lambda shape: SimpleNamespace(system=shape))
-    monkeypatch.setattr(addresses, "cfunc", lambda *_, **__: lambda shape: found.append(config.SLP_VECTORIZE) or shape)
-    shape = Shape(*[0] * 11)
-    assert specialised.compiled_system.__wrapped__(shape) is shape
     assert (found, config.SLP_VECTORIZE) == ([1], 0)

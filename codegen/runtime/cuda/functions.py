@@ -10,6 +10,8 @@ expressions have another form on a device. The translation is made on the syntax
 - A loop over an array of the module is a loop over its indices.
 - Integer powers are products.
 - A call by the address in a field, `call(scheme.jacobian, ...)`, is a call of the device function of that name.
+- An argument that is the same in all calls, such as the Shape of a linear system, is a constant. Branches that it rules
+  out are left out.
 
 Large functions are not inlined: otherwise the compiler needs minutes in place of seconds.
 
@@ -121,10 +123,27 @@ else:
 
 
 class Translation(ast.NodeTransformer):
-    """The translation of a function's syntax tree, see the module; `names` are the global names of the function."""
+    """The translation of a function's syntax tree, see the module.
 
-    def __init__(self, names):
-        self.names = names
+    `names` are the global names of the function. `constants` are those of them that may be its first argument.
+    """
+
+    def __init__(self, names, constants):
+        self.names, self.constants = names, constants
+
+    def visit_FunctionDef(self, node):
+        """Remove the first argument if it is a constant."""
+        if node.args.args and node.args.args[0].arg in self.constants:
+            del node.args.args[0]
+        return self.generic_visit(node)
+
+    def visit_If(self, node):
+        """Replace a branch on constants by the statements that are executed."""
+        names = {part.id for part in ast.walk(node.test) if isinstance(part, ast.Name)}
+        self.generic_visit(node)
+        if not names or not names <= set(self.constants):
+            return node
+        return (node.body if self.constant(node.test) else node.orelse) or ast.Pass()
 
     def constant(self, node):
         """Return the value of an expression of the module's names; raise NameError if it has others."""
@@ -150,6 +169,8 @@ class Translation(ast.NodeTransformer):
         """Replace a new array by one in local memory, the copy of an array of the module, and a call by address."""
         self.generic_visit(node)
         called = ast.unparse(node.func)
+        if node.args and isinstance(node.args[0], ast.Name) and node.args[0].id in self.constants:
+            del node.args[0]
         if called == "call" and isinstance(node.args[0], ast.Attribute):
             return ast.Call(ast.Name(f"call_{node.args[0].attr}", ast.Load()), node.args, [])
         if called in ("np.zeros", "np.empty"):
@@ -228,10 +249,12 @@ class Device:
     """The device functions of one problem.
 
     `replaced` maps names to device functions that take the place of functions with these names, such as calls by
-    address. `device[function]` is the device function of a compiled function.
+    address. `constants` maps names of first arguments to their values. `device[function]` is the device function of a
+    compiled function.
     """
 
-    def __init__(self):
+    def __init__(self, constants=None):
+        self.constants = constants or {}
         row = on_device(zeroed_row)
         clear = on_device(_with_names(zeroed, {"zeroed_row": row}))
         self.helpers = {
@@ -251,7 +274,7 @@ class Device:
 
     def _translated(self, function, python):
         """Return the device function of a compiled function, with the device functions that it calls."""
-        names = {**inspect.getclosurevars(python).nonlocals, **python.__globals__}
+        names = {**inspect.getclosurevars(python).nonlocals, **python.__globals__, **self.constants}
         tree = ast.parse(textwrap.dedent(inspect.getsource(python)))
         ast.increment_lineno(tree, python.__code__.co_firstlineno - 1)
         (definition,) = tree.body
@@ -259,7 +282,7 @@ class Device:
         options = getattr(function, "targetoptions", {})
         if not options.get("forceinline") and sum(1 for _ in ast.walk(definition) if isinstance(_, ast.stmt)) > LARGE:
             definition.body.insert(1, ast.Expr(ast.Call(ast.Name("apart_", ast.Load()), [], [])))
-        tree = ast.fix_missing_locations(Translation(names).visit(tree))
+        tree = ast.fix_missing_locations(Translation(names, self.constants).visit(tree))
         space = {**names, **self.helpers}
         exec(compile(tree, inspect.getfile(python), "exec"), space)
         made = space[python.__name__]

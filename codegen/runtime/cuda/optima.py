@@ -12,7 +12,7 @@ from numba import cuda
 
 from codegen.runtime.cuda.functions import IS_SIMULATED, Device, on_device
 from codegen.runtime.cuda.memory import Columns, free_memory, sent, viewed, work_space
-from codegen.runtime.kkt.specialised import system_module
+from codegen.runtime.kkt.system import solve_system
 from codegen.runtime.search import batch, descent
 from codegen.runtime.search.batch import Space
 from codegen.runtime.search.cascade import clip
@@ -39,12 +39,14 @@ class Full(Exception):
 @lru_cache(maxsize=16)
 def kernel_of(problem):
     """Return the kernel that solves cases of a control problem, compiled at its first launch."""
-    device, searched = Device(), problem.searched
+    searched = problem.searched
+    shape = searched.structure.shape
+    device = Device({"shape": shape, "HAS_STAGES": shape.stages > 0})
     loops = [searched.gradient, searched.hessians]
     if problem.shooting is not None:
         loops += [problem.gradient, problem.hessians, problem.shooting.stages]
     gradient, hessians, *others = (device[loop] for loop in loops)
-    system = device[system_module(searched.structure.shape).solve_system]
+    system = device[solve_system]
 
     def call_two_loops(loop, unknowns, steps, h, nodes, parameters, width, filled):
         """Call the loop with the number `loop`."""

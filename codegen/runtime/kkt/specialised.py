@@ -1,70 +1,36 @@
 """Compiled linear systems: one for each Shape, with its numbers as constants, and one for all shapes.
 
-The source of a specialised system is made from the files of this folder: a constant `shape` replaces the argument.
-Problems of equal Shape share the system. The source is kept in the cache folder, next to numba's machine code.
-Constants halve the time of a factorisation.
+numba translates the system once on a machine, see `intermediate`. For each Shape, LLVM then makes machine code of this
+code, with the numbers of unknowns as constants. Constants halve the time of a factorisation. Problems of equal Shape
+share the machine code. It is kept in the cache folder.
 
 The system for all shapes reads the numbers at run time and needs no compilation for a new Shape. This takes less time
 for many small problems, such as tests.
 """
 
-import ast
 import hashlib
-import importlib.util
 import os
-import re
+import subprocess
 import sys
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 
-from codegen.runtime.addresses import SYSTEM, entry_of
-from codegen.runtime.kept_code import fingerprint, fresh_folder
-from codegen.runtime.kernels import packed_operations
+import llvmlite.binding as llvm
+from numba import config
+
+from codegen.runtime.addresses import SYSTEM, callback
+from codegen.runtime.kept_code import SEALED, fingerprint, is_sealed, sealed
 from codegen.runtime.kkt.shape import SHAPE, Shape, place_of
 from codegen.runtime.kkt.system import solve_system
 
-FILES = "shape", "symmetric", "stages", "elimination", "system"
-PARTS = ("eliminate_body", "forward", "backward", "condense", "recover_condensed")
-"""Functions whose intermediate code numba keeps, so that several processes can compile a system."""
-HEAD = '''"""The linear system of Newton's method for problems of one shape, made by codegen; do not edit.
-
-Numbers of unknowns: {fields}.
+ENTRY = "linear_system"
+"""The name of the function in the machine code."""
+PROGRAM = """
+import runpy, sys
+sys.path.insert(0, sys.argv.pop(1))
+runpy.run_module("codegen.runtime.kkt.intermediate", run_name="__main__")
 """
-
-import numpy as np
-from numba import carray, njit
-
-from codegen.runtime.addresses import ahead
-from codegen.runtime.kkt.shape import Shape
-from codegen.runtime.linking import link_inner_functions
-
-shape = Shape({values})
-'''
-WITHOUT_STAGES = '''
-HAS_STAGES = False
-eliminate_stages = reduce_right = recover_stages = None
-
-
-@njit(error_model="numpy")
-def stage_views(tables, reals, integers, bodies, body, steps):
-    """Return nothing: there are no stages."""
-    return None, None
-'''
-TAIL = '''
-link_inner_functions(value for value in list(globals().values()) if hasattr(value, "py_func"))
-for part in ({parts}):
-    part.enable_caching()
-
-
-def system(
-    is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step, is_wanted
-):
-    """Factor the KKT matrix if it `is_new`, and solve for the step if it `is_wanted`; see `solve_system`."""
-    return solve_system(
-        is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
-        is_wanted,
-    )
-'''
 
 
 def cache_folder():
@@ -75,107 +41,110 @@ def cache_folder():
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "variational-codegen"
 
 
-def text_of(shape):
-    """Return the source of the module with the linear system of a Shape."""
-    fields = ", ".join(f"{name} {value}" for name, value in zip(Shape._fields, shape, strict=True))
-    head = HEAD.format(fields=fields, values=", ".join(map(str, shape)))
-    tail = TAIL.replace("{parts}", ", ".join(PARTS))
-    texts = (body_of(name) if name != "stages" or shape.stages else WITHOUT_STAGES for name in FILES)
-    return "\n\n".join([head, *texts, tail])
+def path_of(shape):
+    """Return the path of the machine code for a Shape, or for all shapes if `shape` is None."""
+    text = f"{shape and tuple(shape)} {processor()} {fingerprint()}"
+    return cache_folder() / "kkt" / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.o"
 
 
-@lru_cache
-def body_of(name):
-    """Return the statements of the file `name` of this folder, without the arguments `shape`.
-
-    Imports, the module's docstring, the class Shape and functions that only Python calls are left out.
-    """
-    text = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
-    lines, kept = text.splitlines(), []
-    for node in ast.parse(text).body:
-        is_docstring = isinstance(node, ast.Expr) and node.col_offset == 0 and not kept
-        is_class = isinstance(node, ast.ClassDef)
-        if isinstance(node, (ast.Import, ast.ImportFrom)) or is_docstring or is_class:
-            continue
-        if isinstance(node, ast.FunctionDef) and node.name in ("packed", "factor_sizes", "stage_sizes"):
-            continue
-        first = min([node.lineno, *(decorator.lineno for decorator in getattr(node, "decorator_list", []))])
-        between = "\n\n" if isinstance(node, ast.FunctionDef) else ""
-        kept.append(between + "\n".join(lines[first - 1 : node.end_lineno]))
-    return without_shape("\n".join(kept))
+def processor():
+    """Return the name and the features of the processor, as numba's variables of the environment or LLVM have them."""
+    name, features = config.CPU_NAME, config.CPU_FEATURES
+    if name is None:
+        return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    return name, features or ""
 
 
-def without_shape(text):
-    """Return the source `text` of functions without the arguments `shape`."""
-    return re.sub(r"\(shape\)", "()", re.sub(r"\bshape,\s+", "", text))
-
-
-@lru_cache(maxsize=256)
-def system_module(shape):
-    """Return the module with the linear system of a Shape; write it first if the cache has no complete file."""
-    name = f"kkt_{hashlib.sha256(f'{shape} {fingerprint()}'.encode()).hexdigest()[:16]}"
-    path = cache_folder() / "kkt" / f"{name}.py"
-    if not is_whole(path):
-        text = text_of(shape)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{name}.{os.getpid()}")
-        temporary.write_text(f"# {digest_of(text)}\n{text}", encoding="utf-8")
-        temporary.replace(path)
-    fresh_folder(str(path))
-    spec = importlib.util.spec_from_file_location(name, path)
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def is_whole(path):
-    """Return True if the file is complete: its first line is the digest of the rest."""
+def kept(path, make):
+    """Return the bytes of a file of the cache; if the file is missing or damaged, `make` them and write the file."""
     try:
-        first, _, text = path.read_text(encoding="utf-8").partition("\n")
-    except (OSError, UnicodeDecodeError):
-        return False
-    return first == f"# {digest_of(text)}"
+        data = path.read_bytes()
+    except FileNotFoundError:
+        data = b""
+    if not is_sealed(data):
+        data = sealed(make())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    return data[:-SEALED]
 
 
-def digest_of(text):
-    """Return the SHA-256 digest of a text, in hexadecimal digits."""
-    return hashlib.sha256(text.encode()).hexdigest()
+@lru_cache(maxsize=1)
+def intermediate_code():
+    """Return the intermediate code of the linear system for all shapes, made by another process."""
+    path = cache_folder() / "kkt" / f"{fingerprint()[:16]}.ll"
+    command = [sys.executable, "-P", "-c", PROGRAM, str(Path(__file__).parents[3])]
+    return kept(path, lambda: subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout).decode()
+
+
+def machine():
+    """Return LLVM's description of the processor and of the code that it should make."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    name, features = processor()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=name, features=features, opt=3, reloc="default", codemodel="jitdefault", jit=True
+    )
+
+
+def machine_code(shape):
+    """Return the machine code of the linear system for a Shape, or for all shapes if `shape` is None."""
+    module = llvm.parse_assembly(intermediate_code())
+    (function,) = (f for f in module.functions if ("solve_system" if shape else "solve_any_shape") in f.name)
+    module.link_in(llvm.parse_assembly(entry_of(function, shape or ())))
+    for function in module.functions:
+        if function.name != ENTRY and not function.is_declaration:
+            function.linkage = "internal"  # it need not exist on its own
+    target, options = machine(), llvm.create_pipeline_tuning_options(speed_level=3 if shape else 1)
+    options.slp_vectorization = options.loop_vectorization = options.loop_unrolling = bool(shape)
+    passes = llvm.create_pass_builder(target, options)
+    passes.getModulePassManager().run(module, passes)
+    return target.emit_object(module)
+
+
+def entry_of(function, sizes):
+    """Return the intermediate code of a function with the SYSTEM signature that calls `function` with these sizes.
+
+    Functions of numba write their result to a pointer, their first argument. The second one takes exceptions, of which
+    the linear system raises none.
+    """
+    result, exception, *kinds = (str(argument.type) for argument in function.arguments)
+    own = [f"{kind} %{i}" for i, kind in enumerate(kinds[len(sizes) :])]
+    given = [f"{result} %result", f"{exception} null", *(f"i64 {size}" for size in sizes), *own]
+    return f"""
+declare i32 @"{function.name}"({", ".join([result, exception, *kinds])})
+define i64 @{ENTRY}({", ".join(own)}) {{
+    %result = alloca i64
+    %status = call i32 @"{function.name}"({", ".join(given)})
+    %value = load i64, {result} %result
+    ret i64 %value
+}}
+"""
 
 
 @lru_cache(maxsize=256)
 def compiled_system(shape):
-    """Return the compiled linear system of a Shape; its attribute `address` is the address for calls."""
-    with packed_operations():
-        return entry_of(SYSTEM, system_module(shape).system)
+    """Return the linear system of a Shape, or for all shapes if None; its attribute `address` is that for calls."""
+    if config.DISABLE_JIT:
+        return callback(SYSTEM, partial(solve_system, shape) if shape else solve_any_shape)
+    code = llvm.ObjectFileRef.from_data(kept(path_of(shape), partial(machine_code, shape)))
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
+    engine.add_object_file(code)
+    engine.finalize_object()
+    return SimpleNamespace(address=engine.get_function_address(ENTRY), engine=engine)  # the code lives in the engine
 
 
-def system_address(shape):
-    """Return the address of the linear system of a Shape; compile the system if the cache has none."""
-    return compiled_system(shape).address
+def solve_any_shape(is_new, bodies, steps, inverses, tables, *others):
+    """Call `solve_system` with the Shape in the index tables, in Python."""
+    p = place_of(tables, SHAPE)
+    shape = Shape(*(int(tables[p + i]) for i in range(len(Shape._fields))))
+    return solve_system(shape, is_new, bodies, steps, inverses, tables, *others)
 
 
-@lru_cache(maxsize=1)
-def compiled_any_shape():
-    """Return the compiled linear system for all shapes; its attribute `address` is the address for calls."""
-
-    def system(
-        is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
-        is_wanted,
-    ):  # fmt: skip
-        """Factor the KKT matrix if `is_new` is 1, and solve for `step` if `is_wanted` is 1; see `solve_system`."""
-        p = place_of(tables, SHAPE)
-        shape = Shape(
-            tables[p], tables[p + 1], tables[p + 2], tables[p + 3], tables[p + 4], tables[p + 5], tables[p + 6],
-            tables[p + 7], tables[p + 8], tables[p + 9], tables[p + 10], tables[p + 11], tables[p + 12], tables[p + 13],
-        )  # fmt: skip
-        return solve_system(
-            shape, is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders,
-            step, is_wanted,
-        )  # fmt: skip
-
-    return entry_of(SYSTEM, system)
-
-
-def any_shape_address():
-    """Return the address of the linear system for all shapes."""
-    return compiled_any_shape().address
+def is_made(shape):
+    """Return True if the machine code of the linear system of a Shape is on the disk."""
+    try:
+        return is_sealed(path_of(shape).read_bytes())
+    except FileNotFoundError:
+        return False

@@ -10,7 +10,7 @@ from numba import config
 
 from codegen.runtime.addresses import LOOP, callback
 from codegen.runtime.kernels import Addressed, problem_of
-from codegen.runtime.kkt.specialised import any_shape_address, system_address
+from codegen.runtime.kkt.specialised import compiled_system
 from codegen.runtime.linking import link_inner_functions
 from codegen.runtime.record import ControlRecord
 from codegen.runtime.search.structure import Structure
@@ -224,9 +224,8 @@ class ControlProblem:
 
         Interpreted problems share one system for all shapes.
         """
-        if self.gradient.is_interpreted or config.DISABLE_JIT:
-            return any_shape_address()
-        return system_address(self.structure.shape)
+        is_interpreted = self.gradient.is_interpreted or config.DISABLE_JIT
+        return compiled_system(None if is_interpreted else self.structure.shape).address
 
     def kernels(self):
         """Return the loops of the problem, beginning with the loops that take longest to compile."""

@@ -31,8 +31,10 @@ import numpy as np
 from numba import boolean, carray, cfunc, config, float64, int64, njit, typeof, types
 from numba.core.event import Event, Listener, install_listener
 
-from codegen.runtime.kept_code import add_checksums, code_folder, runtime_folders
+from codegen.runtime.kept_code import add_checksums, code_folder, is_kept, runtime_folders
 from codegen.runtime.kernels import packed_operations
+from codegen.runtime.kkt.shape import Shape
+from codegen.runtime.kkt.specialised import compiled_system, is_made
 from codegen.runtime.record import Task
 from codegen.solving.loading import few_steps, load
 from codegen.solving.tasks import task_of
@@ -43,7 +45,6 @@ COUNT, DONE = "codegen: parts: ", "codegen: part done"
 REALS, TABLE, CUBE, FOURFOLD = (types.Array(float64, d, "C") for d in (1, 2, 3, 4))
 INTEGERS, INDEX_TABLE = (types.Array(int64, d, "C") for d in (1, 2))
 MASK, MASKS, READ_MASK = types.Array(boolean, 1, "C"), types.Array(boolean, 2, "C"), types.Array(boolean, 1, "C", True)
-INTEGERS_AT = types.CPointer(int64)
 
 Signature = tuple[Any, ...]
 """The numba types of the arguments of a function."""
@@ -53,8 +54,8 @@ Signature = tuple[Any, ...]
 class Part:
     """A unit of machine code that one process compiles.
 
-    `make` compiles the Python function `function`. `serves` is "problem" if only one problem uses the code, "shape" if
-    all problems whose KKT matrix has the same structure use it, and "runtime" if all problems use it.
+    `make` compiles the Python function `function`. `serves` is "problem" if only one problem uses the code, and
+    "runtime" if all problems use it.
     """
 
     function: Any
@@ -64,9 +65,33 @@ class Part:
     @property
     def is_kept(self) -> bool:
         """True if machine code of the function is in the cache on the disk."""
-        from codegen.runtime.kept_code import is_kept
-
         return bool(is_kept(self.function))
+
+    def protect(self) -> None:
+        """Add checksums to the files of machine code in all folders to which the compilation may have written."""
+        folders = [] if self.serves == "problem" else [code_folder(self.function.__code__.co_filename)]
+        for folder in {*folders, *(runtime_folders() if self.serves == "runtime" else [])}:
+            add_checksums(folder)
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """The unit of machine code that all problems share whose KKT matrix has the same block structure, the `shape`."""
+
+    shape: Shape
+    serves: str = "shape"
+
+    @property
+    def is_kept(self) -> bool:
+        """True if the machine code is in the cache on the disk."""
+        return bool(is_made(self.shape))
+
+    def make(self) -> None:
+        """Make the machine code, or load it from the disk."""
+        compiled_system(self.shape)
+
+    def protect(self) -> None:
+        """Do nothing: the file has a checksum."""
 
 
 def has_machine_code(module: Any) -> bool:
@@ -74,7 +99,7 @@ def has_machine_code(module: Any) -> bool:
     return all(part.is_kept for part in parts_of(module))
 
 
-def parts_of(module: Any) -> list[Part]:
+def parts_of(module: Any) -> list[Part | LinearSystem]:
     """Return all parts of the machine code of a module, in the order in which they should be compiled.
 
     The list is empty if numba is switched off, or if the module does not use the solvers of the runtime.
@@ -92,41 +117,8 @@ def parts_of(module: Any) -> list[Part]:
     )
     kernels = [Part(kernel.function, partial(getattr, kernel, "address")) for kernel in module.problem.kernels()]
     if hasattr(module.problem, "structure"):
-        *system_parts, system = linear_system(module.problem.searched.structure.shape)
-        return [first, *system_parts, *others, *kernels, system]
+        return [first, LinearSystem(module.problem.searched.structure.shape), *others, *kernels]
     return [first, *kernels, *others]
-
-
-def linear_system(shape: Any) -> Iterator[Part]:
-    """Yield the parts of the solver of the linear system; the code of the last part contains the code of the others.
-
-    `shape` describes the block structure of the KKT matrix.
-    """
-    from codegen.runtime.kkt.specialised import compiled_system, system_module
-
-    system = system_module(shape)
-    of_stages: Signature = (types.none, types.none)
-    if shape.stages:
-        kept = types.Tuple((TABLE, CUBE, TABLE, CUBE, CUBE, CUBE, CUBE, INDEX_TABLE))
-        of_stages = (kept, types.Tuple((TABLE, TABLE, TABLE, TABLE, REALS)))
-    elimination = (
-        INTEGERS_AT, TABLE, REALS, REALS, REALS, REALS, int64, TABLE, TABLE, INTEGERS, CUBE, CUBE, *of_stages, TABLE,
-        TABLE, TABLE,
-    )  # fmt: skip
-    substitution = {
-        system.forward: (INTEGERS_AT, TABLE, TABLE, INTEGERS, int64, REALS, REALS, REALS, REALS),
-        system.backward: (INTEGERS_AT, TABLE, INTEGERS, int64, int64, REALS, REALS, REALS, REALS),
-        system.condense: (INTEGERS_AT, REALS, CUBE, CUBE, *of_stages, int64, REALS),
-        system.recover_condensed: (INTEGERS_AT, REALS, CUBE, CUBE, *of_stages, int64, REALS, REALS),
-    }
-
-    def solve() -> None:
-        for function, signature in substitution.items():
-            function.compile(signature)
-
-    yield Part(system.system, partial(system.eliminate_body.compile, elimination), "shape")
-    yield Part(system.system, solve, "shape")
-    yield Part(system.system, partial(compiled_system, shape), "shape")
 
 
 def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
@@ -303,7 +295,7 @@ def compile_all(module: Any) -> None:
     with np.errstate(all="ignore"), packed_operations():
         for part in parts_of(module):
             part.make()
-            protect(part)
+            part.protect()
     task_of(module).small(module)
 
 
@@ -383,7 +375,7 @@ def link_runtime() -> None:
     compile_for_any_value(function for key, function in functions.items() if is_kept[key])
 
 
-def compile_in_two(parts: list[Part]) -> int:
+def compile_in_two(parts: list[Part | LinearSystem]) -> int:
     """Compile parts in this process and in a fork of it; return the exit status.
 
     Both processes read the index of the next part from a common pipe, until the pipe is empty.
@@ -406,7 +398,7 @@ def compile_in_two(parts: list[Part]) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(other, 0)[1])
 
 
-def compile_parts(parts: Iterable[Part], count: int) -> None:
+def compile_parts(parts: Iterable[Part | LinearSystem], count: int) -> None:
     """Compile parts, and report each finished part to the parent process by a line of standard output.
 
     `count` is the number of parts of all processes.
@@ -415,15 +407,8 @@ def compile_parts(parts: Iterable[Part], count: int) -> None:
     with np.errstate(all="ignore"), packed_operations():
         for part in parts:
             part.make()
-            protect(part)
+            part.protect()
             os.write(sys.stdout.fileno(), f"{DONE}\n".encode())
-
-
-def protect(part: Part) -> None:
-    """Add checksums to the files of machine code in all folders to which the compilation of a part may have written."""
-    folders = [] if part.serves == "problem" else [code_folder(part.function.__code__.co_filename)]
-    for folder in {*folders, *(runtime_folders() if part.serves == "runtime" else [])}:
-        add_checksums(folder)
 
 
 def failed(error: Exception) -> int:
