@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 from codegen.batch.executors.chunks import LOST, SOLVED
 from codegen.batch.layout import Shapes
 from codegen.batch.motions import UNUSABLE, Motions, empty_motions, follow_motions, unusable_message
-from codegen.batch.optima import Limits, optima
+from codegen.batch.optima import Limits, Outcomes, optima
 from codegen.batch.request import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
 from codegen.errors import CodegenError, one_line
-from codegen.runtime.search.batch import Optimum
 from codegen.runtime.search.problem import ControlProblem
 from codegen.runtime.stepping.problem import StepProblem
 from codegen.solving.drivers import find
@@ -208,10 +207,67 @@ class Varied:
         self, module: Any, driver: str, run: Run, wanted: Wanted | None = None, is_on_device: bool = False
     ) -> None:
         self.module, self.driver, self.run, self.wanted = module, driver, run, wanted
-        self.is_on_device = is_on_device
-        self.task = task_of(module)
-        self.function = find(driver).function(self.task.name)
-        self._module = with_arguments(module)
+        self.task, self._module = task_of(module), with_arguments(module)
+        self._function = find(driver).function(self.task.name)
+        problem = getattr(module, "problem", None) if driver == "newton" else None
+        # `solve_batch` solves optimisations, and `follow` simulations but of particles, both by the generated solver.
+        self.is_batched, self.is_ensemble = isinstance(problem, ControlProblem), isinstance(problem, StepProblem)
+        self._limits = Limits(run.tolerance, run.max_iterations, run.time_limit, run.scaling, False, is_on_device)
+
+    def steps_of(self, values: Mapping[Quantity, float]) -> int:
+        """Return the number of intervals of a case, in each phase or segment."""
+        steps = int(next((value for own, value in values.items() if own.kind == STEPS), self.run.steps))
+        segments = segments_of(self.module.metadata)
+        return segments.steps(steps) if segments else steps
+
+    def follow(self, columns: Mapping[Quantity, Vector], number: int, is_wanted: Callable[[], bool]) -> Motions:
+        """Return the motions of `number` cases, whose quantities have the values (number,) in `columns`."""
+        steps = self.steps_of({own: column[0] for own, column in columns.items()})
+        motions = empty_motions(self.module, columns, steps, self.run.every, self._limits, number)
+        follow_motions(motions, slice(0, number), is_wanted)
+        return motions
+
+    def solve_batch(
+        self, cases: Sequence[Mapping[Quantity, float]], is_wanted: Callable[[], bool]
+    ) -> list[Callable[[], Attempt]]:
+        """Solve cases with as many steps from their own guesses; return functions that make the attempts.
+
+        The seconds of a case are its part of the time of its block. Raises Abandoned once `is_wanted` returns False.
+        """
+        steps, found = self.steps_of(cases[0]), list[Callable[[], Attempt]]()
+        guesses = [self._guess(steps, values) for values in cases]
+        arguments = given_to({own: np.array([values[own] for values in cases]) for own in cases[0]})
+        begin = time.perf_counter()
+        for block in optima(self.module, steps, arguments, len(cases), guesses, self._limits, is_wanted):
+            seconds = (time.perf_counter() - begin) / len(block.optima.status)
+            found += [
+                partial(self._attempt_of, values, block, case, seconds)
+                for case, values in enumerate(cases[len(found) : len(found) + len(block.optima.status)])
+            ]
+            begin = time.perf_counter()
+        return found
+
+    def solve(self, values: Mapping[Quantity, float], start: Start | None) -> Attempt:
+        """Solve a case from `start`, or from the problem's own guess if `start` is None, and return the attempt.
+
+        Unusable values give the status UNUSABLE. A case is solved only if all equations hold, evaluated outside the
+        driver.
+        """
+        module, run = self.given(values), replace(self.run, steps=self.steps_of(values))
+        try:
+            begin = time.perf_counter()
+            if start is not None:
+                run = replace(run, guess=unknowns_of(module, run.steps, start, values))
+            elif self.task.name == "control":  # the driver and the evaluation outside it share the guess
+                guess = self._guess(run.steps, values)
+                own = module.initial_guess(module.make_grid(run.steps)) if guess is None else guess
+                run = replace(run, guess=own, near=False)
+            result = self._function(module, run)
+            return self._evaluated(module, run, result, values, time.perf_counter() - begin)
+        except CodegenError as error:
+            return failed(UNUSABLE, str(error))
+        except (ValueError, ArithmeticError) as error:  # generated modules raise built-in exceptions
+            return unusable(error, values)
 
     def given(self, values: Mapping[Quantity, float]) -> Any:
         """Return the module with the values of a case as parameter overrides; the next call replaces these values."""
@@ -225,120 +281,35 @@ class Varied:
             self._module.nlp = partial(self.module.nlp, **arguments)
         return self._module
 
+    def _guess(self, steps: int, values: Mapping[Quantity, float]) -> Vector | None:
+        """Return the guess of a case, or None for the problem's own."""
+        number = int(next((value for own, value in values.items() if own.kind == GUESS), 1))
+        return None if number == 1 else varied_guess(self.given(values), steps, number - 1)
 
-def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start | None) -> Attempt:
-    """Solve a case from `start`, or from the problem's own guess if `start` is None, and return the attempt.
+    def _attempt_of(self, values: Mapping[Quantity, float], block: Outcomes, case: int, seconds: float) -> Attempt:
+        """Return the attempt at a case of a block, which has evaluated its optimum outside the search."""
+        if case in block.errors:
+            return unusable(block.errors[case], values)
+        found, steps = block.optima.one(case), self.steps_of(values)
+        if found.status == SOLVED and self.wanted is None and segments_of(self.module.metadata) is None:
+            grid = self.module.make_grid(steps, **given_to(values)) if block.stack is None else block.grid(case)
+            return Attempt(outline_of_optimum(self.module, grid, found), steps, found.iterations, seconds)
+        run = replace(self.run, steps=steps)
+        tolerance = TOLERANCE if run.tolerance is None else run.tolerance
+        own = ControlAttempt(found.status, found.message, found.iterations, found.unknowns, tolerance, generated=True)
+        return self._evaluated(self.given(values), run, own, values, seconds)
 
-    Unusable values give the status UNUSABLE. A case is solved only if all equations hold, evaluated outside the driver.
-    """
-    module = varied.given(values)
-    of_kind = {quantity.kind: value for quantity, value in values.items()}
-    steps = steps_of(varied, values)
-    try:
-        begin = time.perf_counter()
-        run = replace(varied.run, steps=steps)
-        if start is not None:
-            run = replace(run, guess=_unknowns(module, steps, start, values))
-        elif varied.task.name == "control":  # the driver and the evaluation outside it share the guess
-            number = int(of_kind.get(GUESS, 1))
-            own = module.initial_guess(module.make_grid(steps)) if number == 1 else None
-            run = replace(run, guess=varied_guess(module, steps, number - 1) if own is None else own, near=False)
-        result = varied.function(module, run)
-        seconds = time.perf_counter() - begin
-        outline = varied.task.outline(module, varied.driver, run, result)
-        attempt = Attempt(outline, steps, result.iterations, seconds)
-    except CodegenError as error:
-        return failed(UNUSABLE, str(error))
-    except (ValueError, ArithmeticError) as error:  # generated modules raise built-in exceptions
-        return unusable(error, values)
-    if varied.wanted is None or not attempt.is_solved:
-        return attempt
-    return replace(attempt, rates=varied.wanted.of_solution(module, varied.driver, run, result, values))
+    def _evaluated(
+        self, module: Any, run: Run, result: Any, values: Mapping[Quantity, float], seconds: float
+    ) -> Attempt:
+        """Return the attempt of a result of the driver, with the requested derivatives."""
+        attempt = Attempt(self.task.outline(module, self.driver, run, result), run.steps, result.iterations, seconds)
+        if self.wanted is None or not attempt.is_solved:
+            return attempt
+        return replace(attempt, rates=self.wanted.of_solution(module, self.driver, run, result, values))
 
 
-Solved: TypeAlias = tuple[Optimum | Exception, float, Any]
-"""The optimum of a case or its error, the seconds of the search, and the grid of the case, or None if not known yet."""
-
-
-def is_batched(varied: Varied) -> bool:
-    """Return True if `solve_batch` can solve cases of a module: optimisations by the generated solver."""
-    return varied.driver == "newton" and isinstance(getattr(varied.module, "problem", None), ControlProblem)
-
-
-def is_ensemble(varied: Varied) -> bool:
-    """Return True if `followed` can solve cases of a module: simulations but of particles, by the generated solver."""
-    return varied.driver == "newton" and isinstance(getattr(varied.module, "problem", None), StepProblem)
-
-
-def followed(
-    varied: Varied, columns: Mapping[Quantity, Vector], steps: int, number: int, is_wanted: Callable[[], bool]
-) -> Motions:
-    """Return the motions of `number` cases, whose quantities have the values (number,) in `columns`."""
-    run, limits = varied.run, Limits(max_iterations=varied.run.max_iterations, is_on_device=varied.is_on_device)
-    motions = empty_motions(varied.module, columns, steps, run.every, limits, number)
-    follow_motions(motions, slice(0, number), is_wanted)
-    return motions
-
-
-def solve_batch(
-    varied: Varied, cases: Sequence[Mapping[Quantity, float]], is_wanted: Callable[[], bool]
-) -> list[Solved]:
-    """Solve cases with as many steps from their own guesses; return what is found of each.
-
-    `attempt_of` makes an attempt of it. The seconds of a case are its part of the time of its block. Raises Abandoned
-    once `is_wanted` returns False.
-    """
-    steps, run = steps_of(varied, cases[0]), varied.run
-    guesses = [_guess(varied, steps, values) for values in cases]
-    limits = Limits(run.tolerance, run.max_iterations, run.time_limit, run.scaling, is_on_device=varied.is_on_device)
-    found, begin = list[Solved](), time.perf_counter()
-    columns = {own: np.array([values[own] for values in cases]) for own in cases[0]}
-    for block in optima(varied.module, steps, given_to(columns), len(cases), guesses, limits, is_wanted):
-        number = len(block.optima.status)
-        seconds = (time.perf_counter() - begin) / number
-        found += [
-            (block.errors.get(case) or block.optima.one(case), seconds, block.grid(case)) for case in range(number)
-        ]
-        begin = time.perf_counter()
-    return found
-
-
-def steps_of(varied: Varied, values: Mapping[Quantity, float]) -> int:
-    """Return the number of intervals of a case, in each phase or segment."""
-    steps = int(next((value for own, value in values.items() if own.kind == STEPS), varied.run.steps))
-    segments = segments_of(varied.module.metadata)
-    return segments.steps(steps) if segments else steps
-
-
-def _guess(varied: Varied, steps: int, values: Mapping[Quantity, float]) -> Vector | None:
-    """Return the guess of a case, or None for the problem's own."""
-    number = int(next((value for own, value in values.items() if own.kind == GUESS), 1))
-    return None if number == 1 else varied_guess(varied.given(values), steps, number - 1)
-
-
-def attempt_of(
-    varied: Varied, values: Mapping[Quantity, float], found: Optimum | Exception, seconds: float, grid: Any
-) -> Attempt:
-    """Return the attempt at a case of a batch, which has evaluated its optimum outside the search.
-
-    `grid` is the grid of the case, or None for one that is not known yet.
-    """
-    if isinstance(found, Exception):
-        return unusable(found, values)
-    steps, is_whole = steps_of(varied, values), segments_of(varied.module.metadata) is None
-    if found.status == SOLVED and is_whole and varied.wanted is None:  # the most frequent case
-        grid = varied.module.make_grid(steps, **given_to(values)) if grid is None else grid
-        return Attempt(outline_of_optimum(varied.module, grid, found), steps, found.iterations, seconds)
-    module, run = varied.given(values), replace(varied.run, steps=steps)
-    tolerance = TOLERANCE if run.tolerance is None else run.tolerance
-    own = ControlAttempt(found.status, found.message, found.iterations, found.unknowns, tolerance, generated=True)
-    attempt = Attempt(varied.task.outline(module, varied.driver, run, own), steps, found.iterations, seconds)
-    if varied.wanted is None or not attempt.is_solved:
-        return attempt
-    return replace(attempt, rates=varied.wanted.of_solution(module, varied.driver, run, own, values))
-
-
-def _unknowns(module: ControlModule, steps: int, start: Start, values: Mapping[Quantity, float]) -> Vector:
+def unknowns_of(module: ControlModule, steps: int, start: Start, values: Mapping[Quantity, float]) -> Vector:
     """Return the initial guess (n,) of a start for `steps` intervals; see the docstring of this module."""
     unknowns, rates = start.solution.outline.unknowns, start.solution.rates
     assert unknowns is not None, "only solutions with unknowns are starts"

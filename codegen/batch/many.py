@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
 from codegen.batch.executors import team_size
+from codegen.batch.executors.local import in_threads
 from codegen.batch.motions import (
     UNUSABLE,
     Cases,
@@ -271,49 +269,34 @@ def solve_many(
         request.tolerance, request.max_iterations, math.inf if request.time_limit is None else request.time_limit,
         request.scaling, warm, is_on_device,
     )  # fmt: skip
-    ended, size = threading.Event(), number
-    if not is_on_device:
-        size = min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
+    size = number if is_on_device else min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
     if is_simulation(module):
-        motions = empty_motions(module, varied, count, request.every, limits, number)
-        if not is_on_device and not are_motions_ready(module.problem):
-            with building("Compiling what follows many motions, once"):
-                follow_motions(motions, slice(0, 1), lambda: True)
-        follow = partial(follow_motions, motions, is_wanted=lambda: not ended.is_set())
-        _in_threads(follow, number, size, workers, ended)
-        return motions
-    if segments := segments_of(module.metadata):
-        count = segments.steps(count) if steps is not None else count
-    guesses = _guesses(module, count, guess, warm, number)
-    arguments, solutions = given_to(varied), _empty(module, columns, count, limits, number)
+        found: Any = empty_motions(module, varied, count, request.every, limits, number)
+        is_compiled = is_on_device or are_motions_ready(module.problem)
+    else:
+        if (segments := segments_of(module.metadata)) and steps is not None:
+            count = segments.steps(count)
+        guesses, arguments = _guesses(module, count, guess, warm, number), given_to(varied)
+        found, is_compiled = _empty(module, columns, count, limits, number), is_on_device or is_ready()
 
-    def solve(part: slice) -> None:
+    def solve(part: slice, is_wanted: Callable[[], bool]) -> None:
+        if isinstance(found, Motions):
+            follow_motions(found, part, is_wanted)
+            return
         own, first = part_of(arguments, part), part.start
-        for block in optima(module, count, own, part.stop - first, guesses[part], limits, lambda: not ended.is_set()):
-            _put(solutions, first, block)
+        for block in optima(module, count, own, part.stop - first, guesses[part], limits, is_wanted):
+            _put(found, first, block)
             first += len(block.optima.status)
 
-    if not is_on_device and not is_ready():
+    if not is_compiled:
         with building("Compiling what solves many cases, once"):
-            next(optima(module, count, arguments, 1, guesses[:1], limits, lambda: True))
-    _in_threads(solve, number, size, workers, ended)
-    return solutions
-
-
-def _in_threads(
-    solve: Callable[[slice], None], number: int, size: int, workers: int, ended: threading.Event
-) -> None:  # fmt: skip
-    """Call `solve` for slices of `size` of `number` cases in threads; set `ended` if one fails or is interrupted."""
+            solve(slice(0, 1), lambda: True)
     parts = [slice(first, min(number, first + size)) for first in range(0, number, size)]
-    with building("Solving") as line, threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
-        try:
-            for part, _ in zip(parts, pool.map(solve, parts), strict=True):
-                if line is not None:
-                    line.update(f"Solving: {part.stop} of {number} cases ...")
-        except BaseException:  # such as an interrupt
-            ended.set()
-            pool.shutdown(cancel_futures=True)
-            raise
+    with building("Solving") as line, in_threads(solve, workers) as solved_in:
+        for done, _ in enumerate(solved_in(parts), 1):
+            if line is not None:
+                line.update(f"Solving: {min(number, done * size)} of {number} cases ...")
+    return found  # type: ignore[no-any-return]
 
 
 def _module(request: Request, working: Callable[[str], Any]) -> tuple[Any, compiler.Build | None]:

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from codegen.batch import store
-from codegen.batch.case import Attempt
 from codegen.batch.cases import Cases
 from codegen.batch.executors import Progress, Team, Working, connected, silent
 from codegen.batch.executors.chunks import Done, Tally, counted, only_one
@@ -293,7 +292,7 @@ def _marked(
     return replace(tally, jumps=jumps)
 
 
-def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt) -> Chunks:
+def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Done) -> Chunks:
     """Return chunks of the requested size, or of about a second, from the iterations of a tried case.
 
     Dimensions of arguments of problem() are cut into single values, because each value has its own module.
@@ -301,28 +300,28 @@ def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt)
     cases = work.cases
     arguments = {cases.axes[name] for name in modules.arguments}
     whole = [axis not in arguments or not cases.is_grid for axis in range(len(cases.shape))]
-    run = replace(work.run, steps=tried.steps or work.run.steps)
-    size = request.chunk or about_a_second(modules.first, work.driver, run, tried.iterations, work.layout.has_rates)
+    iterations = max(0, int(tried.rows["iterations"].item()))
+    size = request.chunk or about_a_second(modules.first, work.driver, work.run, iterations, work.layout.has_rates)
     if request.is_on_device and request.chunk is None:
         size = MOST
     return blocks_of(cases.shape, size, whole)
 
 
-def _tried(work: Work, team: Team) -> Attempt:
-    """Solve the first, else the middle, else the last case with every module; return the first solved attempt.
+def _tried(work: Work, team: Team) -> Done:
+    """Solve the first, else the middle, else the last case with every module; return the first solved result.
 
     This happens before workers are forked, so that machine code is loaded once and missing code is compiled once.
     """
-    attempts: list[Attempt] = []
+    tried = list[Done]()
     with team.working("Solving a first case"):
         for variant in work.variants.values():
             if variant.shapes is None:
                 continue
             for index in dict.fromkeys((0, work.cases.number // 2, work.cases.number - 1)):
-                attempts.append(work.tried(variant, index))
-                if attempts[-1].is_solved:
+                tried.append(work.tried(variant, index))
+                if tried[-1].tally.solved:
                     break
-    return next((attempt for attempt in attempts if attempt.is_solved), attempts[-1])
+    return next((done for done in tried if done.tally.solved), tried[-1])
 
 
 def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str, str | int]:

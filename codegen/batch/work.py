@@ -20,24 +20,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from codegen.batch.case import (
-    NOT_BUILT,
-    Attempt,
-    Continuation,
-    Solved,
-    Start,
-    Variant,
-    Varied,
-    attempt_of,
-    failed,
-    followed,
-    is_batched,
-    is_ensemble,
-    solve_batch,
-    solve_case,
-    steps_of,
-)
+from codegen.batch.case import NOT_BUILT, Attempt, Continuation, Start, Variant, Varied, failed
 from codegen.batch.cases import Cases, rows_of
 from codegen.batch.executors import Working
 from codegen.batch.executors.chunks import (
@@ -76,7 +61,7 @@ from codegen.solving.machine_code import processes
 from codegen.solving.outcome import points_of
 from codegen.solving.progress import shown_from_call
 from codegen.solving.request import Request, require_apart_from_arrays, require_apart_from_delays
-from codegen.solving.results.result import Outline, Run
+from codegen.solving.results.result import Run
 from codegen.solving.results.sensitivities import UNSOLVED, require_sensitive
 
 if TYPE_CHECKING:
@@ -223,7 +208,7 @@ class Work:
         """True if all cases are solved in batches or followed as ensembles, without derivatives and warm starts."""
         varied = [self._varied(variant) for variant in self.variants.values()]
         is_single = self.warm_starts or self.layout.has_rates
-        return all(own is None or is_ensemble(own) or (is_batched(own) and not is_single) for own in varied)
+        return all(own is None or own.is_ensemble or (own.is_batched and not is_single) for own in varied)
 
     def require_on_device(self) -> None:
         """Raise an error unless a GPU can solve the cases."""
@@ -272,21 +257,16 @@ class Work:
         rows["status"][:], rows["message"][:] = LOST, reason
         return self._finished(self.chunks.region(number), rows)
 
-    def tried(self, variant: Variant, index: int) -> Attempt:
-        """Return the attempt at a case from the problem's own guess, without storing the result."""
-        varied = self._varied(variant)
-        assert varied is not None, "a case that is solved has a module"
+    def tried(self, variant: Variant, index: int) -> Done:
+        """Return the result of a case by the module of a variant, without storing the result."""
         if not DRIVERS[self.driver].generated:  # external drivers call other functions of the module
+            varied = self._varied(variant)
+            assert varied is not None, "a case that is solved has a module"
             varied.task.warm_up(varied.module, varied.run.steps)
-        values = self._module_values(rows_of(self.cases.chosen(np.array([index])))[0])
-        if is_ensemble(varied):
-            columns = {own: np.array([value]) for own, value in values.items()}
-            motions = followed(varied, columns, steps_of(varied, values), 1, lambda: True)
-            outline = Outline(str(motions.status[0]), "", None, math.nan, {}, None)
-            return Attempt(outline, motions.steps, int(motions.iterations[0]), 0.0)
-        if is_batched(varied):
-            return attempt_of(varied, values, *solve_batch(varied, [values], lambda: True)[0])
-        return solve_case(varied, values, None)
+        own = tuple(quantity for quantity in self.quantities if quantity.kind != "argument")
+        single = Chunks(self.cases.shape, (1,) * len(self.cases.shape))
+        work = replace(self, quantities=own, variants={(): variant}, chunks=single, sink=None)
+        return work.solve(work.piece(index))
 
     def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
         """Solve the cases of a chunk; simulations are followed as ensembles, others are solved by `_solve_along_path`.
@@ -302,8 +282,8 @@ class Work:
             groups.setdefault(group, []).append(index)
         for (key, _), indices in groups.items():
             varied = self._varied(self.variants[key])
-            if varied is not None and is_ensemble(varied):
-                self._follow(varied, self.variants[key], piece, indices, rows, is_wanted)
+            if varied is not None and varied.is_ensemble:
+                self._follow(varied, self.variants[key], piece, np.array(indices), rows, is_wanted)
             else:
                 others += indices
         if others:
@@ -311,27 +291,23 @@ class Work:
         return self._finished(piece.region, rows)
 
     def _follow(
-        self, varied: Varied, variant: Variant, piece: Piece, indices: list[int], rows: Rows,
+        self, varied: Varied, variant: Variant, piece: Piece, places: NDArray[np.intp], rows: Rows,
         is_wanted: Callable[[], bool],
     ) -> None:  # fmt: skip
         """Follow the motions of the cases with these indices, and write their rows."""
-        begin, number, place = time.perf_counter(), len(indices), np.array(indices)
-        columns = {
-            own: np.asarray(piece.columns[own.name], float)[place] for own in self.quantities if own.kind != "argument"
-        }
-        steps = steps_of(varied, {own: float(column[0]) for own, column in columns.items()})
-        motions = followed(varied, columns, steps, number, is_wanted)
         assert variant.shapes is not None, "motions have a module"
+        begin = time.perf_counter()
+        own = [quantity for quantity in self.quantities if quantity.kind != "argument"]
+        columns = {quantity: np.asarray(piece.columns[quantity.name], float)[places] for quantity in own}
+        motions = varied.follow(columns, places.size, is_wanted)
         for name in (*WORDS, "residual", "iterations"):
-            rows[name][place] = getattr(motions, name)
+            rows[name][places] = getattr(motions, name)
         solved = slice(None) if motions.solved.all() else np.flatnonzero(motions.solved)
         for name in self.layout.dims:
-            array = getattr(motions, name)
-            if array is not None:
-                rows[name][place[solved]] = self.layout.placed(
-                    name, array[solved], variant.shapes.columns.get(name, ())
-                )
-        rows["seconds"][place] = (time.perf_counter() - begin) / number
+            if (array := getattr(motions, name)) is not None:
+                names = variant.shapes.columns.get(name, ())
+                rows[name][places[solved]] = self.layout.placed(name, array[solved], names)
+        rows["seconds"][places] = (time.perf_counter() - begin) / places.size
 
     def _solve_along_path(
         self,
@@ -353,11 +329,11 @@ class Work:
         numbers = {label: number for number, label in enumerate(dict.fromkeys(labels))}
         families = np.array([numbers[label] for label in labels])
         modules = {key: self._varied(self.variants[key]) for key in dict.fromkeys(keys)}
-        first = dict[int, Solved]()  # what is found from the problem's own guess, by one compiled call for each group
+        first = dict[int, Callable[[], Attempt]]()  # attempts from the problem's own guess, by one call for each group
         for (key, _), indices in groups.items():
             varied = modules[key]
-            if not self.warm_starts and varied is not None and is_batched(varied):
-                found = solve_batch(varied, [values[index] for index in indices], is_wanted)
+            if not self.warm_starts and varied is not None and varied.is_batched:
+                found = varied.solve_batch([values[index] for index in indices], is_wanted)
                 first |= dict(zip(indices, found, strict=True))
 
         def attempt(index: int, start: Start | None) -> Attempt:
@@ -367,8 +343,8 @@ class Work:
             if module is None:
                 return failed(NOT_BUILT, self.variants[keys[index]].message)
             if start is None and index in first:
-                return attempt_of(module, values[index], *first.pop(index))
-            return solve_case(module, values[index], start)
+                return first.pop(index)()
+            return module.solve(values[index], start)
 
         def attempt_in_rows(index: int, start: Start | None) -> Attempt:
             # Store the arrays at once: other cases start from the unknowns alone, and the allocation of thousands of

@@ -7,7 +7,7 @@ import os
 import pytest
 from stand_in import StandIn
 
-from codegen.batch.executors import EXECUTORS, executor_for
+from codegen.batch.executors import EXECUTORS, executor, executor_for
 from codegen.batch.executors.chunks import LOST
 
 pytest.importorskip("distributed")
@@ -16,7 +16,7 @@ pytest.importorskip("distributed")
 @pytest.mark.parametrize("name", EXECUTORS)
 def test_every_executor_solves_every_chunk_once(tmp_path, name):
     work = StandIn(tmp_path)
-    with EXECUTORS[name].running(work, 1) as solve:
+    with executor(name)(work, 1) as solve:
         found = {number: done.rows["square"][0] for number, done in solve([3, 1, 4])}
     assert found == {3: 9, 1: 1, 4: 16}
     assert {path.name for path in tmp_path.iterdir()} == {"1", "3", "4"}

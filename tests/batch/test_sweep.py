@@ -19,7 +19,7 @@ from conftest import PROBLEMS
 import codegen
 from codegen import Event, Simulate, coordinate, parameters
 from codegen.batch.case import LOST, MEANINGS, NOT_BUILT, UNUSABLE
-from codegen.batch.executors import processes
+from codegen.batch.executors import local
 from codegen.batch.executors.chunks import journal_of
 from codegen.cli.options import on_statuses
 
@@ -203,7 +203,7 @@ class TestWorkers:
     def test_workers_that_are_no_forks_find_the_same(self, monkeypatch):
         axes = {"r1": np.linspace(5.8, 6.2, 20)}
         one = codegen.sweep(ORBIT, axes, steps=30, chunk=5, workers=1)
-        monkeypatch.setattr(processes, "START", "spawn")
+        monkeypatch.setattr(local, "START", "spawn")
         assert_same(one, codegen.sweep(ORBIT, axes, steps=30, chunk=5, workers=2))
 
     def test_a_module_in_no_file_is_shared_by_forks(self, interpreted):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import codegen
-from codegen.batch.case import Attempt, Start, _unknowns
+from codegen.batch.case import Attempt, Start, unknowns_of
 from codegen.batch.cases import grid
 from codegen.batch.layout import Shapes, layout_of
 from codegen.batch.request import CaseRates, Quantity, Tangent
@@ -144,10 +144,10 @@ def test_tangents_are_exact_for_lines_and_with_a_secant_for_parabolas():
         return (b + 2.0 * c * (x + 2.0 * y)) * np.array([[1.0], [2.0]])
 
     last = attempt((1.0, 0.5), path(1.0, 0.5), slopes(1.0, 0.5))
-    line = _unknowns(None, 4, Start(last, is_along_tangent=True), {X: 1.5, Y: 0.0})
+    line = unknowns_of(None, 4, Start(last, is_along_tangent=True), {X: 1.5, Y: 0.0})
     np.testing.assert_allclose(line, path(1.0, 0.5) + (0.5 - 2.0 * 0.5) * (b + 2.0 * c * 2.0), atol=1e-12)
     before = attempt((0.0, 0.0), path(0.0, 0.0))
-    parabola = _unknowns(None, 4, Start(last, before, 0.7, True), {X: 1.7, Y: 0.85})
+    parabola = unknowns_of(None, 4, Start(last, before, 0.7, True), {X: 1.7, Y: 0.85})
     np.testing.assert_allclose(parabola, path(1.7, 0.85), atol=1e-12)
 
 

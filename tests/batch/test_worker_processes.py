@@ -13,7 +13,7 @@ from stand_in import StandIn
 
 from codegen.batch.executors import executor_for
 from codegen.batch.executors.chunks import LOST
-from codegen.batch.executors.processes import TRIES
+from codegen.batch.executors.local import TRIES
 
 
 def solved(work, workers, numbers):
@@ -52,8 +52,8 @@ def test_workers_end_with_the_process_that_began_them(tmp_path):
     """It is killed and can tell them nothing; they look, or find that nobody listens."""
     code = (
         "import sys, time\nfrom pathlib import Path\nsys.path[:0] = sys.argv[2:]\n"
-        "from stand_in import StandIn\nfrom codegen.batch.executors.processes import running\n"
-        "with running(StandIn(Path(sys.argv[1])), 2) as solve:\n"
+        "from stand_in import StandIn\nfrom codegen.batch.executors.local import processes\n"
+        "with processes(StandIn(Path(sys.argv[1])), 2) as solve:\n"
         "    for number, done in solve(range(10)):\n        print(number, flush=True)\n        time.sleep(100)\n"
     )
     words = [sys.executable, "-c", code, str(tmp_path), str(Path(__file__).parent)]

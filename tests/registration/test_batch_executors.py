@@ -17,9 +17,9 @@ from command_lines import assert_refused, run
 from dask_parts import cluster, kill, until
 from small_batches import batch, make
 
-from codegen.batch.executors import EXECUTORS
+from codegen.batch.executors import EXECUTORS, executor
 from codegen.batch.executors.chunks import LOST, journal_of
-from codegen.batch.executors.processes import TRIES
+from codegen.batch.executors.local import TRIES
 from codegen.errors import ClusterError
 from codegen.registration.batch_pairs import BatchWork, Pair, Places, SharedFile, jobs_in_folder, read_summary
 from codegen.registration.job import Options
@@ -68,7 +68,7 @@ def test_every_executor_does_any_chunks(source, tmp_path, name):
     jobs, _ = jobs_in_folder(source, Places(tmp_path), None, ())
     pairs = [Pair(number, job.absolute(), {}) for number, job in enumerate(jobs)]
     work = BatchWork(pairs, Options(), 5, 1, SharedFile.of(source / "000.png"))
-    with EXECUTORS[name].running(work, 1) as solve:
+    with executor(name)(work, 1) as solve:
         found = {number: [own.number for own in done.rows] for number, done in solve([2, 0])}
     assert found == {0: [0, 1, 2, 3, 4], 2: [10, 11]}
 

@@ -1,68 +1,49 @@
 """The registry of executors, which solve the chunks of a sweep in parallel, and the call of an executor.
 
-An executor is one file in this folder and one row of EXECUTORS.
+An executor is a function in this folder and one row of EXECUTORS.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 from codegen.batch.executors.chunks import Done, Tally, Work
 from codegen.errors import ArgumentError, ExtraError, NumericsError, clause
 
-Solved: TypeAlias = "Iterator[tuple[int, Done]]"
-"""An iterator over (number of a chunk, result of the chunk), in any order."""
-Executor: TypeAlias = "Callable[[Work, int], AbstractContextManager[Callable[[Sequence[int]], Solved]]]"
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Results: TypeAlias = Iterator[tuple[Item, Result]]
+"""An iterator over items, such as numbers of chunks, with their results, in any order."""
+Executor: TypeAlias = Callable[[Work, int], AbstractContextManager[Callable[[Iterable[int]], Results[int, Done]]]]
 """A function (work, number of workers) -> context manager of a function (numbers of chunks) -> results.
 
 Each chunk has exactly one result. If the workers of a chunk were lost several times, its result is `work.lost(...)`.
 """
-
-
-@dataclass(frozen=True)
-class Row:
-    """The name and summary of an executor, whose file defines a function `running` of type Executor."""
-
-    name: str
-    summary: str
-
-    @property
-    def running(self) -> Executor:
-        """The executor; its file is imported on demand."""
-        return getattr(import_module(f"codegen.batch.executors.{self.name}"), "running")  # type: ignore[no-any-return]  # noqa: B009
-
-
 LOCAL = "local"
 """Value of `cluster` that starts a cluster of dask on this machine."""
-EXECUTORS = {
-    row.name: row
-    for row in (
-        Row("threads", "threads of this process"),
-        Row("processes", "processes on this machine, each with one thread"),
-        Row("dask", "workers of a cluster of dask, on any machines"),
-    )
-}
-"""All executors by name; tests cover each of them."""
+EXECUTORS = {"threads": "local", "processes": "local", "dask": "dask"}
+"""The files of all executors, whose functions have the names of the executors; tests cover each of them."""
+
+
+def executor(name: str) -> Executor:
+    """Return the executor with a name; its file is imported on demand."""
+    return getattr(import_module(f"codegen.batch.executors.{EXECUTORS[name]}"), name)  # type: ignore[no-any-return]
 
 
 def executor_for(work: Work, workers: int, cluster: object = None) -> Executor:
-    """Return the dask executor if a cluster is given, else threads or processes.
-
-    Threads share compiled code and data, and nothing is sent between them. But only one thread at a time runs Python
-    code: work that is not mostly compiled is done in processes.
-    """
+    """Return the dask executor if a cluster is given, else threads, or processes for work that is mostly Python."""
     if cluster is not None:
-        running: Any = EXECUTORS["dask"].running
+        running: Any = executor("dask")
         return partial(running, cluster=cluster)
-    return EXECUTORS["threads" if work.is_compiled or workers == 1 else "processes"].running
+    return executor("threads" if work.is_compiled or workers == 1 else "processes")
 
 
 def connected(cluster: object) -> AbstractContextManager[object]:

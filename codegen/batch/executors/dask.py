@@ -12,17 +12,17 @@ import signal
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from queue import Empty, SimpleQueue
 from typing import Any
 
-import dask
+from dask import config
 from distributed import Client, KilledWorker, LocalCluster, WorkerPlugin, get_worker
 from threadpoolctl import ThreadpoolController
 
-from codegen.batch.executors import LOCAL, Solved
+from codegen.batch.executors import LOCAL, Results
 from codegen.batch.executors.chunks import Done, Parcel, Work
 from codegen.errors import ArgumentError, ClusterError, CodegenError, clause, one_line
 
@@ -76,7 +76,9 @@ def connected(cluster: object) -> Iterator[Any]:
 
 
 @contextmanager
-def running(work: Work, workers: int, cluster: object = LOCAL) -> Iterator[Callable[[Sequence[int]], Solved]]:
+def dask(
+    work: Work, workers: int, cluster: object = LOCAL
+) -> Iterator[Callable[[Iterable[int]], Results[int, Done]]]:  # fmt: skip
     """Prepare the workers of a cluster, or start a local cluster, and yield the function that solves chunks."""
     parcel = work.parcel()
     with ExitStack() as stack:
@@ -99,7 +101,7 @@ def _require_workers(client: Any) -> None:
 
 @contextmanager
 def _local(workers: int) -> Iterator[Any]:
-    with _quiet(), dask.config.set({"distributed.scheduler.allowed-failures": TRIES - 1}):
+    with _quiet(), config.set({"distributed.scheduler.allowed-failures": TRIES - 1}):
         cluster = _CLUSTER(
             n_workers=workers,
             threads_per_worker=1,
@@ -151,7 +153,7 @@ class _Crew:
             remedy = "install the same version of variational-codegen for the scheduler and all workers"
             raise ClusterError(clause(f"workers of the cluster cannot be made ready ({reason})"), remedy) from None
 
-    def solve(self, numbers: Sequence[int]) -> Solved:
+    def solve(self, numbers: Iterable[int]) -> Results[int, Done]:
         """Keep the queues of the workers filled, and yield the result of each chunk when it is finished.
 
         A chunk can be lost because of another chunk that ended its worker. So lost chunks are repeated one at a time
