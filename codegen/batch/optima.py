@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from codegen.batch.executors.chunks import Abandoned
-from codegen.errors import ArgumentError, DeviceError, clause
+from codegen.errors import ArgumentError, DeviceError, clause, one_line
 from codegen.runtime.search.batch import Optima, Options, no_optima, solve_grids, solve_stack
 from codegen.runtime.search.solution import Log
 from codegen.runtime.search.stacks import Stack, case_of, stack_of
@@ -83,8 +83,9 @@ def require_place(executor: object) -> bool:
 
 @contextmanager
 def errors_of_device() -> Iterator[None]:
-    """Raise DeviceError for errors of the GPU: too little memory, or functions that it cannot run."""
+    """Raise DeviceError for errors of the GPU: too little memory, functions that it cannot run, or a failed call."""
     from numba.core.errors import NumbaError
+    from numba.cuda.cudadrv.driver import CudaAPIError
 
     from codegen.runtime.cuda.optima import Full
 
@@ -92,6 +93,9 @@ def errors_of_device() -> Iterator[None]:
         yield
     except Full as error:
         raise DeviceError(f"the memory of the GPU does not suffice: {error}", "solve with fewer steps") from None
+    except CudaAPIError as error:  # also if other processes have taken the memory since it was measured
+        finding = f"the GPU reports an error: {one_line(str(error), 150)}"
+        raise DeviceError(clause(finding), 'end other work on the GPU, or use executor "threads"') from None
     except NumbaError as error:
         text = next(iter(str(error).strip().splitlines()[::-1]), "")
         raise DeviceError(clause(f"the GPU cannot run this problem: {text}"), 'use executor "threads"') from None

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from codegen.batch.cases import Cases
 from codegen.batch.executors.chunks import Journal, Tally, damaged_journal, journal_of, new_journal, read_journal
 from codegen.batch.layout import RESERVED, Chunks, Layout, Rows
-from codegen.errors import ArgumentError, ClusterError, FileError, Interrupted
+from codegen.errors import ArgumentError, ClusterError, DeviceError, FileError, Interrupted
 from codegen.files import refused, replacing
 
 if TYPE_CHECKING:
@@ -63,11 +63,11 @@ def read_sweep_journal(path: Path, digest: str) -> SweepJournal:
 
 @contextmanager
 def resumable(out: Path, journal: SweepJournal) -> Iterator[None]:
-    """Add the number of stored cases to the message if an interrupt, a full disk or a lost cluster ends the block."""
+    """Add the number of stored cases to the message if an interrupt, a full disk, a lost cluster or a GPU ends it."""
     rest = "--resume does the rest"
     try:
         yield
-    except (KeyboardInterrupt, ClusterError, FileError) as error:
+    except (KeyboardInterrupt, ClusterError, DeviceError, FileError) as error:
         # Read the journal again: an interrupt may come just after a line was written.
         tallies = read_sweep_journal(journal.file.path, str(journal.file.header["sweep"])).finished.values()
         stored = f"{sum(tally.cases for tally in tallies)} of {math.prod(journal.chunks.shape)} cases are in {out}"

@@ -86,6 +86,28 @@ one, other = (
 )
 names = "t q p energy residual iterations status message".split()
 results["sweep of motions"] = [name for name in names if not one[name].equals(other[name])]
+from numba.cuda.cudadrv.driver import CudaAPIError
+
+axes, counted_cases = {"r1": [5.6, 5.8, 6.0, 6.2, 6.4]}, optima.solve_cases
+one = codegen.sweep(kinds[0][0], axes, steps=6)
+for kind, error in {"full": CudaAPIError(2, "CUDA_ERROR_OUT_OF_MEMORY"), "interrupted": KeyboardInterrupt()}.items():
+    calls, out = [], f"{sys.argv[3]}/{kind}.zarr"
+
+    def ended(*arguments):
+        calls.append(arguments)
+        if len(calls) == 3:  # of the first case and the first chunk are those before
+            raise error
+        counted_cases(*arguments)
+
+    optima.solve_cases = ended
+    try:
+        codegen.sweep(kinds[0][0], axes, executor="cuda", steps=6, chunk=2, out=out)
+    except codegen.CodegenError as raised:
+        results[f"{kind} sweep"] = [type(raised).__name__, str(raised).replace(out, "OUT")]
+    optima.solve_cases = counted_cases
+    on_device.clear()
+    other = codegen.sweep(kinds[0][0], axes, executor="cuda", steps=6, chunk=2, out=out, resume=True)
+    results[f"{kind} sweep"] += [float(abs(one.q - other.q).max()), other.status.values.tolist(), len(on_device)]
 optima.free_memory = lambda: 20_000
 try:
     codegen.solve_many(kinds[0][0], {"r1": [6.0]}, steps=6, executor="cuda")
@@ -96,13 +118,13 @@ print(json.dumps(results))
 
 
 @pytest.fixture(scope="module")
-def simulated():
+def simulated(tmp_path_factory):
     """The comparisons of all KINDS, from one process with numba's simulator."""
     kinds = [(str(PROBLEMS / f"{name}.py"), *of_kind) for name, of_kind in KINDS.items()]
     motions = [(f"{PROBLEMS / name.split()[0]}.py", name, *of_kind) for name, of_kind in MOTIONS.items()]
     variables = {"NUMBA_ENABLE_CUDASIM": "1", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, json.dumps(kinds), json.dumps(motions)],
+        [sys.executable, "-c", SCRIPT, json.dumps(kinds), json.dumps(motions), str(tmp_path_factory.mktemp("stores"))],
         env=os.environ | variables, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -150,6 +172,22 @@ def test_too_little_memory_is_told_in_one_line(simulated):
     assert re.fullmatch(told, simulated["full"])
 
 
+@pytest.mark.parametrize(
+    ("kind", "error", "text"),
+    [
+        ("full", "DeviceError", "the GPU reports an error: .*OUT_OF_MEMORY.*, 2 of 5 cases are in OUT; .*--resume"),
+        ("interrupted", "Interrupted", "interrupted; 2 of 5 cases are in OUT; --resume does the rest"),
+    ],
+)
+def test_a_sweep_that_ends_on_the_device_loses_nothing_and_goes_on(simulated, kind, error, text):
+    raised, message, difference, statuses, on_device = simulated[f"{kind} sweep"]
+    assert raised == error
+    assert re.fullmatch(f"{text}.*", message)
+    assert difference <= 1e-9
+    assert statuses == ["solved"] * 5
+    assert on_device == 4  # a first case, and those that were not stored
+
+
 def test_workers_are_refused_beside_a_gpu(simulated, monkeypatch):
     from codegen.runtime.cuda import memory
 
@@ -166,6 +204,25 @@ def test_motions_with_events_are_refused_in_one_line(monkeypatch):
         codegen.sweep(PROBLEMS / "resting_ball.py", {"g": [9.0]}, executor="cuda")
     with pytest.raises(DeviceError, match="have events"):
         codegen.solve_many(PROBLEMS / "resting_ball.py", {"g": [9.0]}, executor="cuda")
+
+
+def test_a_driver_that_is_too_old_is_one_line(monkeypatch):
+    from numba.cuda.cudadrv.error import CudaSupportError
+
+    from codegen.runtime.cuda import memory
+
+    reason = "Call to cuInit results in CUDA_ERROR_SYSTEM_DRIVER_MISMATCH (803)"
+
+    def fail():
+        raise CudaSupportError(
+            "Error at driver init: \nCall to cuInit results in CUDA_ERROR_SYSTEM_DRIVER_MISMATCH (803)"
+        )
+
+    monkeypatch.setattr(memory.cuda, "current_context", fail)
+    told = re.escape(f"numba finds no GPU that it can use: {reason}")
+    with pytest.raises(DeviceError, match=told) as raised:
+        codegen.solve_many(PROBLEMS / "orbital_transfer.py", {"r1": [6.0]}, executor="cuda")
+    assert "\n" not in str(raised.value)
 
 
 def test_without_a_gpu_there_is_one_line(monkeypatch):
