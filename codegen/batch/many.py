@@ -200,6 +200,7 @@ def solve_many(
     warm: bool = False,
     executor: str = THREADS,
     threads: int | None = None,
+    on_device: bool = False,
     **options: Any,
 ) -> Solutions | Motions:
     """Solve one problem for many values of its parameters at once, on threads or on a GPU.
@@ -210,7 +211,8 @@ def solve_many(
         A problem of optimal control or a simulation, as for `codegen.solve`.
     parameters : dict of str to array (n,) or float
         The numbers of n cases: parameters, durations and prescribed ends by name, as for `codegen.solve`, such as
-        {"m": masses, "start.x": positions}. A number is the same in all cases.
+        {"m": masses, "start.x": positions}. A number is the same in all cases. Arrays and guesses may be in the memory
+        of a GPU (`__cuda_array_interface__`). They are copied, because the processor evaluates formulas.
     steps : int
         Number of intervals in each phase, or of time steps; by default the number in the problem.
     guess : array (n, m) or (m,), or Solutions
@@ -222,6 +224,8 @@ def solve_many(
         search are solved by the processor.
     threads : int
         Number of threads, by default the number of available processors. Results do not depend on it.
+    on_device : bool
+        True to leave the states of simulations in the memory of the GPU, for torch, JAX and CuPy.
     **options
         `arguments`, `scheme`, `method`, `controls`, `out`, `sensitivities`, `tolerance`, `max_iterations`, `time_limit`
         (of a case), `scaling` and `every` (of a simulation), as for `codegen.solve`.
@@ -267,8 +271,10 @@ def solve_many(
     count = module.metadata.steps if steps is None else steps
     limits = Limits(
         request.tolerance, request.max_iterations, math.inf if request.time_limit is None else request.time_limit,
-        request.scaling, warm, is_on_device,
+        request.scaling, warm, is_on_device, on_device,
     )  # fmt: skip
+    if on_device and not (is_on_device and is_simulation(module)):
+        raise ArgumentError("on_device keeps states of simulations on a GPU", 'give a simulation and executor="cuda"')
     size = number if is_on_device else min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
     if is_simulation(module):
         found: Any = empty_motions(module, varied, count, request.every, limits, number)
@@ -331,7 +337,7 @@ def _columns(module: Any, parameters: Mapping[str, ArrayLike]) -> dict[str, Vect
     columns = {}
     for name, values in parameters.items():
         try:
-            columns[name] = np.atleast_1d(np.asarray(values, dtype=float))
+            columns[name] = np.atleast_1d(np.asarray(_in_memory(values), dtype=float))
         except (TypeError, ValueError):
             raise ArgumentError(clause(f"{name} is {one_line(repr(values))}"), "give an array of numbers") from None
         if columns[name].ndim != 1:
@@ -348,6 +354,15 @@ def _columns(module: Any, parameters: Mapping[str, ArrayLike]) -> dict[str, Vect
     return {name: np.ascontiguousarray(np.broadcast_to(column, number)) for name, column in columns.items()}
 
 
+def _in_memory(values: Any) -> Any:
+    """Return a copy of an array in the memory of a GPU, and other values as they are."""
+    if not hasattr(values, "__cuda_array_interface__"):
+        return values
+    from codegen.runtime.cuda.memory import fetched
+
+    return fetched(values)
+
+
 def _guesses(
     module: ControlModule, steps: int, guess: ArrayLike | Solutions | None, warm: bool, number: int
 ) -> list[Vector | None]:
@@ -356,7 +371,7 @@ def _guesses(
         if warm:
             raise ArgumentError("warm without a guess", "give the unknowns of similar solutions as guess")
         return [None] * number
-    table = guess.unknowns if isinstance(guess, Solutions) else np.asarray(guess, dtype=float)
+    table = guess.unknowns if isinstance(guess, Solutions) else np.asarray(_in_memory(guess), dtype=float)
     size = module.make_grid(steps).is_multiplier.size
     if table.shape not in ((size,), (number, size)):
         finding = f"guess has shape {table.shape}, expected ({size},) or ({number}, {size})"

@@ -7,8 +7,8 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -172,7 +172,8 @@ class Motions(Cases):
     h, ends : ndarray, (n,)
         Lengths of a step, and the time of the event that ended a motion; NaN without such an event.
     path : ndarray, (n, rows, states)
-        The stored states: coordinates, then momenta. NaN after the end of a motion.
+        The stored states: coordinates, then momenta. NaN after the end of a motion. With `on_device=True` this is an
+        array in the memory of the GPU, with `__cuda_array_interface__`, as are `q` and `p`.
     parameters : dict of str to ndarray (n,)
         The numbers that differ from those of the problem.
     steps, every : int
@@ -215,6 +216,18 @@ class Motions(Cases):
         messages[list(self.messages)] = list(self.messages.values())
         return messages
 
+    def fetched(self) -> Motions:
+        """Return the motions with their states in the memory of the process; those without a GPU are there already."""
+        if not self.limits.is_kept:
+            return self
+        from codegen.runtime.cuda.memory import fetched
+
+        return replace(self, path=fetched(self.path), limits=replace(self.limits, is_kept=False))
+
+    def to_dataset(self) -> Dataset:
+        """Return the results as an xarray data set with the dimension `case`; raises ExtraError without xarray."""
+        return self.fetched().to_dataset() if self.limits.is_kept else super().to_dataset()
+
     @cached_property
     def t(self) -> Matrix:
         """Times (n, rows) of the stored states; NaN after the end of a motion."""
@@ -241,7 +254,7 @@ class Motions(Cases):
         """The Hamiltonian (n, rows); None for first-order dynamics."""
         if self.module.problem.energy is None:
             return None
-        energies: Matrix = energies_of(self.module.problem, self.numbers, self.path, self.t)
+        energies: Matrix = energies_of(self.module.problem, self.numbers, self.fetched().path, self.t)
         return energies
 
     @cached_property
@@ -322,7 +335,13 @@ def empty_motions(
     }
     shape = number, 1 - (-steps // every), module.problem.state
     try:
-        path = np.full(shape, np.nan)
+        if limits.is_kept:
+            from codegen.runtime.cuda.memory import Columns
+
+            with errors_of_device():
+                path = Columns.without_numbers(shape).view
+        else:
+            path = np.full(shape, np.nan)
     except MemoryError:
         finding = f"the states of {number} cases at {shape[1]} times need {8e-9 * math.prod(shape):.3g} GB"
         raise NumericsError(finding, "store fewer by every=, or fewer cases at a time") from None
@@ -342,7 +361,7 @@ def follow_motions(motions: Motions, part: slice, is_wanted: Callable[[], bool])
     if is_on_device:
         from codegen.runtime.cuda import motions as of_device
 
-        size, follow = part.stop - part.start, of_device.follow_ensemble
+        size, follow = part.stop - part.start, partial(of_device.follow_ensemble, is_kept=motions.limits.is_kept)
     for first in range(part.start, part.stop, size):
         if not is_wanted():
             raise Abandoned
@@ -382,7 +401,8 @@ def _judge(
             motions.steps, times, int(made[case]), iterations, int(outcome[case])
         )
     with np.errstate(invalid="ignore"):
-        level = rounding_of(motions.path[own], last / np.maximum(made, 1))
+        # States on a device are not read: motions with larger residuals are followed once more.
+        level = 0.0 if motions.limits.is_kept else rounding_of(motions.path[own], last / np.maximum(made, 1))
         is_accurate = (motions.residual[own] <= np.maximum(TOLERANCE, level)) & (
             least > -PENETRATION / ROUNDING * level
         )

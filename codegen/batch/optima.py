@@ -47,7 +47,7 @@ class Outcomes:
 class Limits:
     """The options of the searches of all cases: see `codegen.solve`; None stands for the default.
 
-    `is_on_device` is True for cases that a GPU solves.
+    `is_on_device` is True for cases that a GPU solves, and `is_kept` if the states of motions stay in its memory.
     """
 
     tolerance: float | None = None
@@ -56,6 +56,7 @@ class Limits:
     scaling: str = "auto"
     is_warm: bool = False
     is_on_device: bool = False
+    is_kept: bool = False
 
 
 THREADS, CUDA = "threads", "cuda"

@@ -41,6 +41,15 @@ import codegen
 from codegen.runtime.cuda import optima
 from compiled_modules import quick_builds
 
+class OnDevice:  # an array of another package, which says where its numbers are and is no array of numpy
+    def __init__(self, values):
+        self.numbers, self.ndim = np.array(values), 1
+
+    @property
+    def __cuda_array_interface__(self):
+        return self.numbers.__array_interface__
+
+
 on_device, solve_cases = [], optima.solve_cases
 
 def counted(*arguments):
@@ -73,6 +82,15 @@ for path, name, options, steps, every, parameter, values in json.loads(sys.argv[
     results[f"motions of {name}"] = [
         first.status.tolist(), other.status.tolist(), first.iterations.tolist() == other.iterations.tolist(),
         float(np.nanmax(np.abs(first.path - other.path))), float(np.nanmax(first.residual - other.residual)),
+    ]
+    kept = codegen.solve_many(
+        solver, {parameter: OnDevice(values)}, steps=steps, every=every, executor="cuda", on_device=True
+    )
+    same = [np.array_equal(getattr(first, own), getattr(kept, own), equal_nan=True) for own in ("q", "p", "energy")]
+    data = kept.to_dataset()
+    results[f"kept {name}"] = [
+        *same, kept.status.tolist() == first.status.tolist(), data.identical(first.to_dataset()),
+        kept.path.strides[0] == kept.path.itemsize < first.path.strides[0],
     ]
 axes, options = {"r1": [5.6, 6.0, -6.0, 6.4], "m": [90.0, 110.0]}, {"steps": 6, "chunk": 3}
 one, other = (codegen.sweep(kinds[0][0], axes, executor=executor, **options) for executor in ("threads", "cuda"))
@@ -148,6 +166,18 @@ def test_motions_on_the_device_have_the_bits_of_the_processor(simulated, name):
     assert statuses == on_device == expected
     assert same_iterations
     assert states == residuals == 0.0
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_states_stay_on_the_device_on_request(simulated, name):
+    """Their layout is the one of the device, with the index of a case last in memory."""
+    assert simulated[f"kept {name}"] == [True] * 6
+
+
+def test_what_stays_on_no_device_is_refused():
+    for name, executor in (("pendulum", "threads"), ("orbital_transfer", "threads")):
+        with pytest.raises(ArgumentError, match="on_device keeps states of simulations on a GPU"):
+            codegen.solve_many(PROBLEMS / f"{name}.py", {"duration": [1.0]}, executor=executor, on_device=True)
 
 
 def test_most_cases_are_solved_on_the_device(simulated):

@@ -3,6 +3,9 @@
 With numba's simulator the memory of the device is that of the process.
 """
 
+from types import SimpleNamespace
+from typing import NamedTuple
+
 import numpy as np
 from numba import cuda
 
@@ -40,10 +43,34 @@ class Columns:
         described["strides"] = (of.strides[-1], *of.strides[:-1])
         return described
 
+    @classmethod
+    def without_numbers(cls, shape):
+        """Return Columns of a new array (k, ..) on the device, which holds NaN."""
+        columns, own = cls(np.empty((0, *shape[1:]))), (*shape[1:], shape[0])
+        if 0 not in shape:
+            columns.is_empty = False
+            columns.on_device = np.full(own, np.nan) if IS_SIMULATED else _filled(own, np.float64, np.nan)
+        return columns
+
     def fetched(self):
         """Return a copy (k, ..) in the memory of the process."""
         array = self.on_device if IS_SIMULATED else self.on_device.copy_to_host()
         return array if self.is_empty else np.moveaxis(array, -1, 0)
+
+
+class Kept(NamedTuple):
+    """An array (k, ..) that stays on the device, in place of Columns; its `view` is itself."""
+
+    view: object
+
+
+def fetched(array):
+    """Return a copy in the memory of the process of an array on the device, as of numba, torch, JAX and CuPy."""
+    if not IS_SIMULATED:
+        return cuda.as_cuda_array(array).copy_to_host()
+    if hasattr(array, "__cuda_array_interface__"):
+        array = SimpleNamespace(__array_interface__=array.__cuda_array_interface__)
+    return np.array(array)
 
 
 def viewed(columns):
@@ -89,23 +116,23 @@ def work_space(value, threads):
     """Return a tuple of tuples with an array (.., threads) of zeros on the device in place of each array (..,)."""
     if isinstance(value, np.ndarray):
         shape = *value.shape, threads
-        return np.zeros(shape, value.dtype) if IS_SIMULATED else _zeros(shape, value.dtype)
+        return np.zeros(shape, value.dtype) if IS_SIMULATED else _filled(shape, value.dtype, 0)
     if isinstance(value, tuple):
         items = [work_space(item, threads) for item in value]
         return type(value)(*items) if hasattr(value, "_fields") else tuple(items)
     return value
 
 
-def _zeros(shape, dtype):
-    """Return a new array of zeros on the device."""
+def _filled(shape, dtype, value):
+    """Return a new array on the device, whose numbers all have the same value."""
     array = cuda.device_array(shape, dtype)
     if array.size:
         flat = array.reshape(array.size)
-        _fill_with_zeros[min(1024, -(-array.size // 256)), 256](flat)
+        _fill[min(1024, -(-array.size // 256)), 256](flat, value)
     return array
 
 
 @cuda.jit
-def _fill_with_zeros(array):
+def _fill(array, value):
     for i in range(cuda.grid(1), array.size, cuda.gridsize(1)):
-        array[i] = 0
+        array[i] = value

@@ -6,7 +6,7 @@ import numpy as np
 from numba import cuda
 
 from codegen.runtime.cuda.functions import Device, flat, on_device
-from codegen.runtime.cuda.memory import Columns, free_memory, sent, viewed, work_space
+from codegen.runtime.cuda.memory import Columns, Kept, free_memory, sent, viewed, work_space
 from codegen.runtime.cuda.optima import IN_BLOCK, shares
 from codegen.runtime.stepping import ensembles
 from codegen.runtime.stepping.motion import MOST, TOLERANCE
@@ -67,14 +67,15 @@ def _itself(array):
     return array
 
 
-def follow_ensemble(problem, ensemble, steps, every, followed, tolerance=TOLERANCE, most=MOST):
+def follow_ensemble(problem, ensemble, steps, every, followed, tolerance=TOLERANCE, most=MOST, is_kept=False):
     """Follow the motions of all usable cases on the device, as `ensembles.follow_ensemble` does on the processor.
 
-    Raises Full if the memory of the device does not suffice.
+    The paths in `followed` are on the device if `is_kept` is True. Raises Full if the memory of the device does not
+    suffice.
     """
     kernel, k, scheme = kernel_of(problem), ensemble.h.size, problem.scheme
     memory = memory_for(scheme)
-    on_case = sum(array[:1].nbytes for array in (*ensemble[:4], *followed))
+    on_case = sum(array[:1].nbytes for array in (*ensemble[:4], *followed[1 if is_kept else 0 :]))
     threads, cases = shares(memory.nbytes, on_case, k, free_memory())
     spaces = work_space(memory, threads)
     numbers = sent((np.ravel(problem.fractions).astype(float), np.append(problem.ranges, 0)))  # none is empty
@@ -83,8 +84,12 @@ def follow_ensemble(problem, ensemble, steps, every, followed, tolerance=TOLERAN
         part = slice(begin, min(k, begin + cases))
         count = part.stop - begin
         own = type(ensemble)(*(Columns(array[part]) for array in ensemble[:4]), Columns(ensemble.spans))
-        results = type(followed)(*(Columns(array[part]) for array in followed))
+        if is_kept:
+            states = Kept(followed.path[part]), Columns.without_numbers(followed.before[part].shape)
+        else:
+            states = tuple(Columns(array[part]) for array in followed[:2])
+        results = type(followed)(*states, *(Columns(array[part]) for array in followed[2:]))
         blocks = -(-min(threads, count) // IN_BLOCK)
         kernel[blocks, IN_BLOCK](scheme, spaces, viewed(own), steps, tolerance, most, every, viewed(results))
-        for array, columns in zip(followed, results, strict=True):
+        for array, columns in [*zip(followed, results, strict=True)][2 if is_kept else 0 :]:
             array[part] = columns.fetched()

@@ -203,9 +203,13 @@ def own_cases(ensemble, part):
 
 
 def followed_in(path, every):
-    """Return the Followed whose states go into `path` (k, M, state), without results."""
+    """Return the Followed whose states go into `path` (k, M, state), without results.
+
+    The array `before` of a path on a device has a shape and no memory.
+    """
     k, rows, state = path.shape
-    before = np.empty((k, 0 if every == 1 else rows - 1, state))
+    shape = k, 0 if every == 1 else rows - 1, state
+    before = np.empty(shape) if isinstance(path, np.ndarray) else np.broadcast_to(np.nan, shape)
     return Followed(path, before, np.zeros((k, 4), np.int64), np.full(k, np.nan))
 
 
