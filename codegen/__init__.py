@@ -26,8 +26,9 @@ _MODULES = {
     **dict.fromkeys(["load"], "codegen.solving.loading"),
     **dict.fromkeys(["Solver", "compile"], "codegen.solver"),
     **dict.fromkeys(["solve"], "codegen.solving.api"),
-    **dict.fromkeys(["Solutions", "solve_many"], "codegen.batch.many"),
+    **dict.fromkeys(["Solutions"], "codegen.batch.optima"),
     **dict.fromkeys(["Motions"], "codegen.batch.motions"),
+    **dict.fromkeys(["solve_many"], "codegen.batch.many"),
     **dict.fromkeys(["sweep"], "codegen.batch.sweep"),
 }
 
@@ -79,8 +80,9 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from codegen.batch.many import Solutions, solve_many
+    from codegen.batch.many import solve_many
     from codegen.batch.motions import Motions
+    from codegen.batch.optima import Solutions
     from codegen.batch.sweep import sweep
     from codegen.errors import CodegenError
     from codegen.mpc.closed_loop import close_loop

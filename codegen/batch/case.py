@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 
 from codegen.batch.executors.chunks import LOST, SOLVED
 from codegen.batch.layout import Shapes
-from codegen.batch.motions import UNUSABLE, Motions, empty_motions, follow_motions, unusable_message
-from codegen.batch.optima import Limits, Outcomes, optima
+from codegen.batch.motions import Motions, empty_motions
+from codegen.batch.optima import Solutions, empty_solutions
 from codegen.batch.request import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
+from codegen.batch.results import UNUSABLE, Limits, unusable_message
 from codegen.errors import CodegenError, one_line
 from codegen.runtime.search.problem import ControlProblem
 from codegen.runtime.stepping.problem import StepProblem
@@ -224,7 +225,7 @@ class Varied:
         """Return the motions of `number` cases, whose quantities have the values (number,) in `columns`."""
         steps = self.steps_of({own: column[0] for own, column in columns.items()})
         motions = empty_motions(self.module, columns, steps, self.run.every, self._limits, number)
-        follow_motions(motions, slice(0, number), is_wanted)
+        motions.fill(slice(0, number), is_wanted)
         return motions
 
     def solve_batch(
@@ -232,20 +233,18 @@ class Varied:
     ) -> list[Callable[[], Attempt]]:
         """Solve cases with as many steps from their own guesses; return functions that make the attempts.
 
-        The seconds of a case are its part of the time of its block. Raises Abandoned once `is_wanted` returns False.
+        The seconds of a case are its part of the time of all. Raises Abandoned once `is_wanted` returns False.
         """
-        steps, found = self.steps_of(cases[0]), list[Callable[[], Attempt]]()
+        steps, number = self.steps_of(cases[0]), len(cases)
         guesses = [self._guess(steps, values) for values in cases]
-        arguments = given_to({own: np.array([values[own] for values in cases]) for own in cases[0]})
-        begin = time.perf_counter()
-        for block in optima(self.module, steps, arguments, len(cases), guesses, self._limits, is_wanted):
-            seconds = (time.perf_counter() - begin) / len(block.optima.status)
-            found += [
-                partial(self._attempt_of, values, block, case, seconds)
-                for case, values in enumerate(cases[len(found) : len(found) + len(block.optima.status)])
-            ]
-            begin = time.perf_counter()
-        return found
+        columns = {own: np.array([values[own] for values in cases]) for own in cases[0]}
+        solutions, begin = (
+            empty_solutions(self.module, columns, steps, self._limits, number, guesses),
+            time.perf_counter(),
+        )
+        solutions.fill(slice(0, number), is_wanted)
+        seconds = (time.perf_counter() - begin) / number
+        return [partial(self._attempt_of, values, solutions, case, seconds) for case, values in enumerate(cases)]
 
     def solve(self, values: Mapping[Quantity, float], start: Start | None) -> Attempt:
         """Solve a case from `start`, or from the problem's own guess if `start` is None, and return the attempt.
@@ -286,13 +285,13 @@ class Varied:
         number = int(next((value for own, value in values.items() if own.kind == GUESS), 1))
         return None if number == 1 else varied_guess(self.given(values), steps, number - 1)
 
-    def _attempt_of(self, values: Mapping[Quantity, float], block: Outcomes, case: int, seconds: float) -> Attempt:
-        """Return the attempt at a case of a block, which has evaluated its optimum outside the search."""
-        if case in block.errors:
-            return unusable(block.errors[case], values)
-        found, steps = block.optima.one(case), self.steps_of(values)
+    def _attempt_of(self, values: Mapping[Quantity, float], all_cases: Solutions, case: int, seconds: float) -> Attempt:
+        """Return the attempt at a case of Solutions, which have evaluated the optimum outside the search."""
+        found, steps = all_cases.optimum(case), all_cases.steps
+        if found.status == UNUSABLE:
+            return failed(UNUSABLE, found.message)
         if found.status == SOLVED and self.wanted is None and segments_of(self.module.metadata) is None:
-            grid = self.module.make_grid(steps, **given_to(values)) if block.stack is None else block.grid(case)
+            grid = self.module.make_grid(steps, **given_to(values))
             return Attempt(outline_of_optimum(self.module, grid, found), steps, found.iterations, seconds)
         run = replace(self.run, steps=steps)
         tolerance = TOLERANCE if run.tolerance is None else run.tolerance

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codegen.batch.executors.chunks import Abandoned
-from codegen.batch.layout import COLUMNS
-from codegen.batch.optima import Limits, errors_of_device
 from codegen.batch.request import STEPS, Quantity, given_to
-from codegen.errors import ArgumentError, DeviceError, ExtraError, NumericsError, clause, one_line
+from codegen.batch.results import UNUSABLE, Cases, Limits, errors_of_device, unusable_message
+from codegen.errors import ArgumentError, DeviceError, NumericsError, clause
 from codegen.runtime.search.batch import LONGEST_STATUS, SOLVED
 from codegen.runtime.stepping.ensembles import (
     Ensemble,
     Happened,
+    are_motions_ready,
     energies_of,
     ensemble_of,
     follow_ensemble,
@@ -50,88 +48,8 @@ from codegen.solving.results.result import Result, Run, component_names
 if TYPE_CHECKING:
     from xarray import Dataset
 
-UNUSABLE = "unusable"
-"""The status of a case with whose numbers no grid exists."""
 NUMBERS = 1_000_000
 """Number of stored numbers of a block of cases, after each of which an interrupt is seen."""
-
-
-class Cases(ABC):
-    """Base class of the results of many cases: their statuses, and the parameters of each case."""
-
-    status: NDArray[np.str_]
-    parameters: Mapping[str, Vector]
-    module: Any
-    steps: int
-    numbers_of_cases: ClassVar[tuple[str, ...]]
-
-    @property
-    @abstractmethod
-    def message(self) -> NDArray[np.object_]:
-        """The explanation (n,) of each status."""
-
-    @property
-    @abstractmethod
-    def names(self) -> dict[str, tuple[str, ...]]:
-        """The names of the columns of arrays."""
-
-    @property
-    def solved(self) -> NDArray[np.bool_]:
-        """A mask (n,) of the solved cases."""
-        return np.asarray(self.status == SOLVED)
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """The number of cases of each status, the most frequent first."""
-        return dict(Counter(self.status.tolist()).most_common())
-
-    def __len__(self) -> int:
-        return int(self.status.size)
-
-    @abstractmethod
-    def __getitem__(self, index: int) -> Result:
-        """Return the Result of a case; raises IndexError beyond the end."""
-
-    def __iter__(self) -> Iterator[Result]:
-        return (self[i] for i in range(len(self)))
-
-    def _values(self, index: int) -> dict[str, float]:
-        """Return the numbers of a case by name; raises IndexError, or NumericsError for an unusable case."""
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"case {index} of {len(self)}")
-        if self.status[index] == UNUSABLE:
-            raise NumericsError(clause(f"case {index} has unusable numbers"), "look at `status` and `message` before")
-        return {name: float(values[index]) for name, values in self.parameters.items()}
-
-    def __repr__(self) -> str:
-        counts = ", ".join(f"{count} {status}" for status, count in self.counts.items())
-        varied = ", ".join(self.parameters)
-        name = type(self).__name__
-        return f"{name} of {len(self)} cases of {self.module.metadata.problem} ({varied}): {counts}"
-
-    def to_dataset(self) -> Dataset:
-        """Return the results as an xarray data set with the dimension `case`; raises ExtraError without xarray."""
-        try:
-            import xarray
-        except ImportError:
-            raise ExtraError("to_dataset needs xarray, which is not installed", "pip install xarray") from None
-        data: dict[str, Any] = {name: ("case", getattr(self, name)) for name in ("status", *self.numbers_of_cases)}
-        data["message"] = ("case", self.message.astype(np.str_))
-        data |= {name: ("case", values) for name, values in getattr(self, "free", {}).items()}
-        coordinates: dict[str, Any] = {name: ("case", values) for name, values in self.parameters.items()}
-        times: Matrix = getattr(self, "t")  # noqa: B009
-        coordinates["t"] = (("case", "node"), times)
-        rows = {times.shape[1]: "node", times.shape[1] - 1: "interval"}
-        for name in (*COLUMNS, "energy"):
-            array = getattr(self, name, None)
-            if array is None or not array.size:
-                continue
-            column = (COLUMNS[name],) if name in COLUMNS else ()
-            row = (rows.get(array.shape[1], f"{name} row"),) if array.ndim > 1 + len(column) else ()
-            data[name] = (("case", *(("occurrence",) if name == "event_times" else row), *column), array)
-            if name in self.names:
-                coordinates[COLUMNS[name]] = (COLUMNS[name], list(self.names[name]))
-        return xarray.Dataset(data, coordinates, {"problem": self.module.metadata.problem, "steps": self.steps})
 
 
 class CaseEvents(NamedTuple):
@@ -206,6 +124,66 @@ class Motions(Cases):
     messages: dict[int, str]
     numbers: Ensemble
     logs: dict[int, tuple[NDArray[np.int64], EventLog]] = field(default_factory=dict)
+
+    @property
+    def is_ready(self) -> bool:
+        """True if the machine code that `fill` needs is on the disk, or if a GPU follows the motions."""
+        return self.limits.is_on_device or are_motions_ready(self.module.problem)
+
+    def fill(self, part: slice, is_wanted: Callable[[], bool]) -> None:
+        """Follow the motions of a part, block by block; raises Abandoned once `is_wanted` returns False."""
+        problem, (_, rows, state), is_on_device = self.module.problem, self.path.shape, self.limits.is_on_device
+        size = max(1, NUMBERS // (rows * state))
+        follow: Callable[..., Any] = follow_ensemble
+        if is_on_device:
+            from codegen.runtime.cuda import motions as of_device
+
+            size, follow = part.stop - part.start, partial(of_device.follow_ensemble, is_kept=self.limits.is_kept)
+        for first in range(part.start, part.stop, size):
+            if not is_wanted():
+                raise Abandoned
+            own = slice(first, min(part.stop, first + size))
+            followed = followed_in(self.path[own], self.every)
+            with errors_of_device() if is_on_device else nullcontext():
+                happened = follow(
+                    problem, own_cases(self.numbers, own), self.steps, self.every, followed,
+                    most=self.limits.max_iterations or MOST,
+                )  # fmt: skip
+            made, _, iterations, outcome = followed.numbers.T
+            self.made[own], self.iterations[own], self.residual[own] = made, iterations, followed.residual
+            self._judge(own, outcome, *(happened or (None, None)))
+
+    def _judge(self, own: slice, outcome: NDArray[np.int64], happened: Happened | None, log: EventLog | None) -> None:
+        """Set the statuses of followed cases as `codegen.solve` does, and store their events."""
+        usable, made, h = self.status[own] != UNUSABLE, self.made[own], self.h[own]
+        metadata, last = self.module.metadata, h * made
+        least: Vector | float = np.inf
+        if happened is not None and log is not None:
+            self.logs[own.start], self.ends[own], least = (happened.counts, log), happened.ends, happened.least
+            last = np.where(outcome == STOPPED, happened.ends, last)
+            names, ended = (*metadata.events, *metadata.gaps), np.cumsum(happened.counts) - 1
+            for case in np.flatnonzero(usable & (outcome == STOPPED)).tolist():
+                name = names[int(log.number[ended[case]])]
+                self.messages[own.start + case] = stop_message(name, last[case], made[case], self.steps)
+        self.status[own] = np.where(usable & (outcome >= 0), SOLVED, self.status[own])
+        # Failures with an explanation that needs the states are followed once more.
+        is_plain = np.isin(outcome, (NON_FINITE, SINGULAR, NOT_CONVERGED)) & (self.module.problem.constraints is None)
+        for case in np.flatnonzero(usable & is_plain).tolist():
+            index, times = own.start + case, (h[case] * made[case], h[case] * (made[case] + 1))
+            iterations = int(self.iterations[index])
+            self.status[index], self.messages[index] = describe(
+                self.steps, times, int(made[case]), iterations, int(outcome[case])
+            )
+        with np.errstate(invalid="ignore"):
+            # States on a device are not read: motions with larger residuals are followed once more.
+            level = 0.0 if self.limits.is_kept else rounding_of(self.path[own], last / np.maximum(made, 1))
+            is_accurate = (self.residual[own] <= np.maximum(TOLERANCE, level)) & (
+                least > -PENETRATION / ROUNDING * level
+            )
+        is_doubtful = usable & ~np.where(outcome >= 0, is_accurate, is_plain)
+        for index in (own.start + np.flatnonzero(is_doubtful)).tolist():
+            alone = self[index]
+            self.status[index], self.messages[index] = alone.status, alone.message
 
     @cached_property
     def message(self) -> NDArray[np.object_]:
@@ -312,12 +290,6 @@ def require_motions(module: Any, is_on_device: bool) -> None:
         raise DeviceError(clause(reason), 'use executor "threads"')
 
 
-def unusable_message(error: Exception, values: Mapping[str, float]) -> str:
-    """Return the message of a case whose numbers raise an error."""
-    reason = error.args[-1] if error.args else type(error).__name__
-    return one_line(f"{UNUSABLE}: {reason} ({', '.join(f'{name} = {value:g}' for name, value in values.items())})")
-
-
 def empty_motions(
     module: SimulateModule, columns: Mapping[Quantity, Vector], steps: int, every: int, limits: Limits, number: int
 ) -> Motions:
@@ -351,62 +323,3 @@ def empty_motions(
     return Motions(
         status, made, iterations, residual, h, ends, path, parameters, steps, every, module, limits, messages, numbers
     )
-
-
-def follow_motions(motions: Motions, part: slice, is_wanted: Callable[[], bool]) -> None:
-    """Follow the motions of a part of the cases, block by block; raises Abandoned once `is_wanted` returns False."""
-    problem, (_, rows, state), is_on_device = motions.module.problem, motions.path.shape, motions.limits.is_on_device
-    size = max(1, NUMBERS // (rows * state))
-    follow: Callable[..., Any] = follow_ensemble
-    if is_on_device:
-        from codegen.runtime.cuda import motions as of_device
-
-        size, follow = part.stop - part.start, partial(of_device.follow_ensemble, is_kept=motions.limits.is_kept)
-    for first in range(part.start, part.stop, size):
-        if not is_wanted():
-            raise Abandoned
-        own = slice(first, min(part.stop, first + size))
-        followed = followed_in(motions.path[own], motions.every)
-        with errors_of_device() if is_on_device else nullcontext():
-            happened = follow(
-                problem, own_cases(motions.numbers, own), motions.steps, motions.every, followed,
-                most=motions.limits.max_iterations or MOST,
-            )  # fmt: skip
-        made, _, iterations, outcome = followed.numbers.T
-        motions.made[own], motions.iterations[own], motions.residual[own] = made, iterations, followed.residual
-        _judge(motions, own, outcome, *(happened or (None, None)))
-
-
-def _judge(
-    motions: Motions, own: slice, outcome: NDArray[np.int64], happened: Happened | None, log: EventLog | None
-) -> None:
-    """Set the statuses of followed cases as `codegen.solve` does, and store their events."""
-    usable, made, h = motions.status[own] != UNUSABLE, motions.made[own], motions.h[own]
-    metadata, last = motions.module.metadata, h * made
-    least: Vector | float = np.inf
-    if happened is not None and log is not None:
-        motions.logs[own.start], motions.ends[own], least = (happened.counts, log), happened.ends, happened.least
-        last = np.where(outcome == STOPPED, happened.ends, last)
-        names, ended = (*metadata.events, *metadata.gaps), np.cumsum(happened.counts) - 1
-        for case in np.flatnonzero(usable & (outcome == STOPPED)).tolist():
-            name = names[int(log.number[ended[case]])]
-            motions.messages[own.start + case] = stop_message(name, last[case], made[case], motions.steps)
-    motions.status[own] = np.where(usable & (outcome >= 0), SOLVED, motions.status[own])
-    # Failures with an explanation that needs the states are followed once more.
-    is_plain = np.isin(outcome, (NON_FINITE, SINGULAR, NOT_CONVERGED)) & (motions.module.problem.constraints is None)
-    for case in np.flatnonzero(usable & is_plain).tolist():
-        index, times = own.start + case, (h[case] * made[case], h[case] * (made[case] + 1))
-        iterations = int(motions.iterations[index])
-        motions.status[index], motions.messages[index] = describe(
-            motions.steps, times, int(made[case]), iterations, int(outcome[case])
-        )
-    with np.errstate(invalid="ignore"):
-        # States on a device are not read: motions with larger residuals are followed once more.
-        level = 0.0 if motions.limits.is_kept else rounding_of(motions.path[own], last / np.maximum(made, 1))
-        is_accurate = (motions.residual[own] <= np.maximum(TOLERANCE, level)) & (
-            least > -PENETRATION / ROUNDING * level
-        )
-    is_doubtful = usable & ~np.where(outcome >= 0, is_accurate, is_plain)
-    for index in (own.start + np.flatnonzero(is_doubtful)).tolist():
-        alone = motions[index]
-        motions.status[index], motions.messages[index] = alone.status, alone.message

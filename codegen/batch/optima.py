@@ -7,20 +7,38 @@ solve a block each work side by side.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from codegen.batch.executors.chunks import Abandoned
-from codegen.errors import ArgumentError, DeviceError, clause, one_line
-from codegen.runtime.search.batch import Optima, Options, no_optima, solve_grids, solve_stack
+from codegen.batch.request import Quantity, given_to
+from codegen.batch.results import UNUSABLE, Cases, Limits, errors_of_device, unusable_message
+from codegen.runtime.search.batch import (
+    LONGEST_STATUS,
+    SOLVED,
+    Optimum,
+    Options,
+    is_ready,
+    no_optima,
+    solve_grids,
+    solve_stack,
+)
+from codegen.runtime.search.messages import solved_message
 from codegen.runtime.search.solution import Log
-from codegen.runtime.search.stacks import Stack, case_of, stack_of
+from codegen.runtime.search.stacks import case_of, stack_of
 from codegen.solving.drivers.newton import TOLERANCE
-from codegen.solving.loading import ControlModule, Vector
+from codegen.solving.loading import ControlModule, Matrix, Vector
+from codegen.solving.request import with_values
+from codegen.solving.results.control import control_result
+from codegen.solving.results.result import ControlAttempt, Result, Run, component_names
+from codegen.solving.results.segments import put_together, segments_of
+from codegen.solving.results.sensitivities import rates_at, require_sensitive
 
 BLOCK = 100_000
 """Number of unknowns in a block, which takes tens of milliseconds; the Python code between blocks takes less."""
@@ -30,146 +48,236 @@ MOST_ITERATIONS = 3000
 """Default limit of iterations, as for `solve` of a generated module."""
 
 
-@dataclass(frozen=True)
-class Outcomes:
-    """The optima of a block of cases, errors of cases with unusable numbers by index, and the Stack if there is one."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Solutions(Cases):
+    """The optima of n cases; `solutions[i]` is the Result of case i.
 
-    optima: Optima
-    errors: Mapping[int, Exception]
-    stack: Stack | None
-
-    def grid(self, case: int) -> Any:
-        """Return the grid of a case, or None without a Stack."""
-        return None if self.stack is None else self.stack.grid_of(case)
-
-
-@dataclass(frozen=True)
-class Limits:
-    """The options of the searches of all cases: see `codegen.solve`; None stands for the default.
-
-    `is_on_device` is True for cases that a GPU solves, and `is_kept` if the states of motions stay in its memory.
+    Attributes
+    ----------
+    status : ndarray of str, (n,)
+        The termination status, such as "solved", as of `codegen.solve`. It is "unusable" for a case whose numbers have
+        no grid, such as a negative duration.
+    cost, residual, stationarity : ndarray, (n,)
+        The cost, and the max-norms of all discrete equations and of the optimality conditions, as of `codegen.solve`.
+        The cost of a case that is not solved is NaN.
+    iterations : ndarray of int, (n,)
+        Numbers of iterations.
+    unknowns : ndarray, (n, m)
+        All unknowns of each case, which `guess` of another call takes. NaN for an unusable case.
+    parameters : dict of str to ndarray (n,)
+        The numbers that differ from those of the problem.
+    steps : int
+        Number of intervals, in each phase or segment.
+    module : module
+        The generated module.
+    limits : Limits
+        The options of the searches, and the place: the processor or a GPU.
+    messages : dict of int to str
+        The messages of cases that failed.
+    arguments : dict
+        The keyword arguments of `make_grid` of the module, with arrays (n,) in place of numbers.
+    guesses : sequence of ndarray (m,) or None
+        The guess of each case; None for the problem's own.
     """
 
-    tolerance: float | None = None
-    max_iterations: int | None = None
-    time_limit: float = math.inf
-    scaling: str = "auto"
-    is_warm: bool = False
-    is_on_device: bool = False
-    is_kept: bool = False
+    numbers_of_cases = ("cost", "residual", "stationarity", "iterations")
+    status: NDArray[np.str_]
+    cost: Vector
+    residual: Vector
+    stationarity: Vector
+    iterations: NDArray[np.int64]
+    unknowns: Matrix
+    parameters: Mapping[str, Vector]
+    steps: int
+    module: ControlModule
+    limits: Limits
+    arguments: Mapping[str, Any]
+    guesses: Sequence[Vector | None]
+    messages: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def is_ready(self) -> bool:
+        """True if the machine code that `fill` needs is on the disk, or if a GPU solves the cases."""
+        return self.limits.is_on_device or is_ready()
+
+    def fill(self, part: slice, is_wanted: Callable[[], bool]) -> None:
+        """Solve the cases of a part, block by block; raises Abandoned once `is_wanted` returns False."""
+        is_on_device = self.limits.is_on_device
+        size = max(1, (BLOCK_ON_DEVICE if is_on_device else BLOCK) // max(1, self.unknowns.shape[1]))
+        for first in range(part.start, part.stop, size):
+            if not is_wanted():
+                raise Abandoned
+            with errors_of_device() if is_on_device else nullcontext():
+                self._solve(slice(first, min(part.stop, first + size)), is_wanted)
+
+    def _solve(self, own: slice, is_wanted: Callable[[], bool]) -> None:
+        """Solve a block of cases."""
+
+        def log() -> Log:
+            if not is_wanted():
+                raise Abandoned
+            return Log(limits.time_limit)
+
+        on_device, limits, module = None, self.limits, self.module
+        if limits.is_on_device:
+            from codegen.runtime.cuda import optima as of_device
+
+            on_device = of_device.solve_cases
+        options = Options(
+            limits.tolerance or TOLERANCE, limits.max_iterations or MOST_ITERATIONS, limits.is_warm, limits.scaling,
+            on_device,
+        )  # fmt: skip
+        arguments, guesses = part_of(self.arguments, own), self.guesses[own]
+        stack = None
+        if all(guess is None for guess in guesses):
+            stack = stack_of(module, self.steps, arguments, len(guesses))
+        width = self.unknowns.shape[1]
+        found = no_optima(len(guesses), width) if stack is None else solve_stack(stack, options, log)
+        grids, starts = list[Any](), dict[int, Vector]()
+        for case in np.flatnonzero(found.status == "").tolist():
+            try:
+                grid, guess = self.module.make_grid(self.steps, **case_of(arguments, case)), guesses[case]
+                guess = (
+                    self.module.initial_guess(grid) if guess is None else self.module.with_pinned_values(grid, guess)
+                )
+                grids.append(grid)
+                starts[case] = guess
+            except (ValueError, ArithmeticError) as error:  # generated modules raise built-in exceptions
+                values = {name: column[own.start + case] for name, column in self.parameters.items()}
+                nothing = np.full(found.unknowns.shape[1], math.nan)
+                message = unusable_message(error, values)
+                found.put(case, Optimum(UNUSABLE, message, math.nan, math.nan, math.nan, 0, nothing))
+        results = solve_grids(grids, [*starts.values()], options, log)
+        for case, result in zip(starts, results, strict=True):
+            found.put(case, result)
+        for name in ("status", "residual", "stationarity", "iterations", *(["unknowns"] if width else [])):
+            getattr(self, name)[own] = getattr(found, name)
+        self.cost[own] = np.where(found.status == SOLVED, found.cost, np.nan)
+        self.messages.update({own.start + case: message for case, message in found.messages.items()})
+
+    def optimum(self, case: int) -> Optimum:
+        """Return the outcome of a case."""
+        residual, stationarity = float(self.residual[case]), float(self.stationarity[case])
+        message = self.messages.get(case) or solved_message(residual, stationarity)
+        return Optimum(
+            str(self.status[case]), message, float(self.cost[case]), residual, stationarity,
+            int(self.iterations[case]), self.unknowns[case],
+        )  # fmt: skip
+
+    @cached_property
+    def message(self) -> NDArray[np.object_]:
+        """The explanation (n,) of each status, as of `codegen.solve`."""
+        numbers = zip(self.residual.tolist(), self.stationarity.tolist(), strict=True)
+        return np.array([self.messages.get(i) or solved_message(*pair) for i, pair in enumerate(numbers)], object)
+
+    @cached_property
+    def free(self) -> dict[str, Vector]:
+        """The values (n,) of each free parameter, such as a free duration; NaN for a case that is not solved."""
+        names = self.module.metadata.free_parameters
+        last = self.unknowns.shape[1] - self.module.problem.structure.couplings
+        values = np.where(self.solved[:, None], self.unknowns[:, last - len(names) : last], np.nan)
+        return {name: values[:, i] for i, name in enumerate(names)}
+
+    @property
+    def t(self) -> Matrix:
+        """Times of the nodes, (n, N + 1)."""
+        return self._motions["t"]
+
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """Coordinates or states, (n, N + 1, coordinates); NaN for a case that is not solved."""
+        return self._motions["q"]
+
+    @property
+    def p(self) -> NDArray[np.float64]:
+        """Momenta, (n, N + 1, coordinates)."""
+        return self._motions["p"]
+
+    @property
+    def u(self) -> NDArray[np.float64]:
+        """Controls, (n, rows, controls), with a row for each interval or node as `Result.u` has."""
+        return self._motions["u"]
+
+    @property
+    def multipliers(self) -> NDArray[np.float64]:
+        """Multipliers of the equations, (n, rows, multipliers)."""
+        return self._motions["multipliers"]
+
+    @cached_property
+    def d_cost(self) -> dict[str, Vector]:
+        """Derivatives (n,) of the cost by the name of a parameter, a prescribed value or a duration.
+
+        Parameters that vary are independent of each other, even if formulas of the problem relate them. NaN for a case
+        that is not solved, or without derivatives. Raises ArgumentError unless the cases are solved with
+        `sensitivities=True`.
+        """
+        require_sensitive(self.module)
+        names = self.module.metadata.sensitivities or ()
+        rates = np.full((len(self), len(names)), np.nan)
+        fixed = [name for name in self.parameters if name in names]
+        for i in np.flatnonzero(self.solved).tolist():
+            with suppress(ValueError, ArithmeticError):  # a derivative can be infinite at a finite solution
+                own = with_values(self.module, self._values(i))
+                rates[i] = rates_at(own, self.steps, self.unknowns[i], fixed).sensitivities.costs
+        return {name: rates[:, j] for j, name in enumerate(names)}
+
+    @property
+    def names(self) -> dict[str, tuple[str, ...]]:
+        """The names of the columns of q, p and u."""
+        return (
+            dict(self[int(np.argmax(self.solved))].names)
+            if self.solved.any()
+            else component_names(self.module.metadata)
+        )
+
+    def __getitem__(self, index: int) -> Result:
+        """Return the Result of a case, whose equations are evaluated once more; raises IndexError beyond the end."""
+        module = with_values(self.module, self._values(index))
+        tolerance = self.limits.tolerance or 1e-10
+        run = Run(self.steps, tolerance=tolerance, scaling=self.limits.scaling)
+        attempt = ControlAttempt(
+            str(self.status[index]), str(self.message[index]), int(self.iterations[index]), self.unknowns[index],
+            tolerance, is_explained=True, generated=True,
+        )  # fmt: skip
+        return put_together(control_result(module, "newton", run, attempt), module.metadata)
+
+    @cached_property
+    def _motions(self) -> dict[str, NDArray[np.float64]]:
+        """The arrays of all motions by name; they are computed from the unknowns on first use."""
+        names, is_whole = ("t", "q", "p", "u", "multipliers"), segments_of(self.module.metadata) is None
+        parts: dict[int, Any] = {}
+        for i in np.flatnonzero(self.solved).tolist():
+            if is_whole:
+                grid = self.module.make_grid(self.steps, **case_of(self.arguments, i))
+                parts[i] = self.module.unpack(grid, self.unknowns[i])
+            else:
+                parts[i] = [getattr(self[i], name) for name in names]
+        arrays = {}
+        for j, name in enumerate(names):
+            shape = next((part[j].shape for part in parts.values()), (0,) if name == "t" else (0, 0))
+            arrays[name] = np.full((len(self), *shape), np.nan)
+            for i, part in parts.items():
+                arrays[name][i] = part[j]
+        return arrays
 
 
-THREADS, CUDA = "threads", "cuda"
-PLACES = (THREADS, CUDA)
-"""Executors of many cases: the threads of this machine, and its GPU."""
-
-
-def require_place(executor: object) -> bool:
-    """Return True for the GPU; raises ArgumentError for an unknown name, and DeviceError without a GPU."""
-    if executor not in PLACES:
-        raise ArgumentError(f"executor {clause(repr(executor))}", f"use one of {', '.join(PLACES)}")
-    if executor == CUDA:
-        from codegen.runtime.cuda.memory import NoDevice, require_device
-
-        try:
-            require_device()
-        except NoDevice as error:
-            reason = str(error).removeprefix("Error at driver init: ").partition(". ")[0]
-            raise DeviceError(
-                clause(f"numba finds no GPU that it can use: {reason}"),
-                'use executor "threads", or install a driver of NVIDIA and codegen[cuda]',
-            ) from None
-    return executor == CUDA
-
-
-@contextmanager
-def errors_of_device() -> Iterator[None]:
-    """Raise DeviceError for errors of the GPU: too little memory, functions that it cannot run, or a failed call."""
-    from numba.core.errors import NumbaError
-    from numba.cuda.cudadrv.driver import CudaAPIError
-
-    from codegen.runtime.cuda.optima import Full
-
-    try:
-        yield
-    except Full as error:
-        raise DeviceError(f"the memory of the GPU does not suffice: {error}", "solve with fewer steps") from None
-    except CudaAPIError as error:  # also if other processes have taken the memory since it was measured
-        finding = f"the GPU reports an error: {one_line(str(error), 150)}"
-        raise DeviceError(clause(finding), 'end other work on the GPU, or use executor "threads"') from None
-    except NumbaError as error:
-        text = next(iter(str(error).strip().splitlines()[::-1]), "")
-        raise DeviceError(clause(f"the GPU cannot run this problem: {text}"), 'use executor "threads"') from None
-
-
-def optima(
-    module: ControlModule, steps: int, arguments: Mapping[str, Any], number: int, guesses: Sequence[Vector | None],
-    limits: Limits, is_wanted: Callable[[], bool],
-) -> Iterator[Outcomes]:  # fmt: skip
-    """Yield, block by block, the outcomes of all cases.
-
-    `arguments` are keyword arguments of `make_grid` of the module, with arrays (`number`,) in place of numbers. A guess
-    that is None is the problem's own. Raises Abandoned once `is_wanted` returns False.
-    """
-    size = max(1, (BLOCK_ON_DEVICE if limits.is_on_device else BLOCK) // _unknowns(module, steps, arguments))
-
-    def log() -> Log:
-        if not is_wanted():
-            raise Abandoned
-        return Log(limits.time_limit)
-
-    for first in range(0, number, size):
-        if not is_wanted():
-            raise Abandoned
-        part = slice(first, min(number, first + size))
-        with errors_of_device() if limits.is_on_device else nullcontext():
-            yield _solved(module, steps, part_of(arguments, part), guesses[part], limits, log)
-
-
-def _solved(
-    module: ControlModule, steps: int, arguments: Mapping[str, Any], guesses: Sequence[Vector | None], limits: Limits,
-    log: Callable[[], Log],
-) -> Outcomes:  # fmt: skip
-    """Return the outcomes of a block of cases."""
-    on_device = None
-    if limits.is_on_device:
-        from codegen.runtime.cuda import optima as of_device
-
-        on_device = of_device.solve_cases
-    options = Options(
-        limits.tolerance or TOLERANCE, limits.max_iterations or MOST_ITERATIONS, limits.is_warm, limits.scaling,
-        on_device,
-    )  # fmt: skip
-    number, errors = len(guesses), dict[int, Exception]()
-    stack = stack_of(module, steps, arguments, number) if all(guess is None for guess in guesses) else None
-    optima = None if stack is None else solve_stack(stack, options, log)
-    rest = range(number) if optima is None else np.flatnonzero(optima.status == "").tolist()
-    grids, starts, alone = list[Any](), list[Vector](), list[int]()
-    for case in rest:
-        try:
-            grid = module.make_grid(steps, **case_of(arguments, case))
-            guess = guesses[case]
-            start = module.initial_guess(grid) if guess is None else module.with_pinned_values(grid, guess)
-        except (ValueError, ArithmeticError) as error:  # generated modules raise built-in exceptions
-            errors[case] = error
-            continue
-        grids.append(grid)
-        starts.append(start)
-        alone.append(case)
-    if optima is None:
-        optima = no_optima(number, starts[0].size if starts else 0)
-    for case, result in zip(alone, solve_grids(grids, starts, options, log), strict=True):
-        optima.put(case, result)
-    return Outcomes(optima, errors, stack)
-
-
-def _unknowns(module: ControlModule, steps: int, arguments: Mapping[str, Any]) -> int:
-    """Return the number of unknowns of a case, from the problem's own numbers if those of the first case have none."""
-    own: Mapping[str, Any]
-    for own in (case_of(arguments, 0), {}):
+def empty_solutions(
+    module: ControlModule, columns: Mapping[Quantity, Vector], steps: int, limits: Limits, number: int,
+    guesses: Sequence[Vector | None],
+) -> Solutions:  # fmt: skip
+    """Return Solutions without results; their unknowns have no columns if no case has usable numbers."""
+    arguments, size = given_to(columns), 0
+    for case in range(-1, number):
         with suppress(ValueError, ArithmeticError):
-            return int(module.make_grid(steps, **own).is_multiplier.size)
-    return BLOCK
+            own = {} if case < 0 else case_of(arguments, case)
+            size = module.make_grid(steps, **own).is_multiplier.size
+            break
+    cost, residual, stationarity = np.full((3, number), np.nan)
+    return Solutions(
+        np.full(number, "", LONGEST_STATUS), cost, residual, stationarity, np.zeros(number, np.int64),
+        np.full((number, size), np.nan), {own.name: column for own, column in columns.items()}, steps, module, limits,
+        arguments, guesses,
+    )  # fmt: skip
 
 
 def part_of(arguments: Mapping[str, Any], part: slice) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from codegen.batch.cases import samples as sampled
 from codegen.batch.executors import team_size
 from codegen.batch.executors.chunks import counted
 from codegen.batch.layout import RATE, free_label
-from codegen.batch.optima import CUDA, THREADS, require_place
+from codegen.batch.results import CUDA, THREADS, require_place
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.solving.loading import Matrix, Vector, is_control
 from codegen.solving.request import Request, apart_from_delays, duration_arguments, parameter_arguments, prescribed_ends

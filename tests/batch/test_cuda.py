@@ -120,7 +120,7 @@ for kind, error in {"full": CudaAPIError(2, "CUDA_ERROR_OUT_OF_MEMORY"), "interr
     optima.solve_cases = ended
     try:
         codegen.sweep(kinds[0][0], axes, executor="cuda", steps=6, chunk=2, out=out)
-    except codegen.CodegenError as raised:
+    except (codegen.CodegenError, codegen.errors.Interrupted) as raised:
         results[f"{kind} sweep"] = [type(raised).__name__, str(raised).replace(out, "OUT")]
     optima.solve_cases = counted_cases
     on_device.clear()

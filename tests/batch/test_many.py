@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import codegen
-from codegen.batch import many
+from codegen.batch import optima
 from codegen.errors import ArgumentError, NumericsError
 from codegen.runtime.search import batch
 
@@ -112,7 +112,7 @@ def test_an_optimum_that_does_not_hold_when_it_is_evaluated_again_is_not_called_
         arguments[-1].unknowns[:, 5] *= 1.0 + 1e-6
 
     alone, single = list[int](), batch.optimise
-    monkeypatch.setattr(many, "is_ready", lambda: True)
+    monkeypatch.setattr(optima, "is_ready", lambda: True)
     monkeypatch.setattr(batch, "solve_cases", wrong)
     monkeypatch.setattr(batch, "optimise", lambda *arguments: alone.append(1) or single(*arguments))
     found = codegen.solve_many(solver, {"r1": radii}, steps=20)

@@ -46,7 +46,7 @@ class Columns:
     @classmethod
     def without_numbers(cls, shape):
         """Return Columns of a new array (k, ..) on the device, which holds NaN."""
-        columns, own = cls(np.empty((0, *shape[1:]))), (*shape[1:], shape[0])
+        columns, own = cls(np.empty(shape if 0 in shape else 0)), (*shape[1:], shape[0])
         if 0 not in shape:
             columns.is_empty = False
             columns.on_device = np.full(own, np.nan) if IS_SIMULATED else _filled(own, np.float64, np.nan)
