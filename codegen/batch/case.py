@@ -291,8 +291,8 @@ class Varied:
         if found.status == UNUSABLE:
             return failed(UNUSABLE, found.message)
         if found.status == SOLVED and self.wanted is None and segments_of(self.module.metadata) is None:
-            grid = self.module.make_grid(steps, **given_to(values))
-            return Attempt(outline_of_optimum(self.module, grid, found), steps, found.iterations, seconds)
+            outline = outline_of_optimum(self.module, all_cases.grid(case), found)
+            return Attempt(outline, steps, found.iterations, seconds)
         run = replace(self.run, steps=steps)
         tolerance = TOLERANCE if run.tolerance is None else run.tolerance
         own = ControlAttempt(found.status, found.message, found.iterations, found.unknowns, tolerance, generated=True)

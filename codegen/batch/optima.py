@@ -78,6 +78,8 @@ class Solutions(Cases):
         The keyword arguments of `make_grid` of the module, with arrays (n,) in place of numbers.
     guesses : sequence of ndarray (m,) or None
         The guess of each case; None for the problem's own.
+    grids : ndarray of object, (n,)
+        A function (case) -> grid, from the numbers of a block of cases; None without formulas on arrays.
     """
 
     numbers_of_cases = ("cost", "residual", "stationarity", "iterations")
@@ -93,6 +95,7 @@ class Solutions(Cases):
     limits: Limits
     arguments: Mapping[str, Any]
     guesses: Sequence[Vector | None]
+    grids: NDArray[np.object_]
     messages: dict[int, str] = field(default_factory=dict)
 
     @property
@@ -131,6 +134,9 @@ class Solutions(Cases):
         stack = None
         if all(guess is None for guess in guesses):
             stack = stack_of(module, self.steps, arguments, len(guesses))
+        if stack is not None:  # grids are made from it, without guesses and bounds
+            light = stack._replace(guesses=None, lower=None, upper=None)
+            self.grids[own] = lambda case: light.grid_of(case - own.start)
         width = self.unknowns.shape[1]
         found = no_optima(len(guesses), width) if stack is None else solve_stack(stack, options, log)
         grids, starts = list[Any](), dict[int, Vector]()
@@ -154,6 +160,11 @@ class Solutions(Cases):
             getattr(self, name)[own] = getattr(found, name)
         self.cost[own] = np.where(found.status == SOLVED, found.cost, np.nan)
         self.messages.update({own.start + case: message for case, message in found.messages.items()})
+
+    def grid(self, case: int) -> Any:
+        """Return the grid of a case with usable numbers."""
+        make = self.grids[case]
+        return self.module.make_grid(self.steps, **case_of(self.arguments, case)) if make is None else make(case)
 
     def optimum(self, case: int) -> Optimum:
         """Return the outcome of a case."""
@@ -248,8 +259,7 @@ class Solutions(Cases):
         parts: dict[int, Any] = {}
         for i in np.flatnonzero(self.solved).tolist():
             if is_whole:
-                grid = self.module.make_grid(self.steps, **case_of(self.arguments, i))
-                parts[i] = self.module.unpack(grid, self.unknowns[i])
+                parts[i] = self.module.unpack(self.grid(i), self.unknowns[i])
             else:
                 parts[i] = [getattr(self[i], name) for name in names]
         arrays = {}
@@ -276,7 +286,7 @@ def empty_solutions(
     return Solutions(
         np.full(number, "", LONGEST_STATUS), cost, residual, stationarity, np.zeros(number, np.int64),
         np.full((number, size), np.nan), {own.name: column for own, column in columns.items()}, steps, module, limits,
-        arguments, guesses,
+        arguments, guesses, np.full(number, None),
     )  # fmt: skip
 
 
