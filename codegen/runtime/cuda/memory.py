@@ -65,12 +65,12 @@ class Kept(NamedTuple):
 
 
 def fetched(array):
-    """Return a copy in the memory of the process of an array on the device, as of numba, torch, JAX and CuPy."""
+    """Return a contiguous copy, in the memory of the process, of an array on the device, as of torch, JAX and CuPy."""
     if not IS_SIMULATED:
-        return cuda.as_cuda_array(array).copy_to_host()
+        return np.ascontiguousarray(cuda.as_cuda_array(array).copy_to_host())
     if hasattr(array, "__cuda_array_interface__"):
         array = SimpleNamespace(__array_interface__=array.__cuda_array_interface__)
-    return np.array(array)
+    return np.array(array, order="C")
 
 
 def viewed(columns):
