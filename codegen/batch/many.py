@@ -111,6 +111,8 @@ def solve_many(
     workers = 1 if is_on_device else team_size(threads, None)
     module, build = _module(request, building)
     columns = _columns(module, parameters)
+    if on_device and not (is_on_device and is_simulation(module)):
+        raise ArgumentError("on_device keeps states of simulations on a GPU", 'give a simulation and executor="cuda"')
     if is_simulation(module):
         if guess is not None or warm:
             raise ArgumentError("a guess for a simulation", "leave it out")
@@ -124,8 +126,6 @@ def solve_many(
         request.tolerance, request.max_iterations, math.inf if request.time_limit is None else request.time_limit,
         request.scaling, warm, is_on_device, on_device,
     )  # fmt: skip
-    if on_device and not (is_on_device and is_simulation(module)):
-        raise ArgumentError("on_device keeps states of simulations on a GPU", 'give a simulation and executor="cuda"')
     size = number if is_on_device else min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
     if is_simulation(module):
         found: Any = empty_motions(module, varied, count, request.every, limits, number)
