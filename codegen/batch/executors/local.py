@@ -102,14 +102,16 @@ def processes(work: Work, workers: int) -> Iterator[Callable[[Iterable[int]], Re
     def solve(numbers: Iterable[int]) -> Results[int, Done]:
         """Yield the result of each chunk; a worker receives its next chunk when it has returned a result."""
         waiting, losses, idle = [*numbers][::-1], Counter[int](), [*crew]
-        results: list[tuple[int, Done]] = []
+        results, error = list[tuple[int, Done]](), None
         while True:
             while idle and waiting:
                 busy[idle[-1]] = waiting.pop()
                 with suppress(OSError):  # a lost worker is detected below
                     idle[-1].send(busy[idle[-1]])
                 idle.pop()
-            yield from results
+            yield from results  # before an error, so that no finished chunk is lost
+            if error is not None:
+                raise error
             if not busy:
                 return
             ready, results = wait([*busy]), []
@@ -128,8 +130,9 @@ def processes(work: Work, workers: int) -> Iterator[Callable[[Iterable[int]], Re
                         continue
                     done = work.lost(number, f"{TRIES} workers were lost with its chunk; look for memory")
                 if isinstance(done, BaseException):
-                    raise done
-                results.append((number, done))
+                    error = done
+                else:
+                    results.append((number, done))
 
     try:
         for _ in range(workers):
