@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from codegen.runtime.search.cascade import escape_steps
+from codegen.runtime.search.curvature import escape_steps
 
 
 @pytest.mark.parametrize("name", ["bryson_denham", "cart_pole"])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, ellipk
-from sympy import I, Matrix, diag, eye, pi, sin, sqrt
+from sympy import I, Matrix, cos, diag, eye, pi, sin, sqrt
 
 import codegen
 from codegen import (
@@ -20,6 +20,7 @@ from codegen import (
     Simulate,
     attitude,
     controls,
+    coordinate,
     direction,
     parameters,
     pose,
@@ -426,6 +427,30 @@ def test_detour_of_a_guess_returns_to_a_great_circle():
     assert result.status == "solved"
     assert result.cost == pytest.approx(6 * (np.pi / 2) ** 2 / 2**3, rel=1e-5)
     assert np.abs(result.n_z).max() < 1e-9
+
+
+def test_a_search_leaves_the_plane_of_a_symmetric_guess():
+    """A pendulum swings up through space with less effort than in a plane, where the straight guess lies.
+
+    The optima in the plane, in an angle, are saddle points in space.
+    """
+    n, dn = direction("n")
+    a, b = controls("a b")
+    bounds = {a: (-6, 6), b: (-6, 6)}
+    in_space = Control(
+        lagrangian=dn.dot(dn) / 2 - 9.81 * n[2], force={n: (a, b, 0)}, cost=a**2 + b**2, duration=3,
+        start={n: (0, 0, -1), dn: (0, 0, 0)}, end={n: (0, 0, 1), dn: (0, 0, 0)}, bounds=bounds, steps=80,
+    )  # fmt: skip
+    q, dq = coordinate("q")
+    in_plane = Control(
+        lagrangian=dq**2 / 2 + 9.81 * cos(q), force={q: a * cos(q)}, cost=a**2, duration=3, start={q: 0, dq: 0},
+        end={q: pi, dq: 0}, bounds={a: (-6, 6)}, steps=80,
+    )  # fmt: skip
+    found, least = codegen.solve(in_space), codegen.solve(in_plane, guesses=20)
+    assert found.status == least.status == "solved"
+    assert least.cost == pytest.approx(62.698, rel=1e-4)
+    assert found.cost < 0.9 * least.cost
+    assert found.iterations < 600
 
 
 def test_reorientation_takes_the_published_time():

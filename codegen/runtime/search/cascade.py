@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.search import descent
+from codegen.runtime.search.curvature import barrier_curvature, escape_steps
 from codegen.runtime.search.descent import (
-    FLAT,
     FROM_AFAR,
     IS_BESIDE,
     LEAST_RELAXATION,
@@ -42,7 +42,7 @@ from codegen.runtime.search.iterates import (
     stored,
     with_tied_values,
 )
-from codegen.runtime.search.linear_system import allocate_system, factor_kkt, solve_kkt
+from codegen.runtime.search.linear_system import factor_kkt
 from codegen.runtime.search.newton import UNLUCKY, descend, restored
 from codegen.runtime.search.point import Point, evaluate
 from codegen.runtime.search.restoration import NONE_HELD, least_violation
@@ -53,7 +53,6 @@ WAVES, AMPLITUDE = 3, 0.5  # number of sines in a varied guess; their standard d
 WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # statuses after which the constraint violation is minimised
 NEARBY_ITERATIONS = 100  # largest number of iterations from a feasible point near a grossly infeasible guess
 FROM_ANYWHERE = np.array([[np.inf, -np.inf]])  # the pairs of a filter that accepts all points
-INVERSE_ITERATIONS = 4  # number of steps of the inverse iteration
 ESCAPES = 3  # largest number of escapes from a saddle point
 LEFT = ("solved", "saddle point", "unbounded")  # conclusive statuses of a search that starts next to a saddle point
 LAST_STEPS = 3  # largest number of Newton steps without relaxation of bounds
@@ -225,9 +224,7 @@ def leave_saddles(search, start, attempt, tolerance, max_iterations, log, **how)
     grid, has_failed, escapes = search.grid, False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
         saddle_cost, unknowns = predicted_cost(search, saddle), saddle.point.unknowns
-        curvature = np.zeros(unknowns.size)  # second derivatives of the barrier
-        np.add.at(curvature, search.bounds.indices, saddle.duals / saddle.distance)
-        for step in escape_steps(grid, unknowns, curvature, escapes):
+        for step in escape_steps(grid, unknowns, barrier_curvature(search, saddle), escapes):
             beside = begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
             remaining = max_iterations - total
             outcome, other, iterations = descend(search, beside, attempt, tolerance, remaining, log, saddle_cost)
@@ -246,53 +243,6 @@ def leave_saddles(search, start, attempt, tolerance, max_iterations, log, **how)
 def is_below(cost, saddle_cost):
     """Return True if `cost` is lower than the cost at a saddle point by more than rounding errors."""
     return cost < saddle_cost - 1e-9 * max(1.0, abs(saddle_cost))
-
-
-def escape_steps(grid, unknowns, curvature, escapes):
-    """Return two opposite steps (n,) along the direction of most negative curvature, longer after more `escapes`.
-
-    The first steps change each quantity by at most a tenth of max(1, its largest value). Each quantity has its own
-    limit, because the magnitude of one quantity says nothing about others. `curvature` (n,) are the second derivatives
-    of the barrier.
-    """
-    direction, sizes = negative_curvature_direction(grid, unknowns, curvature), np.maximum(1.0, np.abs(unknowns))
-    for values in views(grid, sizes):
-        values[:] = values.max(axis=1, initial=1.0)[:, None]
-    direction *= 0.1 * 3.0**escapes / max((np.abs(direction) / sizes).max(initial=0.0), 1e-300)
-    return direction, -direction
-
-
-def negative_curvature_direction(grid, unknowns, curvature=0.0):
-    """Return the direction (n,) of most negative curvature along which the equations hold to first order.
-
-    The method is inverse iteration with the shifted KKT matrix from a fixed random vector. The result is zero if no
-    shift suffices. `curvature` (n,), from the barrier, is added to the diagonal of the Hessian.
-    """
-    system = allocate_system(grid)
-    direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
-    if least_delta_w(grid, unknowns, system, curvature) == np.inf:
-        return np.zeros(unknowns.size)
-    free = free_unknowns(grid) & ~grid.is_multiplier
-    for _ in range(INVERSE_ITERATIONS):
-        right = np.where(free, direction / np.abs(direction[free]).max(initial=1e-300), 0.0)
-        direction = np.empty(unknowns.size)
-        solve_kkt(grid, system, right, direction)
-    return np.where(free, direction, 0.0)
-
-
-def least_delta_w(grid, unknowns, system, curvature=0.0):
-    """Return a shift delta_w of the Hessian that makes the reduced Hessian positive definite, and factor with it.
-
-    `curvature` is added to the diagonal first. The result is at most ten times the least possible shift, or infinite if
-    no shift suffices.
-    """
-    delta_w = FLAT
-    while delta_w < 1e20:
-        diagonal = np.where(grid.is_multiplier, -FLAT, delta_w + curvature)
-        if factor_kkt(grid, unknowns, 1.0, diagonal, system) == 0:
-            return delta_w
-        delta_w *= 10.0
-    return np.inf
 
 
 def begin_nearby(search, unknowns, tolerance):

@@ -30,7 +30,8 @@ from codegen.runtime.search.point import measured_gradient
 # Results of `descend`: the reason why it returns.
 (
     CONTINUE, SOLVED, SADDLE, NON_FINITE, UNBOUNDED, INFEASIBLE, RANK_DEFICIENT, STALLED, RESTORE, ROOM, GROSS, WEIGHT,
-) = range(12)  # fmt: skip
+    CURVED,
+) = range(13)  # fmt: skip
 WORDS = (
     "iteration limit", "solved", "saddle point", "non-finite", "unbounded", "infeasible", "rank-deficient", "stalled",
 )  # fmt: skip
@@ -50,7 +51,8 @@ BARRIERS = 10
 # relaxed less for the first time, and WATCH_... the iterate to which the watchdog may return. KNOWN is the cost of a
 # saddle point. LATE, SHORTENED, IN_VAIN, IN_TURN and AT_REST count iterations in turn. DOUBTFUL counts steps whose
 # linear system may be solved inaccurately, and ENOUGH is the number of such steps that calls for a measurement. With
-# FOLLOWED, the equations depend on the barrier's weight: the search returns WEIGHT after each change of it.
+# FOLLOWED, the equations depend on the barrier's weight: the search returns WEIGHT after each change of it. SHIFTED
+# counts steps in turn with a shifted Hessian near the equations.
 (
     MU, LEAST_RELAXATION, SHORTEST, SMALL_VIOLATION, FIRST_COST, DELTA_W, LAST_DELTA_W, DAMPING, LENGTH, LAST_ERROR,
     WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, KNOWN, COST, RESIDUAL, VIOLATION,
@@ -60,9 +62,9 @@ REALS = 27
 (
     PAIRS, REFUSED, IN_TURN, EMPTIED, LATE, SHORTENED, WATCHING, IN_VAIN, DOUBTFUL, ENOUGH, LOWERED, WAS_SINGULAR,
     ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS, AT_REST, SEEN, STAGE, ON_PATH,
-    LOOKS, IS_BESIDE, FOLLOWED,
-) = range(26)  # fmt: skip
-INTEGERS = 26
+    LOOKS, IS_BESIDE, FOLLOWED, SHIFTED,
+) = range(27)  # fmt: skip
+INTEGERS = 27
 
 # The stage of a search. It continues, or it begins with an iterate, with primal unknowns, or with the unknowns of a
 # neighbour. A neighbour is the solution of a similar problem; `begin_beside` makes an iterate of its unknowns.
@@ -134,6 +136,9 @@ FULL_STEPS = 4  # full steps that the watchdog takes without a test
 TINY, CLOSER = 1e-13, 0.9  # a step up to TINY max(1, |x|) changes nothing; largest ratio of errors of a closer trial
 MISLED = 5  # steps in turn, shortened by the filter alone, after which the filter is emptied
 EMPTIED_AT_MOST = 5  # largest number of times that the filter is emptied, so that a search cannot cycle
+
+# If the Hessian is indefinite at many iterates in turn that nearly satisfy the equations, see `curvature`.
+NEAR_EQUATIONS, SHIFTED_IN_TURN = 1e-2, 30
 
 
 @njit(error_model="numpy")
@@ -1010,6 +1015,9 @@ def descend(
             status = INFEASIBLE
         if status != CONTINUE or iteration >= limit or done >= most:
             break
+        if integers[SHIFTED] >= SHIFTED_IN_TURN:
+            status = CURVED
+            break
         # Update of the barrier's weight, and of the relaxation of bounds.
         if m > 0:
             scaled = max(stationarity / max(1.0, mean / 100.0), residual)
@@ -1247,6 +1255,8 @@ def descend(
         measures, measured, logarithms = t_measures, t_measured, t_logarithms
         integers[ITERATIONS] += 1
         done += 1
+        is_shifted = reals[DELTA_W] > 0.0 and reals[LENGTH] >= SHORT and measures[1] <= NEAR_EQUATIONS
+        integers[SHIFTED] = integers[SHIFTED] + 1 if is_shifted else min(integers[SHIFTED], 0)
     for i in range(5):
         reals[COST + i] = measures[i]
     return status

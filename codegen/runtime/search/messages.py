@@ -12,7 +12,7 @@ from codegen.runtime.search.bounds import (
     units_of,
     with_violations,
 )
-from codegen.runtime.search.cascade import negative_curvature_direction
+from codegen.runtime.search.curvature import negative_curvature_direction
 from codegen.runtime.search.grid import least_duration, multiplier_unknowns, node_times, plain_grid, primal_unknowns
 from codegen.runtime.search.point import fill, hessian, interval_parts, jacobian
 from codegen.runtime.search.termination import GROWTH

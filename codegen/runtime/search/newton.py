@@ -1,7 +1,20 @@
 """Calls of the compiled search until the search ends, with feasibility restorations between the calls."""
 
+import numpy as np
+
 from codegen.runtime.search import descent
-from codegen.runtime.search.descent import CONTINUE, GROSS, RESTORE, ROOM, WEIGHT, WITH_ITERATE, WITH_NEIGHBOUR, WORDS
+from codegen.runtime.search.curvature import step_aside
+from codegen.runtime.search.descent import (
+    CONTINUE,
+    CURVED,
+    GROSS,
+    RESTORE,
+    ROOM,
+    WEIGHT,
+    WITH_ITERATE,
+    WITH_NEIGHBOUR,
+    WORDS,
+)
 from codegen.runtime.search.iterates import (
     Iterate,
     central_duals,
@@ -16,6 +29,8 @@ from codegen.runtime.search.restoration import restore
 
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")  # statuses after which another start may succeed
 WORK_PER_CALL = 5_000_000  # unknowns times iterations between two readings of the clock: a fraction of a second
+ASIDE_AT_MOST = 3  # largest number of steps along directions of negative curvature
+NEVER = -(1 << 40)  # a count that does not reach any limit
 BETWEEN_MARKS = 300  # iterations between two tests of progress; a search without progress is stalled
 # Progress is an error or a violation below HALVED times its value at the last test, or a larger relative change of the
 # cost than UNCHANGED.
@@ -64,7 +79,7 @@ def descend(
     integers[descent.IS_COSTLESS] = search.grid.problem.structure.costless
     if saddle_cost is not None:
         reals[descent.KNOWN], integers[descent.HAS_KNOWN] = saddle_cost, 1
-    marked, until = None, BETWEEN_MARKS
+    marked, until, aside = None, BETWEEN_MARKS, 0
     while True:
         status, is_late = run(search, tolerance, max_iterations, log, until)
         iterations = int(integers[descent.ITERATIONS])
@@ -72,6 +87,13 @@ def descend(
             return "gross", stored(search), 0
         if status == WEIGHT:
             load(search, with_relaxation(search, tolerance))
+            continue
+        if status == CURVED:
+            iterate, aside = step_aside(search, stored(search)), aside + 1
+            if iterate.point.error < np.inf:
+                load(search, iterate)
+            integers[[descent.REFUSED, descent.IN_TURN, descent.SHORTENED, descent.WATCHING]] = 0
+            integers[descent.PAIRS], integers[descent.SHIFTED] = 1, 0 if aside < ASIDE_AT_MOST else NEVER
             continue
         if status == RESTORE:
             iterate = stored(search)
@@ -134,7 +156,7 @@ def run(search, tolerance, max_iterations, log, until):
         return status, False
     count = int(work.integers[descent.ITERATIONS]) - before
     # The next call writes the log row of the last iterate again, because it continues from there.
-    is_over = status not in (CONTINUE, WEIGHT) or int(work.integers[descent.ITERATIONS]) >= max_iterations
+    is_over = status not in (CONTINUE, WEIGHT, CURVED) or int(work.integers[descent.ITERATIONS]) >= max_iterations
     log.extend(search, work.log[: count + 1 if is_over else count])
     is_late = log.is_late()
     if is_late and not is_over:

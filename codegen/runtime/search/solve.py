@@ -13,7 +13,8 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.search.bounds import bounds_of, with_slacks
-from codegen.runtime.search.cascade import least_delta_w, minimise, varied_guess
+from codegen.runtime.search.cascade import minimise, varied_guess
+from codegen.runtime.search.curvature import least_delta_w
 from codegen.runtime.search.descent import FLAT, WORTH_MEASURING
 from codegen.runtime.search.grid import NONE, with_pinned_values
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
