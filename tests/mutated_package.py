@@ -136,13 +136,14 @@ class Mutant:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What has found a defect: "build", or the names of checks; `texts` are their first findings.
+    """The first finder of a defect: "build", or the name of a check; `text` is its first finding.
 
-    A defect survives if nothing has found it. `seconds` is the time from the import of the package.
+    A defect survives if nothing has found it: the name is then empty. `seconds` is the time from the import of the
+    package.
     """
 
-    caught_by: tuple[str, ...]
-    texts: tuple[str, ...]
+    caught_by: str
+    text: str
     seconds: float
 
 
@@ -728,8 +729,11 @@ class Planted(MetaPathFinder):
         return spec
 
 
-def outcome_of(mutant: Mutant, only: tuple[str, ...] = (), seconds: float = 60.0) -> Outcome:
-    """Import the package with a defect, and check the module of its problem, by default with all checks."""
+def outcome_of(mutant: Mutant, only: tuple[str, ...] = (), seconds: float = 15.0) -> Outcome:
+    """Import the package with a defect, and check the module of its problem up to the first check that finds it.
+
+    By default these are all checks in the order of a report, each for at most `seconds`.
+    """
     begin = time.perf_counter()
     assert not any(name.startswith("codegen") for name in sys.modules), "the package is imported already"
     sys.meta_path.insert(0, Planted(mutant))
@@ -750,19 +754,16 @@ def outcome_of(mutant: Mutant, only: tuple[str, ...] = (), seconds: float = 60.0
         try:
             module.write_text(generate(path, {}, choices), encoding="utf-8")
             with all_uncompiled():
-                if only:
-                    context = checks.context_of(path, settings_of(path, {}), choices, module)
-                    findings = [finding for name in only for finding in checks.apply(name, context)]
-                else:
-                    findings = checks.run(
-                        path, scheme=mutant.scheme, method=mutant.method, module=module, time_limit=seconds
-                    )
+                context = checks.context_of(path, settings_of(path, {}), choices, module)
+                for name in only or checks.CHECKS:
+                    failed = (finding for finding in checks.apply(name, context, seconds) if not finding.passed)
+                    if finding := next(failed, None):
+                        text = f"{finding.subject}: {finding.detail}"[:300]
+                        return Outcome(name, text, time.perf_counter() - begin)
         except (CodegenError, AssertionError, ValueError, TypeError, IndexError, KeyError) as error:
             # The build itself refuses the module, or cannot be completed.
-            return Outcome(("build",), (f"{type(error).__name__}: {error}"[:300],), time.perf_counter() - begin)
-    first = {f.check: f"{f.subject}: {f.detail}"[:300] for f in reversed(findings) if not f.passed}
-    names = tuple(reversed(first))
-    return Outcome(names, tuple(first[name] for name in names), time.perf_counter() - begin)
+            return Outcome("build", f"{type(error).__name__}: {error}"[:300], time.perf_counter() - begin)
+    return Outcome("", "", time.perf_counter() - begin)
 
 
 def outcomes(numbers: Sequence[int], only: tuple[str, ...] = ()) -> list[Outcome]:
@@ -773,10 +774,7 @@ def outcomes(numbers: Sequence[int], only: tuple[str, ...] = ()) -> list[Outcome
     command = [sys.executable, str(Path(__file__)), "--check", *only, "--", *map(str, numbers)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
-    return [
-        Outcome(tuple(row["caught_by"]), tuple(row["texts"]), row["seconds"])
-        for row in json.loads(done.stdout.splitlines()[-1])
-    ]
+    return [Outcome(**row) for row in json.loads(done.stdout.splitlines()[-1])]
 
 
 def _outcome(task: tuple[int, tuple[str, ...]]) -> dict[str, object]:
