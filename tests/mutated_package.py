@@ -334,6 +334,20 @@ def _reading() -> Iterator[Mutant]:
         of_end.replace('"end" else', '"start" else'),
         "pendulum",
     )
+    delays, past = "discretise/model/delays.py", "+ i * length - delay.lag})"
+    later = past.replace("- delay", "+ delay")
+    yield Mutant(stage, "values of the past from a later time", delays, past, later, "delayed_oscillator")
+    earlier = "copies[i - back][delay.quantity]"
+    yield Mutant(stage, "a delay dropped", delays, earlier, earlier.replace(" - back", ""), "delayed_oscillator")
+    observed = "Observed(entry.name, entry.expression)"
+    yield Mutant(
+        stage,
+        "measured expressions doubled",
+        f"{conditions}/measurements.py",
+        observed,
+        observed.replace("entry.expression", "2 * entry.expression"),
+        "published/predator_prey",
+    )
     yield Mutant(stage, "the sign of a Hamiltonian", _FORM, function, f"function=-{function[9:]}", "pendulum")
 
 
@@ -609,6 +623,15 @@ def _emission() -> Iterator[Mutant]:
         record.replace("model.defaults", "model.defaults[::-1]"),
         "orbital_transfer",
     )
+    tabled = "repr(number) for number in table.numbers"
+    yield Mutant(
+        stage,
+        "numbers of tables doubled",
+        "emit/lower/kernels.py",
+        tabled,
+        tabled.replace("repr(n", "repr(2 * n"),
+        "published/time_to_climb",
+    )
 
 
 def _layout() -> Iterator[Mutant]:
@@ -715,7 +738,7 @@ class Planted(MetaPathFinder):
 
     def __init__(self, mutant: Mutant) -> None:
         self.mutant = mutant
-        self.name = "codegen." + mutant.file.removesuffix(".py").replace("/", ".")
+        self.name = "codegen." + mutant.file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
     def find_spec(self, fullname: str, path=None, target=None) -> ModuleSpec | None:
         """Return the specification of the module with the defect, None for all other modules."""
@@ -736,14 +759,18 @@ def outcome_of(mutant: Mutant, only: tuple[str, ...] = (), seconds: float = 15.0
     """
     begin = time.perf_counter()
     assert not any(name.startswith("codegen") for name in sys.modules), "the package is imported already"
-    sys.meta_path.insert(0, Planted(mutant))
+    planted = Planted(mutant)
+    sys.meta_path.insert(0, planted)
     from interpreted import all_uncompiled
 
     from codegen.emit.naming import chosen
     from codegen.errors import CodegenError
     from codegen.evidence import checks
     from codegen.problem.sources import settings_of
+    from codegen.runtime.kkt.specialised import any_shape_address
     from codegen.solving.compiler import generate
+
+    any_shape_address()  # the first process compiles this code, which no limit of a check may interrupt
 
     with tempfile.TemporaryDirectory() as folder:
         path = ROOT / "problems" / f"{mutant.problem}.py"
@@ -753,6 +780,8 @@ def outcome_of(mutant: Mutant, only: tuple[str, ...] = (), seconds: float = 15.0
         choices, module = chosen(mutant.scheme, mutant.method), Path(folder) / "planted.py"
         try:
             module.write_text(generate(path, {}, choices), encoding="utf-8")
+            if not isinstance(sys.modules[planted.name].__loader__, Replaced):
+                raise RuntimeError(f"the defect in {mutant.file} was not planted")
             with all_uncompiled():
                 context = checks.context_of(path, settings_of(path, {}), choices, module)
                 for name in only or checks.CHECKS:
