@@ -97,7 +97,25 @@ def problem() -> Control:
         steps=12,
     )
 '''
-TEXTS = {"features": FEATURES, "earnings": EARNINGS, "orbit": ORBIT}
+MEMORY = '''"""A decay from the past, along a history that changes."""
+
+from codegen import Control, control, parameters, states, time
+
+
+def problem() -> Control:
+    (x,) = states("x")
+    u = control("u")
+    (lag,) = parameters(lag=1)
+    return Control(
+        dynamics={x: -x.delayed(lag) + u},
+        cost=x**2 + u**2,
+        duration=2 * lag,
+        start={x: 1},
+        history={x: 1 + time() / 2},
+        steps=12,
+    )
+'''
+TEXTS = {"features": FEATURES, "earnings": EARNINGS, "orbit": ORBIT, "memory": MEMORY}
 """Problems that are in no file, by name."""
 
 
@@ -336,7 +354,7 @@ def _reading() -> Iterator[Mutant]:
     )
     delays, past = "discretise/model/delays.py", "+ i * length - delay.lag})"
     later = past.replace("- delay", "+ delay")
-    yield Mutant(stage, "values of the past from a later time", delays, past, later, "delayed_oscillator")
+    yield Mutant(stage, "values of the past from a later time", delays, past, later, "memory")
     earlier = "copies[i - back][delay.quantity]"
     yield Mutant(stage, "a delay dropped", delays, earlier, earlier.replace(" - back", ""), "delayed_oscillator")
     observed = "Observed(entry.name, entry.expression)"
