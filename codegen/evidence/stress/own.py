@@ -182,9 +182,10 @@ def exact_motion(module: SimulateModule, grids: Sequence[int]) -> tuple[Truth, n
         return np.array([(field(t, z + d) - field(t, z - d)) / (2.0 * d.max()) for d in np.diag(changes)]).T
 
     kept = [np.arange(0, n + 1, max(1, n // MOST_TIMES)) / n for n in grids]
-    samples = np.linspace(0.0, 1.0, SAMPLES + 1).round(12)
-    fractions = np.unique(np.concatenate([samples, *kept]).round(12))
-    times, at_samples = duration * fractions, np.searchsorted(fractions, samples)
+    samples = np.linspace(0.0, 1.0, SAMPLES + 1)
+    together = np.concatenate([samples, *kept])
+    rounded, first = np.unique(together.round(12), return_index=True)  # times that differ by rounding are one time
+    times, at_samples = duration * together[first], np.searchsorted(rounded, samples.round(12))
 
     def follow(method: str, tolerance: float) -> Matrix:
         size = float(np.abs(start).max()) or 1.0
