@@ -785,10 +785,10 @@ def outcome_of(mutant: Mutant, only: tuple[str, ...] = (), seconds: float = 15.0
     from codegen.errors import CodegenError
     from codegen.evidence import checks
     from codegen.problem.sources import settings_of
-    from codegen.runtime.kkt.specialised import any_shape_address
+    from codegen.runtime.kkt.specialised import compiled_system
     from codegen.solving.compiler import generate
 
-    any_shape_address()  # the first process compiles this code, which no limit of a check may interrupt
+    compiled_system(None)  # the first process compiles this code, which no limit of a check may interrupt
 
     with tempfile.TemporaryDirectory() as folder:
         path = ROOT / "problems" / f"{mutant.problem}.py"
