@@ -97,7 +97,25 @@ def problem() -> Control:
         steps=12,
     )
 '''
-TEXTS = {"features": FEATURES, "earnings": EARNINGS, "orbit": ORBIT}
+MEMORY = '''"""A decay from the past, along a history that changes."""
+
+from codegen import Control, control, parameters, states, time
+
+
+def problem() -> Control:
+    (x,) = states("x")
+    u = control("u")
+    (lag,) = parameters(lag=1)
+    return Control(
+        dynamics={x: -x.delayed(lag) + u},
+        cost=x**2 + u**2,
+        duration=2 * lag,
+        start={x: 1},
+        history={x: 1 + time() / 2},
+        steps=12,
+    )
+'''
+TEXTS = {"features": FEATURES, "earnings": EARNINGS, "orbit": ORBIT, "memory": MEMORY}
 """Problems that are in no file, by name."""
 
 
@@ -136,13 +154,14 @@ class Mutant:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What has found a defect: "build", or the names of checks; `texts` are their first findings.
+    """The first finder of a defect: "build", or the name of a check; `text` is its first finding.
 
-    A defect survives if nothing has found it. `seconds` is the time from the import of the package.
+    A defect survives if nothing has found it: the name is then empty. `seconds` is the time from the import of the
+    package.
     """
 
-    caught_by: tuple[str, ...]
-    texts: tuple[str, ...]
+    caught_by: str
+    text: str
     seconds: float
 
 
@@ -332,6 +351,20 @@ def _reading() -> Iterator[Mutant]:
         _ENDS,
         of_end.replace('"end" else', '"start" else'),
         "pendulum",
+    )
+    delays, past = "discretise/model/delays.py", "+ i * length - delay.lag})"
+    later = past.replace("- delay", "+ delay")
+    yield Mutant(stage, "values of the past from a later time", delays, past, later, "memory")
+    earlier = "copies[i - back][delay.quantity]"
+    yield Mutant(stage, "a delay dropped", delays, earlier, earlier.replace(" - back", ""), "delayed_oscillator")
+    observed = "Observed(entry.name, entry.expression)"
+    yield Mutant(
+        stage,
+        "measured expressions doubled",
+        f"{conditions}/measurements.py",
+        observed,
+        observed.replace("entry.expression", "2 * entry.expression"),
+        "published/predator_prey",
     )
     yield Mutant(stage, "the sign of a Hamiltonian", _FORM, function, f"function=-{function[9:]}", "pendulum")
 
@@ -608,6 +641,15 @@ def _emission() -> Iterator[Mutant]:
         record.replace("model.defaults", "model.defaults[::-1]"),
         "orbital_transfer",
     )
+    tabled = "repr(number) for number in table.numbers"
+    yield Mutant(
+        stage,
+        "numbers of tables doubled",
+        "emit/lower/kernels.py",
+        tabled,
+        tabled.replace("repr(n", "repr(2 * n"),
+        "published/time_to_climb",
+    )
 
 
 def _layout() -> Iterator[Mutant]:
@@ -714,7 +756,7 @@ class Planted(MetaPathFinder):
 
     def __init__(self, mutant: Mutant) -> None:
         self.mutant = mutant
-        self.name = "codegen." + mutant.file.removesuffix(".py").replace("/", ".")
+        self.name = "codegen." + mutant.file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
     def find_spec(self, fullname: str, path=None, target=None) -> ModuleSpec | None:
         """Return the specification of the module with the defect, None for all other modules."""
@@ -728,18 +770,25 @@ class Planted(MetaPathFinder):
         return spec
 
 
-def outcome_of(mutant: Mutant, only: tuple[str, ...] = (), seconds: float = 60.0) -> Outcome:
-    """Import the package with a defect, and check the module of its problem, by default with all checks."""
+def outcome_of(mutant: Mutant, only: tuple[str, ...] = (), seconds: float = 15.0) -> Outcome:
+    """Import the package with a defect, and check the module of its problem up to the first check that finds it.
+
+    By default these are all checks in the order of a report, each for at most `seconds`.
+    """
     begin = time.perf_counter()
     assert not any(name.startswith("codegen") for name in sys.modules), "the package is imported already"
-    sys.meta_path.insert(0, Planted(mutant))
+    planted = Planted(mutant)
+    sys.meta_path.insert(0, planted)
     from interpreted import all_uncompiled
 
     from codegen.emit.naming import chosen
     from codegen.errors import CodegenError
     from codegen.evidence import checks
     from codegen.problem.sources import settings_of
+    from codegen.runtime.kkt.specialised import compiled_system
     from codegen.solving.compiler import generate
+
+    compiled_system(None)  # the first process compiles this code, which no limit of a check may interrupt
 
     with tempfile.TemporaryDirectory() as folder:
         path = ROOT / "problems" / f"{mutant.problem}.py"
@@ -749,20 +798,19 @@ def outcome_of(mutant: Mutant, only: tuple[str, ...] = (), seconds: float = 60.0
         choices, module = chosen(mutant.scheme, mutant.method), Path(folder) / "planted.py"
         try:
             module.write_text(generate(path, {}, choices), encoding="utf-8")
+            if not isinstance(sys.modules[planted.name].__loader__, Replaced):
+                raise RuntimeError(f"the defect in {mutant.file} was not planted")
             with all_uncompiled():
-                if only:
-                    context = checks.context_of(path, settings_of(path, {}), choices, module)
-                    findings = [finding for name in only for finding in checks.apply(name, context)]
-                else:
-                    findings = checks.run(
-                        path, scheme=mutant.scheme, method=mutant.method, module=module, time_limit=seconds
-                    )
+                context = checks.context_of(path, settings_of(path, {}), choices, module)
+                for name in only or checks.CHECKS:
+                    failed = (finding for finding in checks.apply(name, context, seconds) if not finding.passed)
+                    if finding := next(failed, None):
+                        text = f"{finding.subject}: {finding.detail}"[:300]
+                        return Outcome(name, text, time.perf_counter() - begin)
         except (CodegenError, AssertionError, ValueError, TypeError, IndexError, KeyError) as error:
             # The build itself refuses the module, or cannot be completed.
-            return Outcome(("build",), (f"{type(error).__name__}: {error}"[:300],), time.perf_counter() - begin)
-    first = {f.check: f"{f.subject}: {f.detail}"[:300] for f in reversed(findings) if not f.passed}
-    names = tuple(reversed(first))
-    return Outcome(names, tuple(first[name] for name in names), time.perf_counter() - begin)
+            return Outcome("build", f"{type(error).__name__}: {error}"[:300], time.perf_counter() - begin)
+    return Outcome("", "", time.perf_counter() - begin)
 
 
 def outcomes(numbers: Sequence[int], only: tuple[str, ...] = ()) -> list[Outcome]:
@@ -773,10 +821,7 @@ def outcomes(numbers: Sequence[int], only: tuple[str, ...] = ()) -> list[Outcome
     command = [sys.executable, str(Path(__file__)), "--check", *only, "--", *map(str, numbers)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
-    return [
-        Outcome(tuple(row["caught_by"]), tuple(row["texts"]), row["seconds"])
-        for row in json.loads(done.stdout.splitlines()[-1])
-    ]
+    return [Outcome(**row) for row in json.loads(done.stdout.splitlines()[-1])]
 
 
 def _outcome(task: tuple[int, tuple[str, ...]]) -> dict[str, object]:

@@ -27,8 +27,8 @@ def found() -> dict[str, Outcome]:
 
 @pytest.mark.parametrize("what", FOUND)
 def test_defects_of_reading_are_found(found, what):
-    assert found[what].caught_by == (NAME,)
-    assert found[what].texts[0].startswith(FOUND[what])
+    assert found[what].caught_by == NAME
+    assert found[what].text.startswith(FOUND[what])
 
 
 @pytest.mark.fast

@@ -15,7 +15,7 @@ from codegen.emit.naming import Choices
 from codegen.evidence.report import comparison, peers, timing
 from codegen.evidence.report.comparison import Ladder, choice, figures, ranking
 from codegen.evidence.report.optima import ALL, elsewhere, ladder_of, solved
-from codegen.evidence.report.peers import Trajectory, read_trajectory, refined, trajectory_of
+from codegen.evidence.report.reference import Trajectory, read_trajectory, refined, trajectory_of
 from codegen.evidence.report.store import Store
 from codegen.solving import api
 from codegen.solving.compiler import generate
@@ -176,9 +176,12 @@ def test_the_reference_is_the_closed_form_within_its_estimate(tmp_path):
     assert found.errors(again)["states"] < 1e-9
 
 
-def test_casadi_solves_the_problem_as_the_author_wrote_it(tmp_path):
+@pytest.mark.parametrize("peer", peers.PEERS, ids=lambda peer: peer.solver)
+def test_casadi_solves_the_problem_as_the_author_wrote_it(tmp_path, peer):
     """rk4 is exact for this problem, so that the cost is that of N constant forces, 12 N^2 / (N^2 - 1)."""
-    pytest.importorskip("casadi")
+    casadi = pytest.importorskip("casadi")
+    if not casadi.has_nlpsol(peer.solver):
+        pytest.skip(f"this CasADi has no {peer.solver}")
     path, n = tmp_path / "effort.py", 8
     path.write_text(EFFORT)
     fine = np.linspace(0.0, 1.0, 101)
@@ -186,13 +189,13 @@ def test_casadi_solves_the_problem_as_the_author_wrote_it(tmp_path):
         name: getattr(exact(fine, fine), name) for name in ("duration", "nodes", "states", "times", "controls")
     }
     guess = peers.Guess(np.linspace(0.0, 1.0, n + 1)[:, None], np.zeros((n + 1, 1)), np.zeros((n, 1)))
-    (row,) = peers.measured(path, [guess], reference, 9.0, 0.01)["rows"]
+    (row,) = peers.measured(peer, path, [guess], reference, 9.0, 0.01)["rows"]
     assert row["status"] == "solved"
     assert row["cost"] == pytest.approx(12.0 * n**2 / (n**2 - 1.0), rel=1e-9)
     times = (np.arange(n) + 0.5) / n
     assert row["controls"] == pytest.approx(np.sqrt(np.mean((1.0 - 2.0 * times) ** 2)) / (n**2 - 1), rel=1e-6)
     path.write_text(EFFORT.replace("steps=20", "path={'speed': v <= 9}, steps=20"))
-    refused = peers.measured(path, [guess], reference, 9.0, 0.01)
+    refused = peers.measured(peer, path, [guess], reference, 9.0, 0.01)
     assert (refused["rows"], refused["message"]) == ([], "no program for problems with path")
 
 

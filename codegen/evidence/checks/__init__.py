@@ -117,7 +117,7 @@ def run(
     steps : int, optional
         The number of intervals of the checked solutions. By default the number in the problem.
     time_limit : float
-        Seconds of processor time for all checks. Each check may take a quarter of the remaining time. An interrupted
+        Seconds of processor time for all checks. Each check may take half of the remaining time. An interrupted
         check yields a finding that states this reason.
 
     Returns
@@ -145,7 +145,7 @@ def run(
     context = replace(context, steps=steps)
     findings = list(layout.compare(module, context.module, inputs, text))
     for name in CHECKS:
-        findings += apply(name, context, (end - time.process_time()) / 4)
+        findings += apply(name, context, (end - time.process_time()) / 2)
     return Findings(replace(f, subject=in_names_of_the_whole(context.model, f.subject)) for f in findings)
 
 

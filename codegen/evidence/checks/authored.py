@@ -80,6 +80,7 @@ from codegen.problem import symbols
 from codegen.problem.description import quantities_in
 from codegen.problem.particles import Connect, Pairwise
 from codegen.problem.problem import Control, Event, Phases, Simulate
+from codegen.problem.tables import Measurements
 from codegen.runtime.record import Kind, Method, Sites
 from codegen.solving.request import parameter_arguments
 
@@ -176,10 +177,7 @@ def _control(author: Author) -> Iterator[Finding]:
         "path conditions",
         "conditions",
     ):
-        if author.record.observations is not None and subject == "cost":
-            yield not_measured(NAME, subject, "measurements are part of it")
-        else:
-            yield from _verdict(subject, items.get(subject, []))
+        yield from _verdict(subject, items.get(subject, []))
 
 
 def _duration_items(author: Author) -> Iterator[Item]:
@@ -355,13 +353,36 @@ def _limits_along(author: Author, seed: int, amplitude: float) -> Iterator[tuple
 
 
 def _costs(author: Author, phase: Control, motion: Path, leg: Leg) -> list[float]:
-    """Return the positive and the negative part of the author's integral over a phase, and the terminal cost."""
+    """Return both parts of the author's integral over a phase by their signs, the terminal cost, and all losses."""
     t, weights = quadrature(leg.begin, leg.length)
     running = values_along(author.cost(phase), motion(t).values, t)
     instant = np.array([leg.begin + leg.length])
     terminal = sympy.sympify(phase.terminal_cost) - sympy.sympify(phase.terminal_maximise)
     at_end = float(values_along(terminal, motion(instant).values, instant)[0])
-    return [float(weights @ np.maximum(running, 0.0)), float(weights @ np.minimum(running, 0.0)), at_end]
+    ends = [float(weights @ np.maximum(running, 0.0)), float(weights @ np.minimum(running, 0.0)), at_end]
+    return [*ends, *_losses(phase, motion, leg)]
+
+
+def _losses(phase: Control, motion: Path, leg: Leg) -> Iterator[float]:
+    """Yield the sum of the author's losses for each measured quantity of a body."""
+    listed = [phase.observations] if isinstance(phase.observations, Measurements) else list(phase.observations)
+    if not listed:
+        return
+    measured = listed[leg.body]
+    rows, count = measured.data.array, len(measured.values)
+    t = rows[:, 0]
+    along = motion(t).values
+    for column, quantity in enumerate(measured.values, start=1):
+        errors = (values_along(quantity, along, t) - rows[:, column]) / rows[:, column + count]
+        squares = errors[np.isfinite(errors)] ** 2
+        match measured.loss:
+            case "huber":
+                losses = np.where(squares > 1.0, 2.0 * np.sqrt(squares) - 1.0, squares)
+            case "soft-l1":
+                losses = 2.0 * (np.sqrt(1.0 + squares) - 1.0)
+            case _:
+                losses = squares
+        yield float(losses.sum())
 
 
 def _motion_items(author: Author, phase: Any, motion: Path, leg: Leg, samples: Sequence[Sample]) -> Iterator[Item]:

@@ -116,7 +116,9 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
     yield from check_couplings(context, program)
 
 
-_SHORTER = (1.0, 0.1, 0.01, 1e-3)  # fractions of a step length to try in this order, until the step has a solution
+_SHORTER = tuple(
+    10.0**-k for k in range(7)
+)  # fractions of a step length to try in this order, until the step has a solution
 
 
 def _step(context: Context, program: StepProgram) -> Iterator[Finding]:

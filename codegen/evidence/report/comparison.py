@@ -57,7 +57,7 @@ class Ladder:
     def short(self) -> str:
         """Return the label in figures."""
         words = {"variational ": "var. ", "hamiltonian ": "ham. ", "one-step ": "", ", controls at stages": ", stages",
-                 ", linear controls": ", linear"}  # fmt: skip
+                 ", linear controls": ", linear", "symplectic": "sympl.", "adjoint": "adj."}  # fmt: skip
         text = self.label
         for word, abbreviation in words.items():
             text = text.replace(word, abbreviation)
@@ -71,6 +71,15 @@ class Ladder:
         rows = zip(self.steps, self.seconds, self.errors.get(quantity, ()), strict=False)
         points = [(n, time, error) for n, time, error in rows if time and error is not None]
         return points[: 1 + min(range(len(points)), key=lambda i: points[i][2])] if points else []
+
+    def useful(self, quantity: str) -> list[tuple[float, float]]:
+        """Return the pairs (seconds, error) of the grids that no other grid beats in both time and error."""
+        best, kept = math.inf, []
+        for time, error in sorted((time, error) for _, time, error in self.points(quantity)):
+            if 0.0 < error < best:
+                best = error
+                kept.append((time, error))
+        return kept
 
     def reach(self, quantity: str, target: float) -> tuple[float, float] | None:
         """Return the seconds and the number of steps from which on the error is at most `target`, or None."""
@@ -151,7 +160,7 @@ def figures(ladders: Sequence[Ladder], quantities: Mapping[str, float], deciding
     others = sorted((ladder for ladder in ladders if ladder not in chosen), key=lambda ladder: ladder.order)
     caption = (
         "Error against processor time of one solve: the fastest schemes for each error in the table, and the default. "
-        "Dotted: error of the reference."
+        "Grids that a faster grid of the same scheme beats are left out. Dotted: error of the reference."
     )
     pictures = [Picture(caption, svg(_panels, chosen, quantities, None))]
     for first in range(0, len(others), MOST_CURVES - 1):
@@ -169,8 +178,8 @@ def _panels(ladders: Sequence[Ladder], quantities: Mapping[str, float], grey: La
     height = _HEIGHT + 0.85
     figure = Figure(figsize=(_WIDTH, height))
     shown = [*ladders, *([] if grey is None else [grey])]
-    times = [time for ladder in shown for quantity in quantities for _, time, _ in ladder.points(quantity)]
-    errors = [e for ladder in shown for quantity in quantities for _, _, e in ladder.points(quantity) if e > 0.0]
+    points = [point for ladder in shown for quantity in quantities for point in ladder.useful(quantity)]
+    times, errors = ([point[i] for point in points] for i in range(2))
     for index, (quantity, floor) in enumerate(quantities.items()):
         left = (_LEFT + index * (panel + _GUTTER)) / _WIDTH
         axes = figure.add_axes((left, 0.5 / height, panel / _WIDTH, _HEIGHT / height))
@@ -180,8 +189,7 @@ def _panels(ladders: Sequence[Ladder], quantities: Mapping[str, float], grey: La
             axes.set_ylim(max(0.5 * min(errors), 1e-16), min(2.0 * max(errors), 30.0))
         ends = []
         for number_of_curve, ladder in enumerate(shown):
-            points = [(time, error) for _, time, error in ladder.points(quantity) if error > 0.0]
-            if points:
+            if points := ladder.useful(quantity):
                 colour = GREY if ladder is grey else _COLOURS[number_of_curve % len(_COLOURS)]
                 axes.plot(*zip(*points, strict=True), color=colour, marker=".", markersize=4, linewidth=1.2)
                 ends.append((points[-1], ladder.short, colour))
@@ -190,7 +198,10 @@ def _panels(ladders: Sequence[Ladder], quantities: Mapping[str, float], grey: La
         _label(axes, ends)
         low, high = axes.get_xlim()
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if high < 100.0 * low else (1.0,), numticks=6))
-        axes.yaxis.set_major_locator(LogLocator(numticks=8))
+        bottom, top = axes.get_ylim()
+        axes.yaxis.set_major_locator(
+            LogLocator(1000.0 if top > 1e8 * bottom else 10.0, numticks=8)
+        )  # errors of TARGETS
         axes.minorticks_off()
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value * 1e3, 1)))
         axes.yaxis.set_major_formatter(FuncFormatter(power_of_ten))

@@ -25,7 +25,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -34,8 +33,8 @@ import numpy as np
 
 from codegen.errors import CodegenError
 from codegen.evidence.report import comparison as compare
-from codegen.evidence.report import peers, timing
-from codegen.evidence.report.building import SURVEYS, Variant, Workshop, workers
+from codegen.evidence.report import peers, reference, timing
+from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.comparison import (
     ABOVE_REFERENCE,
     LARGE,
@@ -90,9 +89,9 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     first = max(LEAST_STEPS, min(MOST_STEPS, modules[default].metadata.steps) // 4)
     if modules[default].metadata.phases == 1:
         candidates = [(v.label, modules[v]) for v in trusted[:MOST_TRIED]]
-        yield Case(references, "motion", partial(peers.refined, candidates, first, extent.reference_seconds))
+        yield Case(references, "motion", partial(reference.refined, candidates, first, extent.reference_seconds))
     motion = store.get(references, "motion") or {}
-    trajectory = peers.read_trajectory(motion) if motion.get("label") else None
+    trajectory = reference.read_trajectory(motion) if motion.get("label") else None
     runs: dict[str, Callable[[], object]] = {}
     for variant, module in modules.items():
         for steps in (max(LEAST_STEPS, first // 2) * 2**k for k in range(extent.control_doublings + 1)):
@@ -116,24 +115,25 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
             if (store.get(section_of(problem, "drivers"), driver) or {})["status"] != "refused":
                 runs[f"driver {driver}"] = timing.solver(module, first, driver)
     yield from timing.cases(problem, runs, store, extent.time_budget)
-    if extent.peers and find_spec("casadi") is not None and trajectory is not None:
+    if extent.peers and trajectory is not None:
         grids = [row["steps"] for row in default.rows(store, optima)]
-        peer = partial(_peer, problem, module, grids, motion, extent)
-        yield Case(section_of(problem, "peers"), peers.NAME, peer)
+        for peer in peers.installed():
+            solves = partial(_peer, peer, problem, module, grids, motion, extent)
+            yield Case(section_of(problem, "peers"), peer.name, solves)
     for variant, steps in _strange(store, problem, list(modules)):
         yield Case(section_of(problem, "iterations"), variant.run(steps), partial(_searched, modules[variant], steps))
 
 
-def _peer(problem: Path, module: ControlModule, grids: Sequence[int], motion: Values, extent: Extent) -> Values:
-    """Return the solves of CasADi from the initial guesses of the module, measured in a worker process."""
+def _peer(
+    peer: peers.Peer, problem: Path, module: ControlModule, grids: Sequence[int], motion: Values, extent: Extent
+) -> Values:
+    """Return the solves of a peer from the initial guesses of the module."""
     guesses = []
     for steps in grids:
         grid = module.make_grid(steps)
         _, q, p, u, _ = module.unpack(grid, module.initial_guess(grid))
         guesses.append(peers.Guess(q, p, u))
-    with workers() as pool:
-        job = pool.submit(peers.measured, problem, guesses, motion, extent.limit, extent.time_budget)
-        return job.result()
+    return peers.measured(peer, problem, guesses, motion, extent.limit, extent.time_budget)
 
 
 def solved(
@@ -141,7 +141,7 @@ def solved(
     steps: int,
     driver: str = "newton",
     budget: float = 0.0,
-    trajectory: peers.Trajectory | None = None,
+    trajectory: reference.Trajectory | None = None,
 ) -> Values:
     """Return status, cost and residuals of a solve from the problem's own initial guess.
 
@@ -160,7 +160,7 @@ def solved(
         "load seconds": result.seconds_code,
     }  # fmt: skip
     if trajectory is not None and result.solved:
-        values |= trajectory.errors(peers.trajectory_of(result))
+        values |= trajectory.errors(reference.trajectory_of(result))
     if budget:
         measured = timing.timed(timing.solver(module, steps, driver), budget)
         values |= {"seconds": measured.processor, "wall seconds": measured.wall, "spread": measured.spread}
@@ -537,7 +537,7 @@ def ladder_of(label: str, order: int, rows: Sequence[Values], of_cost: Sequence[
     ]
     return compare.Ladder(
         label, order, [row["steps"] for row in rows], [row.get("seconds") for row in rows], {**errors, ALL: together},
-        label == peers.NAME,
+        label in [peer.name for peer in peers.PEERS],
     )  # fmt: skip
 
 
@@ -564,13 +564,13 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         parts = [f"{number(uncertain[key], 2)} for {key}" for key in ("states", "controls") if uncertain.get(key)]
         texts.append(
             f"Reference of states and controls: {motion['label']} on {motion['steps']} intervals, with splines of "
-            f"degree {peers.DEGREE}; the grid before differs by {listed(parts)}. {_ERRORS}"
+            f"degree {reference.DEGREE}; the grid before differs by {listed(parts)}. {_ERRORS}"
         )
     ladders = [ladder_of(v.label, v.order, m.rows, m.errors) for v, m in schemes.items()]
-    peer = store.get(section_of(problem, "peers"), peers.NAME) or {"rows": []}
-    if peer["rows"]:
-        of_cost = [_error({"cost": None, **row}, exact) for row in peer["rows"]]
-        ladders.append(ladder_of(peers.NAME, 4, peer["rows"], of_cost))
+    for peer in peers.PEERS:
+        if rows := (store.get(section_of(problem, "peers"), peer.name) or {}).get("rows"):
+            of_cost = [_error({"cost": None, **row}, exact) for row in rows]
+            ladders.append(ladder_of(peer.name, peer.order, rows, of_cost))
     quantities = {key: uncertain[key] for key in ("states", "controls") if uncertain.get(key) is not None}
     quantities |= {} if exact is None else {"cost": relative}
     tables, pictures = [], []

@@ -25,7 +25,7 @@ from codegen.solving.results.result import Run
 
 LEAST_SECONDS = 1e-3
 """The least processor time of a sample; shorter solves are repeated in it. The clock resolves a thousandth of it."""
-LEAST_SAMPLES, MOST_SAMPLES, SPREAD = 5, 25, 0.02
+LEAST_SAMPLES, MOST_SAMPLES, SPREAD = 5, 15, 0.03
 """Limits of samples, and the spread below which no more are taken: interquartile range / (median sqrt(samples))."""
 RULE = (
     "A time is processor time of the thread, the median of samples that are taken in turns over all schemes and grids "

@@ -74,7 +74,7 @@ class Worker:
         self.process.start()
         other.close()
 
-    def ask(self, message: Setup | Case | None, seconds: float) -> Any:
+    def ask(self, message: object, seconds: float) -> Any:
         """Return the answer to a message; raise TimeoutError after `seconds`, or EOFError if the process has died."""
         self.connection.send(message)
         if not self.connection.poll(seconds):
