@@ -34,6 +34,6 @@ def problem() -> Control:
         unilateral={"foot": foot[1] >= 0},
         friction=mu,
         slip=[sliding],
-        steps=40,
+        steps=50,
         drawing=[Ground((-0.3, 0), (1.3, 0)), Rod((x, y), foot), Mass((x, y), 0.08), Trail((x, y))],
     )

@@ -284,10 +284,10 @@ def test_the_hopper_finds_its_contacts():
     assert (np.abs(friction) - 0.7 * normal).max() < SMALL
     sliding = np.diff(foot) / np.diff(result.t)
     assert np.abs(np.minimum(normal, np.abs(sliding))).max() > 0  # it moves in the air alone
-    closed = height < 1e-5
-    assert closed[:10].all()
-    assert closed[-3:].all()
-    assert not closed[20:30].all()
+    closed = height < 0.005  # the foot also moves by less in the first step
+    assert closed[:12].all()
+    assert closed[-4:].all()
+    assert not closed[20:25].any()
     assert height.max() > 0.05
     # Stance, flight and stance: two changes of the contact.
     assert np.count_nonzero(np.diff(closed.astype(int))) == 2

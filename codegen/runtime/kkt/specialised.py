@@ -14,6 +14,7 @@ import subprocess
 import sys
 from functools import lru_cache, partial
 from pathlib import Path
+from threading import get_ident
 from types import SimpleNamespace
 
 import llvmlite.binding as llvm
@@ -64,7 +65,7 @@ def kept(path, make):
     if not is_sealed(data):
         data = sealed(make())
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.{get_ident()}")
         temporary.write_bytes(data)
         temporary.replace(path)
     return data[:-SEALED]
