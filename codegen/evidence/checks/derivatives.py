@@ -116,9 +116,7 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
     yield from check_couplings(context, program)
 
 
-_SHORTER = tuple(
-    10.0**-k for k in range(7)
-)  # fractions of a step length to try in this order, until the step has a solution
+_SHORTER = tuple(10.0**-k for k in range(7))  # fractions of a step length, tried until a step has a solution
 
 
 def _step(context: Context, program: StepProgram) -> Iterator[Finding]:

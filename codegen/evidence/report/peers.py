@@ -55,9 +55,8 @@ PEERS = (
          {"structure_detection": "auto", "fatrop": {"print_level": 0, "tolerance": 1e-10, "max_iter": 1000}}),
 )  # fmt: skip
 """The peers; one that is not installed, or whose solver this CasADi has not, has no curve."""
-ANSWER_SECONDS = (
-    15.0  # the time after which a solve, with its derivation, has no end: fatrop may repeat a step for ever
-)
+ANSWER_SECONDS = 15.0
+"""The time after which a solve, with its derivation, has no end: fatrop may repeat a step for ever."""
 _ABSENT = ("path", "integrals", "inner_conditions", "start_conditions", "end_conditions", "holonomic", "rolling",
            "periodic", "joined", "delays", "free_parameters", "phases", "measurements")  # fmt: skip
 """Features of a model that the program has not."""
