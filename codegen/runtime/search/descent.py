@@ -125,6 +125,7 @@ ACCURATE = 1e-10  # largest residual, relative to right-hand side and solution, 
 NEARLY_ACCURATE = 1e-6  # if two corrections do not halve a smaller residual, it is a rounding error of a large solution
 LARGE_STEP = 1e6  # residuals are compared with a solution up to this size, relative to the right-hand side
 SOLVED_AGAIN = 10  # largest number of corrections, as in IPOPT
+LITTLE = 0.01  # largest relative length of a step of which the line search leaves little
 UNSOLVED = 0.1  # if a full step leaves a larger part of the residual, its linear system may be solved inaccurately
 
 # Line search.
@@ -1163,12 +1164,14 @@ def descend(
                 attempt = 1
                 continue
             # If the equations were linear, the part 1 - length of each residual would remain. A larger residual comes
-            # from curvature, or from an inaccurate step.
+            # from curvature, or from an inaccurate step. So may a poor step: one of which the line search leaves little
+            # or nothing, although the equations nearly hold.
             expected = max(ROUNDED, (1.0 - reals[LENGTH] + UNSOLVED) * residual)
-            is_tested = accepted and attempt == 1 and not careful and (m > 0 or delta_w == 0.0)
-            if is_tested and t_measures[1] > expected:
+            is_tested = attempt == 1 and not careful and (m > 0 or delta_w == 0.0)
+            is_poor = (not accepted or reals[LENGTH] <= LITTLE * longest) and residual <= NEARLY
+            if is_tested and (is_poor or (accepted and t_measures[1] > expected)):
                 integers[DOUBTFUL] += 1
-                if integers[DOUBTFUL] >= integers[ENOUGH]:
+                if is_poor or integers[DOUBTFUL] >= integers[ENOUGH]:
                     fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, 0.0, right, vectors[DIAGONAL])
                     remainder = fill_linear_residual(
                         problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, right2
@@ -1182,7 +1185,8 @@ def descend(
                         integers[LOWERED], integers[WAS_SINGULAR] = lowered_before, singular_before
                         attempt = 2
                         continue
-                    integers[DOUBTFUL], integers[ENOUGH] = 0, 4 * integers[ENOUGH]
+                    if not is_poor:
+                        integers[DOUBTFUL], integers[ENOUGH] = 0, 4 * integers[ENOUGH]
             break
         if status == ROOM:
             integers[DOUBTFUL] = integers[ENOUGH]  # the next call repeats the step and refines it
