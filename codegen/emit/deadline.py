@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 BUILD = 30.0
 """Default limit for the derivation of a module, in seconds of processor time."""
-CHECK = 30.0
+CHECK = 60.0
 """Default limit for all checks of a problem together, in seconds of processor time."""
 _AGAIN = 0.5
 """Seconds after which the timer interrupts again, in case the interrupted code caught the exception."""

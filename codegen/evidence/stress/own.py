@@ -240,7 +240,9 @@ def amplification(scheme: Scheme, steps: np.ndarray, count: int) -> float:
     """
     growths = []
     for row in steps:
-        if systems.is_runge_kutta(scheme):
+        if not row.any():  # a free fall neither decays nor oscillates
+            growths.append(1.0)
+        elif systems.is_runge_kutta(scheme):
             decaying = [z for z in row if z.real <= 1e-6 * abs(z)]
             growths.append(max((abs(systems.stability_function(scheme, z)) for z in decaying), default=1.0))
         else:

@@ -52,13 +52,13 @@ BARRIERS = 10
 # saddle point. LATE, SHORTENED, IN_VAIN, IN_TURN and AT_REST count iterations in turn. DOUBTFUL counts steps whose
 # linear system may be solved inaccurately, and ENOUGH is the number of such steps that calls for a measurement. With
 # FOLLOWED, the equations depend on the barrier's weight: the search returns WEIGHT after each change of it. SHIFTED
-# counts steps in turn with a shifted Hessian near the equations.
+# counts steps in turn with a shifted Hessian near the equations, and SHIFTED_COST is the cost before them.
 (
     MU, LEAST_RELAXATION, SHORTEST, SMALL_VIOLATION, FIRST_COST, DELTA_W, LAST_DELTA_W, DAMPING, LENGTH, LAST_ERROR,
     WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, KNOWN, COST, RESIDUAL, VIOLATION,
-    STATIONARITY, ERROR, LOOSE_MU, LAST_COST, PUSH, FUNNEL, FIRST_MU, FIRST_VIOLATION, FIRST_ERROR,
-) = range(27)  # fmt: skip
-REALS = 27
+    STATIONARITY, ERROR, LOOSE_MU, LAST_COST, PUSH, FUNNEL, FIRST_MU, FIRST_VIOLATION, FIRST_ERROR, SHIFTED_COST,
+) = range(28)  # fmt: skip
+REALS = 28
 (
     PAIRS, REFUSED, IN_TURN, EMPTIED, LATE, SHORTENED, WATCHING, IN_VAIN, DOUBTFUL, ENOUGH, LOWERED, WAS_SINGULAR,
     ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS, AT_REST, SEEN, STAGE, ON_PATH,
@@ -138,8 +138,9 @@ TINY, CLOSER = 1e-13, 0.9  # a step up to TINY max(1, |x|) changes nothing; larg
 MISLED = 5  # steps in turn, shortened by the filter alone, after which the filter is emptied
 EMPTIED_AT_MOST = 5  # largest number of times that the filter is emptied, so that a search cannot cycle
 
-# If the Hessian is indefinite at many iterates in turn that nearly satisfy the equations, see `curvature`.
-NEAR_EQUATIONS, SHIFTED_IN_TURN = 1e-2, 30
+# If the Hessian is indefinite at many iterates in turn that nearly satisfy the equations, and the cost changes by a
+# small part of itself, see `curvature`.
+NEAR_EQUATIONS, SHIFTED_IN_TURN, SLOW_COST = 1e-2, 30, 1e-2
 
 
 @njit(error_model="numpy")
@@ -1017,8 +1018,12 @@ def descend(
         if status != CONTINUE or iteration >= limit or done >= most:
             break
         if integers[SHIFTED] >= SHIFTED_IN_TURN:
-            status = CURVED
-            break
+            if abs(cost - reals[SHIFTED_COST]) <= SLOW_COST * abs(cost):
+                status = CURVED
+                break
+            integers[SHIFTED] = 0
+        if integers[SHIFTED] == 0:
+            reals[SHIFTED_COST] = cost
         # Update of the barrier's weight, and of the relaxation of bounds.
         if m > 0:
             scaled = max(stationarity / max(1.0, mean / 100.0), residual)
