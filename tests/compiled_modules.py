@@ -1,7 +1,6 @@
 """Generated modules with machine code, for tests that solve at size, and machine code that all tests share."""
 
 import fcntl
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,13 +10,13 @@ from pathlib import Path
 
 import pytest
 from numba import config
-from served_builds import Served
+from served_builds import ONE_SYSTEM, Served, numba_settings
 
 from codegen.runtime.kkt.specialised import compiled_system, is_made
 from codegen.runtime.search import problem
 from codegen.solving.compiler import cache_folder
 from codegen.solving.loading import GeneratedModule, load
-from codegen.solving.machine_code import compilation, processes
+from codegen.solving.machine_code import processes
 from codegen.solving.machine_code.compilation import has_machine_code
 
 
@@ -31,10 +30,12 @@ def compiled(path: Path) -> GeneratedModule:
     with (cache_folder() / f"{path.stem}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not has_machine_code(module):
-            command = [sys.executable, "-m", "codegen.solving.machine_code.compilation", "0/1"]
-            subprocess.run(command, input=os.fsencode(path.absolute()), check=True, capture_output=True)
+            with processes.compilers() as made:
+                assert made.compile(path), made.failure
     return module
 
+
+SETTINGS = numba_settings()
 
 SEARCH = """
 from types import SimpleNamespace
@@ -65,19 +66,27 @@ problem.compiled_system = compiled_once
 
 
 @contextmanager
-def quick_builds() -> Iterator[None]:
-    """Let builds compile nothing but kernels, in processes that need not load numba.
-
-    Compiled problems of every shape use one linear system, whose numbers of unknowns are no constants. That of a new
-    shape takes two seconds of processor time, and the kernels of a small problem take one.
-    """
-    parts_of = compilation.parts_of
+def served_builds() -> Iterator[None]:
+    """Let builds compile in processes that need not load numba, see `served_builds.py`."""
+    ordinary = processes.Compilers.start
 
     def start(compilers: processes.Compilers) -> None:
-        compilers.processes = compilers.processes or [Served()]
+        if numba_settings() == SETTINGS:
+            compilers.processes = compilers.processes or [Served()]
+        ordinary(compilers)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(problem, "compiled_system", lambda shape: compiled_once(None))
-        patch.setattr(compilation, "parts_of", lambda m: [part for part in parts_of(m) if part.serves != "shape"])
         patch.setattr(processes.Compilers, "start", start)
+        yield
+
+
+@contextmanager
+def one_system() -> Iterator[None]:
+    """Let compiled problems of every shape use one linear system, whose numbers of unknowns are no constants.
+
+    That of a new shape takes two seconds of processor time, and the kernels of a small problem take one.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(problem, "compiled_system", lambda shape: compiled_once(None))
+        patch.setenv(ONE_SYSTEM, "1")
         yield

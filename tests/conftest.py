@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer.testing
-from compiled_modules import compiled, quick_builds
+from compiled_modules import compiled, one_system, served_builds
 from hypothesis import HealthCheck, settings
 from interpreted import Interpreted, all_uncompiled
 from registered_images import SHAPE
@@ -58,10 +58,14 @@ FAST = frozenset(
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
 
-QUICK_BUILDS = frozenset(
-    "rotations contact rolling degenerate_lagrangians stage_bounds events constrained_motions".split()
+ONE_SYSTEM = frozenset(
+    "rotations contact rolling degenerate_lagrangians stage_bounds events constrained_motions"
+    " constrained_phases".split()
 )
 """Files of tests on the mathematics of many problems; others test the machine code that a build makes."""
+
+OWN_PROCESSES = frozenset("processes compilation machine_code linking faults specialised".split())
+"""Files of tests on the processes that compile, which are started as users start them."""
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -164,6 +168,10 @@ def registration(solver: FlowModule, pairs: LandmarkPairs) -> Registration:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Let the builds of files in QUICK_BUILDS compile what is particular to a problem, and nothing else."""
-    with quick_builds() if item.path.stem.removeprefix("test_") in QUICK_BUILDS else nullcontext():
+    """Let builds compile in processes that wait for them, and those of files in ONE_SYSTEM no linear system."""
+    name = item.path.stem.removeprefix("test_")
+    with (
+        nullcontext() if name in OWN_PROCESSES else served_builds(),
+        one_system() if name in ONE_SYSTEM else nullcontext(),
+    ):
         return (yield)

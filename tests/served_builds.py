@@ -15,6 +15,14 @@ import subprocess
 import sys
 from functools import lru_cache
 
+ONE_SYSTEM = "CODEGEN_TEST_ONE_SYSTEM"
+"""The environment variable that is set if problems of every shape use one linear system, which is compiled already."""
+
+
+def numba_settings() -> dict[str, str]:
+    """Return the environment variables by which a process of the server would differ, because it has loaded numba."""
+    return {name: value for name, value in os.environ.items() if name.startswith("NUMBA_")}
+
 
 class Served:
     """A process of the server, with those attributes of `subprocess.Popen` that builds use."""
@@ -94,7 +102,7 @@ def serve() -> None:
 
 
 def _compile(compilation, path, lines, status, environment, folder):
-    """Compile the kernels of the module whose path comes through a pipe, as `compilation` does it as a program."""
+    """Compile the module whose path comes through a pipe, as `compilation` does it as a program."""
     os.dup2(path, 0)
     os.dup2(lines, 1)
     os.close(path)
@@ -103,8 +111,10 @@ def _compile(compilation, path, lines, status, environment, folder):
     os.environ.update(environment)
     os.chdir(folder)
     sys.stdin, sys.stdout = os.fdopen(0), os.fdopen(1, "w")
-    parts_of, compilation.warm_up = compilation.parts_of, lambda: None
-    compilation.parts_of = lambda module: [part for part in parts_of(module) if part.serves != "shape"]
+    compilation.warm_up = lambda: None
+    if ONE_SYSTEM in environment:
+        parts_of = compilation.parts_of
+        compilation.parts_of = lambda module: [part for part in parts_of(module) if part.serves != "shape"]
     try:
         if compilation.main("both") == 0:
             os.write(status, b"0")

@@ -39,7 +39,7 @@ import json, sys
 import numpy as np
 import codegen
 from codegen.runtime.cuda import optima
-from compiled_modules import quick_builds
+from compiled_modules import one_system, served_builds
 
 class OnDevice:  # an array of another package, which says where its numbers are and is no array of numpy
     def __init__(self, values):
@@ -58,7 +58,8 @@ def counted(*arguments):
 
 optima.solve_cases = counted
 np.seterr(all="ignore")
-quick = quick_builds()
+served, quick = served_builds(), one_system()
+served.__enter__()
 quick.__enter__()  # the device has no linear system with the numbers of a problem either
 kinds, results = json.loads(sys.argv[1]), {}
 for path, options, steps, name, values in kinds:
