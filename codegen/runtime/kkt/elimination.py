@@ -105,6 +105,7 @@ from codegen.runtime.kkt.symmetric import (
     solve_pivots,
     subtract_products,
     subtract_row,
+    subtract_two_rows,
 )
 
 REACHED = 1e4
@@ -180,8 +181,14 @@ def subtract_schur_complement(shape, tables, coupling, inverse, width, element):
     touched = place_of(tables, TOUCHED)
     for j in range(count_of(tables, TOUCHED)):
         i = np.uint64(tables[touched + j])
-        for a in range(shape.condensed):
-            weighted = 0.0
+        for a in range(0, shape.condensed - 1, 2):
+            weighted = other = 0.0
+            for b in range(shape.condensed):
+                weighted += inverse[a, b] * coupling[b, i]
+                other += inverse[a + 1, b] * coupling[b, i]
+            subtract_two_rows(weighted, a, other, a + 1, coupling, width, element, i)
+        if shape.condensed % 2:
+            weighted, a = 0.0, shape.condensed - 1
             for b in range(shape.condensed):
                 weighted += inverse[a, b] * coupling[b, i]
             subtract_row(weighted, coupling, a, width, element, i)

@@ -197,8 +197,7 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
         i = order[k]
         x, y = matrix[i, p], matrix[i, q]
         if x != 0.0 or y != 0.0:
-            subtract_row(x * first + y * both, matrix, p, width, matrix, i)
-            subtract_row(x * both + y * second, matrix, q, width, matrix, i)
+            subtract_two_rows(x * first + y * both, p, x * both + y * second, q, matrix, width, matrix, i)
             matrix[i, p] = matrix[i, q] = 0.0
     for row, x, y in ((p, first, both), (q, both, second)):
         for j in range(0, width, 4):
@@ -224,6 +223,23 @@ def subtract_row(multiple, source, p, width, target, i):
         two = target[i, j + 1] - multiple * source[p, j + 1]
         three = target[i, j + 2] - multiple * source[p, j + 2]
         four = target[i, j + 3] - multiple * source[p, j + 3]
+        target[i, j] = one
+        target[i, j + 1] = two
+        target[i, j + 2] = three
+        target[i, j + 3] = four
+
+
+@njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
+def subtract_two_rows(multiple, p, other, q, source, width, target, i):
+    """Subtract multiples of rows p and q of `source` (r, width) from row i of `target` (r, width).
+
+    Both arrays may be the same.
+    """
+    for j in range(0, width, 4):
+        one = target[i, j] - multiple * source[p, j] - other * source[q, j]
+        two = target[i, j + 1] - multiple * source[p, j + 1] - other * source[q, j + 1]
+        three = target[i, j + 2] - multiple * source[p, j + 2] - other * source[q, j + 2]
+        four = target[i, j + 3] - multiple * source[p, j + 3] - other * source[q, j + 3]
         target[i, j] = one
         target[i, j + 1] = two
         target[i, j + 2] = three
