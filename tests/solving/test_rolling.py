@@ -9,7 +9,7 @@ import pytest
 from conftest import PROBLEMS
 from scipy.integrate import quad, solve_bvp, solve_ivp
 from scipy.special import ellipj, ellipk
-from sympy import Eq, cos, pi, sin
+from sympy import Add, Eq, cos, pi, sin
 
 import codegen
 from codegen import Control, Simulate, body_number, controls, coordinates, free_parameter, parameters, time
@@ -491,6 +491,11 @@ REFUSED = {
     "a start that slips": (
         given(start=lambda r: (0, 0, 0.3, 1, 0, 0)), {}, BoundaryError,
         "start violates rolling dx*sin(phi) - dy*cos(phi) = 0 by 0.29552",
+    ),
+    "a start that slips, by a long equation": (
+        given(start=lambda r: (0, 0, 0.3, 1, 0, 0), rolling=lambda x, y, phi, dx, dy, dphi, r: [
+            dx * sin(phi) - dy * cos(phi) + Add(*(r * dphi * sin(phi) ** n for n in range(2, 9)))]), {}, BoundaryError,
+        "start violates equation 1 of rolling by 0.29552",
     ),
     "a parameter with which the start slips": (
         given(start=lambda r: (0, 0, 0, 0, r - 1, 0)), {"parameters": {"r": 1.5}}, NumericsError,

@@ -82,7 +82,9 @@ class Rolling(ConditionKind):
         yield from ((f"rolling {text(c)}", c) for c in model.rolling)
 
     def at(self, model: Model, end: str) -> Iterator[Condition]:
-        yield from (Condition(f"rolling {text(c)} = 0", c) for c in model.rolling)
+        for number, c in enumerate(model.rolling, 1):
+            equation = f"rolling {text(c)} = 0"
+            yield Condition(equation if len(equation) <= _LONGEST else f"equation {number} of rolling", c)
 
     def require_regular(self, model: Model, points: Points) -> None:
         """Raise DegenerateError for constraints that depend on each other or leave nothing to move.
@@ -160,6 +162,8 @@ def require_affine(entry: Entry, remedy: str) -> None:
                 )
 
 
+_LONGEST = 60
+"""Largest number of characters of an equation in a message. An equation of a rotation has thousands."""
 _CHANGES = (1.07, 0.85)
 """Factors of the default values of parameters at which boundary values are tested."""
 
