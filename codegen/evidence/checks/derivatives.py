@@ -447,9 +447,8 @@ def check_measurements(context: Context) -> Iterator[Finding]:
     model, program = context.model, context.control
     assert program.sample is not None
     for emitted, data in zip(context.module.OBSERVATIONS, model.measurements, strict=True):
-        same = np.array_equal(emitted, data.array, equal_nan=True)
-        detail = data.summary if same else f"others than in {data.source}"
-        yield Finding("measurements", f"{data.source}: numbers", same, detail)
+        same, wrong = np.array_equal(emitted, data.array, equal_nan=True), f"others than in {data.source}"
+        yield Finding.decided("measurements", f"{data.source}: numbers", same, data.summary, wrong)
     # Compare the interval and the position of every measurement, on intervals of different lengths.
     grid, structure = context.module.make_grid(len(_GRID), grid=_GRID), context.module.problem.structure
     nodes = np.append(0.0, np.cumsum(_GRID)) * grid.steps * grid.h
@@ -461,10 +460,9 @@ def check_measurements(context: Context) -> Iterator[Finding]:
             inside = 0 <= k < len(_GRID) and 0.0 <= fraction <= 1.0
             error = abs(nodes[k] + fraction * (nodes[k + 1] - nodes[k]) - time) if inside else np.inf
             worst, count = max(worst, error / nodes[-1]), count + 1
-    detail = f"{count} samples lie where they were taken, on {len(_GRID)} intervals of different lengths"
-    if not worst <= _ROUNDING:
-        detail = f"a sample is taken {worst:.2g} of the duration away from its time"
-    yield Finding("measurements", "times of samples", bool(worst <= _ROUNDING), detail)
+    right = f"{count} samples lie where they were taken, on {len(_GRID)} intervals of different lengths"
+    wrong = f"a sample is taken {worst:.2g} of the duration away from its time"
+    yield Finding.decided("measurements", "times of samples", worst <= _ROUNDING, right, wrong)
     yield _motion_at_nodes(model, program, program.sample)
     # Compare the emitted losses of a measurement, their gradient and their Hessian, at random points.
     unknowns, pattern = program.element_symbols, pattern_of(context.module, "interval")

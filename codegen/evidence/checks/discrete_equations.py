@@ -110,11 +110,9 @@ def check_discrete_equations(context: Context) -> Iterator[Finding]:
                 differences.append(abs(share(*numbers, _STEP)[0] / _STEP - expected))
                 sizes.append(abs(expected))
             gap = max(differences) / max(sizes)
-        passed = gap < _VANISHED
-        detail = f"divided by h it is the forced equation of motion, up to {float(gap):.1g} at h = 1e-22"
-        if not passed:
-            detail = f"divided by h it differs from the forced equation of motion by {float(gap):.2g} as h -> 0"
-        yield Finding("discrete equations", name, bool(passed), detail)
+        right = f"divided by h it is the forced equation of motion, up to {float(gap):.1g} at h = 1e-22"
+        wrong = f"divided by h it differs from the forced equation of motion by {float(gap):.2g} as h -> 0"
+        yield Finding.decided("discrete equations", name, gap < _VANISHED, right, wrong)
 
 
 _Sides = tuple[list[Expr], list[Expr], list[Symbol]]
@@ -360,11 +358,10 @@ def check_momentum_matching(context: Context) -> Iterator[Finding]:
         if not errors:
             continue
         worst = max(errors, key=lambda name: errors[name])
+        right = f"the solution's momenta are those of the prescribed velocities, up to {errors[worst]:.1g}"
+        wrong = f"momentum of {worst} differs by {errors[worst]:.2g} from that of the prescribed velocity"
         passed = errors[worst] < _MATCHED
-        detail = f"the solution's momenta are those of the prescribed velocities, up to {errors[worst]:.1g}"
-        if not passed:
-            detail = f"momentum of {worst} differs by {errors[worst]:.2g} from that of the prescribed velocity"
-        yield Finding("momentum matching", f"momenta at the {where}", passed, detail)
+        yield Finding.decided("momentum matching", f"momenta at the {where}", passed, right, wrong)
 
 
 def _matching(context: Context) -> Iterator[Finding]:
@@ -389,10 +386,9 @@ def _matching(context: Context) -> Iterator[Finding]:
         minus = -sympy.diff(interval.lagrangian, interval.q.left[i]) - interval.force_minus[i] - impulses[0][i]
         plus = sympy.diff(interval.lagrangian, interval.q.right[i]) + interval.force_plus[i] + impulses[1][i]
         passed = identically_zero(before[i] - plus) and identically_zero(after[i] + minus)
-        detail = "its discrete Euler-Lagrange equation is p_k^+ - p_k^- = 0, proved symbolically"
-        if not passed:
-            detail = "its emitted equation is not p_k^+ - p_k^- = 0 with p_k^- = -D1 Ld - f-, p_k^+ = D2 Ld + f+"
-        yield Finding("momentum matching", f"node equation of {q}", passed, detail)
+        right = "its discrete Euler-Lagrange equation is p_k^+ - p_k^- = 0, proved symbolically"
+        wrong = "its emitted equation is not p_k^+ - p_k^- = 0 with p_k^- = -D1 Ld - f-, p_k^+ = D2 Ld + f+"
+        yield Finding.decided("momentum matching", f"node equation of {q}", passed, right, wrong)
 
     # Both discrete momenta tend to dL/dv as h -> 0. A wrong sign is visible here.
     v = model.rates
@@ -412,11 +408,9 @@ def _matching(context: Context) -> Iterator[Finding]:
                 exact = limit(*numbers)[0]
                 both = function(*numbers, mpmath.mpf(10) ** -20)
                 worst = max(worst, *(abs(value - exact) / (1 + abs(exact)) for value in both))
-        passed = bool(worst < 1e-10)
-        detail = f"-D1 Ld - f- and D2 Ld + f+ tend to dL/d{v[i]} as h -> 0"
-        if not passed:
-            detail = f"-D1 Ld - f- and D2 Ld + f+ do not both tend to dL/d{v[i]}: off by {float(worst):.2g}"
-        yield Finding("momentum matching", f"discrete momenta of {x}", passed, detail)
+        right = f"-D1 Ld - f- and D2 Ld + f+ tend to dL/d{v[i]} as h -> 0"
+        wrong = f"-D1 Ld - f- and D2 Ld + f+ do not both tend to dL/d{v[i]}: off by {float(worst):.2g}"
+        yield Finding.decided("momentum matching", f"discrete momenta of {x}", worst < 1e-10, right, wrong)
 
 
 _HELD = 1e-8
@@ -499,10 +493,9 @@ def check_switches(context: Context) -> Iterator[Finding]:
         error = float(np.abs(residuals).max())
         passed = error <= _HELD * max(1.0, float(np.abs(unknowns).max()))
         jump = ", ".join(f"{symbol} -> {sympy.sstr(value)}" for symbol, value in jumps) or "no jump"
-        detail = f"{jump}: the next interval begins with these values, up to {error:.1g}"
-        if not passed:
-            detail = f"{jump}: the equations of the next interval do not hold with these values, by {error:.2g}"
-        yield Finding("switches", f"switch {number}, after it", passed, detail)
+        right = f"{jump}: the next interval begins with these values, up to {error:.1g}"
+        wrong = f"{jump}: the equations of the next interval do not hold with these values, by {error:.2g}"
+        yield Finding.decided("switches", f"switch {number}, after it", passed, right, wrong)
 
 
 def _number(expression: Expr, at: Mapping[Symbol, float]) -> float:

@@ -62,11 +62,9 @@ def check_layout(context: Context) -> Iterator[Finding]:
 def compare(file: Path, module: ModuleType, inputs: str, text: str) -> Iterator[Finding]:
     """Compare a module's recorded hash with the hash `inputs`, and its `file` with the newly derived `text`."""
     recorded = module.metadata.inputs
-    same = recorded == inputs
-    detail = "the recorded hash is that of the problem file, its arguments and versions"
-    if not same:
-        detail = f"made from other inputs (recorded {str(recorded)[:12]}, now {inputs[:12]}); build it again"
-    yield Finding("provenance", "inputs", same, detail)
+    right = "the recorded hash is that of the problem file, its arguments and versions"
+    wrong = f"made from other inputs (recorded {str(recorded)[:12]}, now {inputs[:12]}); build it again"
+    yield Finding.decided("provenance", "inputs", recorded == inputs, right, wrong)
     lines, others = (s.splitlines(keepends=True) for s in (file.read_text(encoding="utf-8"), text))
     if lines == others:
         yield Finding("provenance", "text", True, "identical to a fresh derivation, byte by byte")

@@ -122,12 +122,11 @@ def check_holonomic_drift(context: Context) -> Iterator[Finding]:
             if np.abs(values).max() >= largest:
                 node, body = int(np.argmax(np.abs(values))), b
                 largest, size = float(np.abs(values[node])), max(1.0, float(np.abs(sizes).max()))
-        passed = largest <= _HELD * size
         of_body = f" of body {body}" if model.bodies > 1 else ""
-        detail = f"|c| <= {largest:.1g} at all {solution.t.size} nodes, greatest at node {node}{of_body}"
-        if not passed:
-            detail = f"the motion leaves the constraint: |c| = {largest:.2g} at node {node}{of_body}"
-        yield Finding("holonomic drift", f"c = {sympy.sstr(constraint)}", passed, detail)
+        right = f"|c| <= {largest:.1g} at all {solution.t.size} nodes, greatest at node {node}{of_body}"
+        wrong = f"the motion leaves the constraint: |c| = {largest:.2g} at node {node}{of_body}"
+        subject = f"c = {sympy.sstr(constraint)}"
+        yield Finding.decided("holonomic drift", subject, largest <= _HELD * size, right, wrong)
     if model.task != "simulate":
         return
     grid = context.module.make_grid(1)
