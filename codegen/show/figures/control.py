@@ -19,7 +19,6 @@ from matplotlib.ticker import MaxNLocator
 from codegen.drawing import Scene
 from codegen.errors import ArgumentError
 from codegen.show.figures import panels, shapes
-from codegen.show.figures.labels import in_unit, label, quantity, title
 from codegen.show.figures.picture import (
     AMBER,
     BLUE,
@@ -38,8 +37,12 @@ from codegen.show.figures.quantities import (
     Quantity,
     angular_velocities,
     by_expression,
+    in_unit,
     inequalities_of_segments,
+    label,
     quantities_of_segments,
+    quantity,
+    title,
 )
 from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solving.results.estimates import Fit

@@ -13,7 +13,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from codegen.show.figures.labels import in_unit, label, relation
 from codegen.show.figures.picture import (
     AMBER,
     BLUE,
@@ -27,7 +26,7 @@ from codegen.show.figures.picture import (
     body_colours,
     letter_size,
 )
-from codegen.show.figures.quantities import Inequality, Quantity
+from codegen.show.figures.quantities import Inequality, Quantity, in_unit, label, relation
 from codegen.solving.loading import Matrix, Vector
 
 KINDS = {"state": BLUE, "momentum": GREEN, "spin": GREEN, "multiplier": PINK, "control": RED}

@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
-from codegen.show.figures.labels import heading, in_unit, label, quantity, statuses, unit_in
 from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, Look, body_map, new_figure
+from codegen.show.figures.quantities import heading, in_unit, label, quantity, statuses, unit_in
 from codegen.show.figures.sweep import is_wide
 
 if TYPE_CHECKING:

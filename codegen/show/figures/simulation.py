@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
-from codegen.show.figures.labels import in_unit, label, set_title, title
 from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, DARK, GREY, RED, Look, letter_size, new_figure
-from codegen.show.figures.quantities import angular_velocities
+from codegen.show.figures.quantities import angular_velocities, in_unit, label, set_title, title
 from codegen.solving.loading import ConnectModule
 from codegen.solving.results.result import Result
 

@@ -28,7 +28,6 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import Locator, LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
-from codegen.show.figures.labels import heading, in_unit, label, quantity, statuses, unit_in
 from codegen.show.figures.panels import KINDS
 from codegen.show.figures.picture import (
     AMBER,
@@ -43,6 +42,7 @@ from codegen.show.figures.picture import (
     letter_size,
     new_figure,
 )
+from codegen.show.figures.quantities import heading, in_unit, label, quantity, statuses, unit_in
 
 if TYPE_CHECKING:
     from xarray import Dataset
