@@ -13,7 +13,6 @@ from threading import Lock
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, NumericsError
 from codegen.mpc import interface

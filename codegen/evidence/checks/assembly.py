@@ -133,7 +133,9 @@ def check_assembly(context: Context) -> Iterator[Finding]:
     worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
     right = f"it solves all {free.size} linear equations to {errors[worst]:.1g}"
     wrong = f"it leaves the row of {names[free[worst]]} by {errors[worst]:.1g} of its terms"
-    yield Finding.decided("assembly", "Newton step", np.isfinite(errors).all() and errors[worst] <= _SOLVED, right, wrong)
+    yield Finding.decided(
+        "assembly", "Newton step", np.isfinite(errors).all() and errors[worst] <= _SOLVED, right, wrong
+    )
 
 
 def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: Grid) -> Iterator[_Share]:
