@@ -41,6 +41,7 @@ from codegen.evidence.checks.base import (
     Agreement,
     Context,
     Finding,
+    Point,
     does_not_apply,
     function_of,
     not_measured,
@@ -107,18 +108,24 @@ def check_discrete_equations(context: Context) -> Iterator[Finding]:
     symbols = list(dict.fromkeys(symbols))
     points = random_points(continuous, symbols, model)
     for name, at_h, limit in zip(names, discrete, continuous, strict=True):
-        share, exact = function_of([*symbols, STEP], [at_h]), function_of(symbols, [limit])
-        differences, sizes = [], []
-        with mpmath.workdps(DIGITS):
-            for point in points:
-                numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
-                expected = exact(*numbers)[0]
-                differences.append(abs(share(*numbers, _STEP)[0] / _STEP - expected))
-                sizes.append(abs(expected))
-            gap = max(differences) / max(sizes)
+        differences, sizes = zip(*_differences([at_h / STEP], limit, symbols, points, _STEP), strict=True)
+        gap = max(differences) / max(sizes)
         right = f"divided by h it is the forced equation of motion, up to {float(gap):.1g} at h = 1e-22"
         wrong = f"divided by h it differs from the forced equation of motion by {float(gap):.2g} as h -> 0"
         yield Finding.decided("discrete equations", name, gap < _VANISHED, right, wrong)
+
+
+def _differences(
+    values: Sequence[Expr], limit: Expr, symbols: Sequence[Symbol], points: Sequence[Point], h: mpmath.mpf
+) -> list[tuple[mpmath.mpf, mpmath.mpf]]:
+    """Return for every point the largest difference of `values` at the step h from their limit, and its modulus."""
+    function, exact, pairs = function_of([*symbols, STEP], values), function_of(symbols, [limit]), []
+    with mpmath.workdps(DIGITS):
+        for point in points:
+            numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
+            expected = exact(*numbers)[0]
+            pairs.append((max(abs(value - expected) for value in function(*numbers, h)), abs(expected)))
+    return pairs
 
 
 _Sides = tuple[list[Expr], list[Expr], list[Symbol]]
@@ -308,13 +315,9 @@ def check_integrals(context: Context) -> Iterator[Finding]:
     equations = {equation.left: equation.value for equation in program.equations}
     for number, integral in enumerate(model.integrals, start=1):
         quadrature = program.in_time(equations[f"Gd_{number}"]).xreplace(motion)
-        share, limit = function_of([*symbols, STEP], [quadrature]), function_of(symbols, [integral.expression])
-        gap = mpmath.mpf(0)
-        with mpmath.workdps(DIGITS):
-            for point in random_points([integral.expression], symbols, model):
-                numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
-                expected = limit(*numbers)[0]
-                gap = max(gap, abs(share(*numbers, _STEP)[0] / _STEP - expected) / max(1, abs(expected)))
+        points = random_points([integral.expression], symbols, model)
+        pairs = _differences([quadrature / STEP], integral.expression, symbols, points, _STEP)
+        gap = max(difference / max(1, size) for difference, size in pairs)
         passed = gap < _VANISHED
         verb = "is" if passed else "differs from"
         detail = f"divided by h an interval's share {verb} the integrand, up to {float(gap):.1g} at h = 1e-22"
@@ -406,14 +409,10 @@ def _matching(context: Context) -> Iterator[Finding]:
     symbols = [*model.coordinates, *v, *model.controls, *model.parameters, *free, *forces, model.time]
     for i, x in enumerate(model.coordinates):
         momentum = sympy.diff(model.function, v[i])
-        function = function_of([*symbols, STEP], [e.xreplace(motion) for e in (-after[i], before[i])])
-        limit, worst = function_of(symbols, [momentum]), mpmath.mpf(0)
-        with mpmath.workdps(DIGITS):
-            for point in random_points([momentum, *model.force], symbols, model, count=2):
-                numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
-                exact = limit(*numbers)[0]
-                both = function(*numbers, mpmath.mpf(10) ** -20)
-                worst = max(worst, *(abs(value - exact) / (1 + abs(exact)) for value in both))
+        points = random_points([momentum, *model.force], symbols, model, count=2)
+        both = [e.xreplace(motion) for e in (-after[i], before[i])]
+        gaps = _differences(both, momentum, symbols, points, mpmath.mpf(10) ** -20)
+        worst = max(difference / (1 + modulus) for difference, modulus in gaps)
         right = f"-D1 Ld - f- and D2 Ld + f+ tend to dL/d{v[i]} as h -> 0"
         wrong = f"-D1 Ld - f- and D2 Ld + f+ do not both tend to dL/d{v[i]}: off by {float(worst):.2g}"
         yield Finding.decided("momentum matching", f"discrete momenta of {x}", worst < 1e-10, right, wrong)
