@@ -489,8 +489,7 @@ class Controller:
 # further whole turn. So the sign of a measured quaternion is that of the state before.
 
 _PARTS = "wxyz"
-_NEARLY = 0.1
-"""Largest deviation of the length of a measured quaternion from one, or of a matrix from orthogonality."""
+_NEARLY = 0.1  # largest deviation of the length of a measured quaternion from one, or of a matrix from orthogonality
 
 
 @dataclass(frozen=True)

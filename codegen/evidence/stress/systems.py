@@ -147,7 +147,6 @@ def plate_gradient(q: Array, p: Array) -> tuple[Array, Array]:
 
 Field = Callable[[Array], Array]
 
-
 TEXTBOOK: dict[str, tuple[float, float]] = {
     "explicit-euler": (0.0, 0.0),
     "implicit-euler": (1.0, 1.0),

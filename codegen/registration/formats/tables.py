@@ -83,7 +83,6 @@ def compose_plain(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
 RECOGNISES = re.compile(r"\s*[^\n]*(moving_|fixed_)", re.IGNORECASE).match
 PLAIN = Format("csv", "plain CSV", (".csv", ".txt"), 1, RECOGNISES, parse_plain, compose_plain)
 
-
 AXES = {6: "xy", 8: "xyz"}
 
 
@@ -142,7 +141,6 @@ def compose_bigwarp(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
 
 
 BIGWARP = Format("bigwarp", "BigWarp CSV", (".csv",), 1, recognises_bigwarp, parse_bigwarp, compose_bigwarp)
-
 
 _ELASTIX_REMEDY = "give point or index, the number of points, then two coordinates in each line, or three for volumes"
 

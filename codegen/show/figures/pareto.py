@@ -26,7 +26,6 @@ from codegen.show.figures.sweep import is_wide
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
-
 Numbers = NDArray[np.float64]
 SAME = 1e-6  # differences of an objective up to this fraction of its range are ignored, such as at a common bound
 _COLUMNS = {"q": "coordinate", "u": "control"}
