@@ -83,10 +83,7 @@ def tornado(axes: Axes, shown: Mapping[str, float]) -> None:
     axes.margins(x=0.08)
     rest = len(shown) - len(names)
     axes.set_xlabel("change of the cost" + (f"; {rest} smaller not shown" if rest else ""))
-    axes.legend(  # above the panel, away from bars
-        loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, fontsize=letter_size(8), columnspacing=1.0,
-        handlelength=1.2,
-    )  # fmt: skip
+    panels.legend_above(axes, 2, handlelength=1.2)
 
 
 _POINTS: Look = {
