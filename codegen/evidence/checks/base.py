@@ -197,7 +197,8 @@ class Check:
 
     A check with `runs_the_module` calls compiled code or trusts tables of the module; other checks read expressions
     alone. A check `of_each_phase` treats every phase as a separate problem. `without` maps a task ("simulate") or a
-    form ("first-order") to the reason why the check does not apply to such problems.
+    form ("first-order") to the reason why the check does not apply to such problems. `of_solution` is the subject, such
+    as "all constraints", of a check that needs a solution.
     """
 
     name: str
@@ -205,6 +206,7 @@ class Check:
     runs_the_module: bool = True
     of_each_phase: bool = False
     without: Mapping[str, str] = field(default_factory=dict)
+    of_solution: str = ""
 
 
 def does_not_apply(check: str, reason: str) -> Finding:
