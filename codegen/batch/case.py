@@ -41,12 +41,9 @@ from codegen.solving.tasks import task_of
 from codegen.solving.warm_start import transferred
 from codegen.solving.warm_start import varied as varied_guess
 
-OTHERS = 3
-"""Number of neighbouring solutions that are tried after the problem's own guess."""
-FARTHEST = 2.0
-"""Largest extrapolation along a secant, relative to the distance between its two cases."""
-STRAIGHT = 1e-6
-"""Largest relative deviation of a step from the direction of the previous one on a straight path."""
+OTHERS = 3  # number of neighbouring solutions that are tried after the problem's own guess
+FARTHEST = 2.0  # largest extrapolation along a secant, relative to the distance between its two cases
+STRAIGHT = 1e-6  # largest relative deviation of a step from the direction of the previous one on a straight path
 
 
 @dataclass(frozen=True)

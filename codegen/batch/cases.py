@@ -28,8 +28,7 @@ from codegen.errors import ArgumentError, NumericsError, clause, one_line
 
 Values: TypeAlias = NDArray[np.float64] | NDArray[np.str_]
 MOST_CASES = 100_000_000
-CASE = "case"
-"""Name of the only dimension of cases from a table or from samples."""
+CASE = "case"  # name of the only dimension of cases from a table or from samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,8 +258,7 @@ def as_rows(columns: Mapping[str, Values], number: int) -> Cases:
     return Cases((CASE,), (number,), columns, dict.fromkeys(columns, 0))
 
 
-NUMBER = 1000
-"""Default number of samples."""
+NUMBER = 1000  # default number of samples
 
 
 def _random(number: int, dimensions: int, rng: np.random.Generator) -> NDArray[np.float64]:

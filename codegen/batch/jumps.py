@@ -29,12 +29,10 @@ Costs: TypeAlias = NDArray[np.float64]
 Pair: TypeAlias = tuple[int, int]
 """Indices (worse, better) of two neighbouring cases with a jump of the cost; the last dimension varies fastest."""
 
-LEAST = 4
-"""Least number of values along a dimension for which jumps are detected."""
+LEAST = 4  # least number of values along a dimension for which jumps are detected
 BENT, STEEP, ROUNDING = 0.5, 0.05, 1e-6
 """Allowed deviation from two predictions, relative to their difference, to the larger prediction, and to the cost."""
-BENT_AT_ENDS = 4.0
-"""Value that replaces BENT at the ends of lines, where one of the slopes is extrapolated."""
+BENT_AT_ENDS = 4.0  # value that replaces BENT at the ends of lines, where one of the slopes is extrapolated
 AHEAD = 4
 """Number of costs that predict the cost at an end; with three costs the prediction is less certain."""
 
@@ -167,8 +165,7 @@ class Grid:
         return [] if np.isnan(costs[case]) else [case]
 
 
-BETTER = 1e-7
-"""Least relative reduction of the cost by which another solution counts as better."""
+BETTER = 1e-7  # least relative reduction of the cost by which another solution counts as better
 
 
 def improved(
@@ -205,22 +202,19 @@ def is_better(one: Attempt, other: Attempt) -> bool:
     return one.is_start and one.cost < other.cost - BETTER * abs(other.cost)
 
 
-SCATTERED_LEAST = 2
-"""Jumps are detected among at least this number of cases times (quantities + 1)."""
+SCATTERED_LEAST = 2  # jumps are detected among at least this number of cases times (quantities + 1)
 NEAR, MOST_NEAR, AROUND = 2, 6, 4
 """Number of neighbours per quantity that a case is compared with, at most MOST_NEAR in total; number of neighbours
 per quantity that determine a slope.
 """
 OFF, OFF_AT_ENDS = 2.0, 8.0
 """Allowed errors relative to the median error nearby, for pairs with two predictions and with one prediction."""
-CERTAIN = 2.0
-"""Factor on the allowed errors for certain jumps."""
+CERTAIN = 2.0  # factor on the allowed errors for certain jumps
 MISSED, FARTHEST = 0.01, 50.0
 """Limits of a valid prediction: the part of the vector between the two cases that the weighted neighbours miss, and the
 second-order terms relative to the square of the distance.
 """
-_BLOCK = 4096
-"""Number of predictions that are computed together, which bounds the memory."""
+_BLOCK = 4096  # number of predictions that are computed together, which bounds the memory
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,8 +31,7 @@ Rows = dict[str, NDArray[Any]]
 """The results of a chunk: arrays by name, with a row for each case in the order of the cases."""
 KEPT = ("t", "q", "u", "event_counts", "event_times")
 """Arrays that are stored by default when all arrays would take too much space."""
-FITS = 250_000_000
-"""Bytes of all arrays, before compression, up to which all arrays are stored by default."""
+FITS = 250_000_000  # bytes of all arrays, before compression, up to which all arrays are stored by default
 NUMBERS = {"cost": "f8", "residual": "f8", "iterations": "i4", "seconds": "f8"}
 JUMPS = {"improvement": "f8", "jump": "i4"}
 """Additional numbers of each case if jumps are detected: the reduction of the cost by a new start, and 1 at a jump."""
@@ -47,12 +46,9 @@ _ROWS: Mapping[str | int, tuple[str, ...]] = {
     "node": ("node",), 1: ("interval",), "case": (), "occurrence": ("occurrence",)
 }  # fmt: skip
 """The dimensions of rows of each kind; other numbers are those of the stages of an interval."""
-RATE = "d_"
-"""Prefix of the names of derivatives."""
-BY = "by"
-"""Name of the dimension of the quantities with respect to which derivatives are taken."""
-_RATES = ("t", "q", "p", "u", "multipliers")
-"""Arrays whose derivatives can be stored."""
+RATE = "d_"  # prefix of the names of derivatives
+BY = "by"  # name of the dimension of the quantities with respect to which derivatives are taken
+_RATES = ("t", "q", "p", "u", "multipliers")  # arrays whose derivatives can be stored
 RESERVED = frozenset(
     (
         *(*_ALL, *NUMBERS, *JUMPS, *WORDS, *COLUMNS.values(), "node", "interval", "stage", "case"),
@@ -257,16 +253,13 @@ def _row_kinds(shapes: Iterable[Shapes], name: str) -> set[str | int]:
 
 MOST = 4096
 """Largest number of cases of a chunk; the time of the search for neighbours grows with its square."""
-OVERHEAD = 3e-4
-"""Seconds that a case takes in addition to its iterations, unless it is followed in an ensemble."""
+OVERHEAD = 3e-4  # seconds that a case takes in addition to its iterations, unless it is followed in an ensemble
 CONTROL_RATE, SIMULATE_RATE, ENSEMBLE_RATE, CONNECT_RATE = 1.6e-8, 3e-7, 1e-7, 5e-9
 """Seconds per unit of work. The work of an optimisation is iterations * intervals * (unknowns of an interval)^2, of a
 simulation steps * coordinates, and of connected particles iterations * steps * (all coordinates)^2.
 """
-RATES = 5
-"""Number of iterations that take as long as the sensitivities of a case."""
-SLOWER = 50.0
-"""Time of external drivers relative to generated solvers."""
+RATES = 5  # number of iterations that take as long as the sensitivities of a case
+SLOWER = 50.0  # time of external drivers relative to generated solvers
 
 
 @dataclass(frozen=True)

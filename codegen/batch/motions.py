@@ -48,8 +48,7 @@ from codegen.solving.results.result import Result, Run, component_names
 if TYPE_CHECKING:
     from xarray import Dataset
 
-NUMBERS = 1_000_000
-"""Number of stored numbers of a block of cases, after each of which an interrupt is seen."""
+NUMBERS = 1_000_000  # number of stored numbers of a block of cases, after each of which an interrupt is seen
 
 
 class CaseEvents(NamedTuple):

@@ -42,10 +42,8 @@ from codegen.solving.results.sensitivities import rates_at, require_sensitive
 
 BLOCK = 100_000
 """Number of unknowns in a block, which takes tens of milliseconds; the Python code between blocks takes less."""
-BLOCK_ON_DEVICE = 20_000_000
-"""Number of unknowns in a block on a GPU, which needs many cases at once."""
-MOST_ITERATIONS = 3000
-"""Default limit of iterations, as for `solve` of a generated module."""
+BLOCK_ON_DEVICE = 20_000_000  # number of unknowns in a block on a GPU, which needs many cases at once
+MOST_ITERATIONS = 3000  # default limit of iterations, as for `solve` of a generated module
 
 
 @dataclass(frozen=True, eq=False, repr=False)

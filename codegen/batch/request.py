@@ -139,8 +139,7 @@ def sweep_request(
 
 
 STEPS, GUESS = "steps", "guess"
-COUNTS = (STEPS, GUESS)
-"""Kinds of quantities with positive integers as values."""
+COUNTS = (STEPS, GUESS)  # kinds of quantities with positive integers as values
 
 
 @dataclass(frozen=True)

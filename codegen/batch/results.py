@@ -22,8 +22,7 @@ from codegen.solving.results.result import Result
 if TYPE_CHECKING:
     from xarray import Dataset
 
-UNUSABLE = "unusable"
-"""The status of a case with whose numbers no grid exists."""
+UNUSABLE = "unusable"  # the status of a case with whose numbers no grid exists
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from xarray import Dataset
     from zarr import Array, Group
 
-
 ANOTHER = "choose another name, or give the problem, cases and options that it was begun with"
 
 
@@ -134,8 +133,7 @@ def write_netcdf(data: Dataset, path: Path) -> None:
         data.to_netcdf(temporary)
 
 
-DIGEST = "sweep"
-"""The attribute of a store that identifies its sweep."""
+DIGEST = "sweep"  # the attribute of a store that identifies its sweep
 _CONFIG: Any = {"write_empty_chunks": True}
 """Chunks without results are written as well, so a missing file of a finished chunk was deleted."""
 

@@ -128,7 +128,6 @@ def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signa
 
 setattr(sweep, "__signature__", inspect.signature(sweep_request).replace(return_annotation="Dataset"))  # noqa: B010
 
-
 MOST_LOOKED_THROUGH = 10_000_000
 """Largest grid in which jumps between chunks are marked, which needs all costs in memory."""
 

@@ -71,8 +71,7 @@ if TYPE_CHECKING:
 
 MOST_MODULES = 100
 """Largest number of modules of a sweep: each takes seconds to derive and compile."""
-APART = 1e6
-"""Artificial distance between cases of different modules or guesses, relative to the ranges of quantities."""
+APART = 1e6  # artificial distance between cases of different modules or guesses, relative to the ranges of quantities
 
 
 @dataclass(frozen=True, eq=False)

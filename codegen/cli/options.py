@@ -73,7 +73,6 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Out = Annotated[Path | None, typer.Option(help="Folder for the module. [default: generated if current, else a cache]")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")]
 
-
 PAGE = "Statuses and errors"  # the title of the page about statuses, `docs/guide/statuses.md` in the sources
 
 

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from codegen.solving.request import Request
     from codegen.solving.results.result import Result
 
-
 EXAMPLES = {
     "solve": (
         "codegen solve problems/cart_pole.py --steps 100 --plot cart_pole.png",

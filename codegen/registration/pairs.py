@@ -128,8 +128,7 @@ Kind: TypeAlias = Literal["auto", "none", "similarity", "affine"]
 KINDS: tuple[Kind, ...] = ("none", "similarity", "affine")
 """The kinds of alignment that `align` fits; for "auto", `chosen_alignment` selects one of these kinds."""
 
-MIRRORED = 0.2
-"""The ratio of squared residuals, mirrored to proper similarity, below which landmarks count as mirrored."""
+MIRRORED = 0.2  # the ratio of squared residuals, mirrored to proper similarity, below which landmarks count as mirrored
 
 _NEEDED = {
     2: ("two landmarks", "three landmarks that are not on one line"),
@@ -137,8 +136,7 @@ _NEEDED = {
 }
 """The landmarks that a similarity and an affine map need, by dimension."""
 
-THIN = 1e-6
-"""The largest ratio of width to length at which landmarks count as collinear."""
+THIN = 1e-6  # the largest ratio of width to length at which landmarks count as collinear
 
 
 @dataclass(frozen=True, eq=False)

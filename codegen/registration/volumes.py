@@ -33,17 +33,16 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
-from scipy.ndimage import binary_dilation, maximum_filter
+from scipy.ndimage import binary_dilation
 
 from codegen.errors import ArgumentError, CodegenError, ImageError
 from codegen.registration.grid import Grid, mesh
 from codegen.registration.images import SAMPLES, VOLUMES, Pixels, SampleType, library, rational, tifffile
 from codegen.registration.pairs import PointArray
 from codegen.registration.warp import (
-    HALVING,
     ORDERS,
     Map,
+    cell_errors,
     replacing_volume,
     sample_band,
     spline_at,
@@ -339,12 +338,7 @@ class Nodes:
         )
         places = grid.to_places(mesh(lines[::-1]))
         shifts = (function(places) - places).reshape(*map(len, lines), 3)
-        # The estimated error of the spline in each cell is the largest estimate at its corners.
-        coarse = shifts[::2, ::2, ::2]
-        for axis, line in enumerate(lines):
-            coarse = np.asarray(make_interp_spline((line[::2]), coarse, k=3, axis=axis)(line))
-        errors = np.linalg.norm(coarse - shifts, axis=-1) / HALVING
-        errors = np.asarray(maximum_filter(errors, size=(2, 2, 2), origin=-1)[:-1, :-1, :-1])
+        errors = cell_errors(lines, shifts)
         large = ~(errors <= bound)
         cells = np.floor(grid.to_indices(singular) / steps).astype(int)[:, ::-1]
         inside = ((cells >= 0) & (cells < large.shape)).all(axis=1)

@@ -349,7 +349,7 @@ def map_grid(
         # Halve the spacing while the pixels to be mapped exactly are more than the nodes that halving would add.
         grid = _Grid.of(function, (height, width), largest)
         while grid.spacing > SMALLEST:
-            doubtful = grid.doubtful(grid.errors(), singular, bound)
+            doubtful = grid.doubtful(cell_errors((grid.y, grid.x), grid.shifts), singular, bound)
             if doubtful.sum() * grid.spacing**2 <= 3 * grid.shifts[..., 0].size:
                 break
             grid = _Grid.of(function, grid.shape, grid.spacing // 2, grid)
@@ -385,28 +385,20 @@ class _Grid:
         shifts[new] = function(nodes[new]) - nodes[new]
         return cls(shape, spacing, x, y, shifts)
 
-    def errors(self) -> Array:
-        """Estimate the error of the spline at each node, shape (rows, columns), in pixels."""
-        every_second = self.y[::2], self.x[::2]
-        coefficients = spline_coefficients(every_second, self.shifts[::2, ::2])
-        coarse = spline_on_grid(every_second, coefficients, (self.y, self.x))
-        return np.asarray(np.linalg.norm(coarse - self.shifts, axis=-1) / HALVING)
-
     def doubtful(self, errors: Array, singular: PointArray, bound: float) -> NDArray[np.bool_]:
         """Mark cells with errors above `bound`, cells with a singular point and moderate errors, and all neighbours."""
-        in_cells = _at_cells(errors)
-        large = ~(in_cells <= bound)
+        large = ~(errors <= bound)
         columns, rows = np.floor(singular / self.spacing).astype(int).T
         inside = (rows >= 0) & (rows < large.shape[0]) & (columns >= 0) & (columns < large.shape[1])
         rows, columns = rows[inside], columns[inside]
-        large[rows, columns] |= ~(maximum_filter(in_cells, 3)[rows, columns] <= bound / SINGULAR)
+        large[rows, columns] |= ~(maximum_filter(errors, 3)[rows, columns] <= bound / SINGULAR)
         return np.asarray(binary_dilation(large, np.ones((3, 3))))
 
     def completed(self, function: Map, singular: PointArray, bound: float) -> Positions:
         """Return the positions of all pixels, interpolated or, in doubtful cells, mapped exactly."""
         height, width = self.shape
-        errors, lines = self.errors(), (self.y, self.x)
-        coefficients = spline_coefficients(lines, self.shifts)
+        lines = self.y, self.x
+        errors, coefficients = cell_errors(lines, self.shifts), spline_coefficients(lines, self.shifts)
         doubtful = self.doubtful(errors, singular, bound)
         places = spline_on_grid(lines, coefficients, (np.arange(float(height)), np.arange(float(width))))
         places[..., 0] += np.arange(width)
@@ -417,7 +409,7 @@ class _Grid:
             places[rows, columns] = function(np.stack([columns, rows], axis=1).astype(float))
         exact = rows.size / (height * width)
         # The largest error of the spline at the centres of the cells with the largest errors.
-        remaining, checked = np.where(doubtful, 0.0, _at_cells(errors)), 0.0
+        remaining, checked = np.where(doubtful, 0.0, errors), 0.0
         worst = np.argsort(remaining, axis=None)[-CHECKED:]
         worst = worst[remaining.ravel()[worst] > 0.0]
         if worst.size:
@@ -428,8 +420,16 @@ class _Grid:
         return Positions(places, self.spacing, exact, max(float(remaining.max()), checked))
 
 
-def _at_cells(errors: Array) -> Array:
-    return np.asarray(maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1])
+def cell_errors(lines: Sequence[Array], shifts: Array) -> Array:
+    """Estimate the error of the spline through `shifts` (*lengths of lines, c) in each cell, the largest at corners.
+
+    The estimate at a node is the error of the spline through every second node, divided by HALVING.
+    """
+    coarse = shifts[tuple(slice(None, None, 2) for _ in lines)]
+    for axis, line in enumerate(lines):
+        coarse = np.asarray(make_interp_spline(line[::2], coarse, k=3, axis=axis)(line))
+    errors = maximum_filter(np.linalg.norm(coarse - shifts, axis=-1) / HALVING, size=2, origin=-1)
+    return np.asarray(errors[tuple(slice(-1) for _ in lines)])
 
 
 def spline_coefficients(lines: Sequence[Array], values: Array) -> Array:

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from codegen.discretise.model.pairwise import PairwiseModel
 
-
 Array = NDArray[np.float64]
 
 

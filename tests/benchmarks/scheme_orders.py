@@ -2,7 +2,7 @@
 
 `python tests/benchmarks/scheme_orders.py [SCHEME ...]`. The schemes for first-order dynamics x' = f(x) come first, with
 their orders alone. The exact motion is that of elliptic functions, in 30 digits.
-The rest is that of the section "energy in the long run" of reports (`codegen/evidence/report/drift.py`): the
+The rest is that of the section "energy in the long run" of reports (`codegen/evidence/report/simulations.py`): the
 defect |S'JS - J| of the emitted step, and the rise of a straight line through the energy's error with its standard
 error and t value, beside the random walk by rounding.
 """
@@ -25,7 +25,7 @@ import codegen  # noqa: E402
 from codegen import Simulate, states  # noqa: E402
 from codegen.discretise import schemes  # noqa: E402
 from codegen.emit import rendering  # noqa: E402
-from codegen.evidence.report.drift import answer, drift_values  # noqa: E402
+from codegen.evidence.report.simulations import drift_values, trend_in_words  # noqa: E402
 from codegen.solving.compiler import cache_folder  # noqa: E402
 from codegen.solving.loading import load  # noqa: E402
 
@@ -87,7 +87,7 @@ def main() -> None:
         print(
             f"{begin} {values['defect']:8.1e} {values['oscillation']:9.1e} {values['first']:9.1e} "
             f"{values['rise']:10.1e} {values['standard error']:9.1e} {values['t']:8.2f} {values['rounding']:9.1e} "
-            f"{answer(values)}",
+            f"{trend_in_words(values)}",
             flush=True,
         )
 

@@ -12,7 +12,7 @@ import pytest
 from conftest import PROBLEMS
 
 from codegen.cli import main
-from codegen.evidence.report import landmark_motion, landmark_questions, landmark_study, page
+from codegen.evidence.report import landmark_cases, landmark_study, page
 from codegen.evidence.report import store as settings
 from codegen.evidence.report.store import Case, Store
 from codegen.solving.results.motions import intersecting_paths
@@ -66,18 +66,18 @@ def test_random_landmarks_are_those_that_are_documented(count):
 
 
 def test_nodal_momenta_have_the_null_space_of_alternating_ones():
-    matrix = landmark_motion.unknowns("nodes", 2, 4)
+    matrix = landmark_cases.unknowns("nodes", 2, 4)
     assert matrix.shape[1] - np.linalg.matrix_rank(matrix) == 2
     alternating = np.concatenate([np.zeros(6), np.repeat((-1.0) ** np.arange(5), 2)])
     np.testing.assert_array_equal(matrix @ alternating, 0.0)
 
 
 def test_cell_areas_of_a_shear_and_of_a_fold():
-    places = landmark_motion.grid()
+    places = landmark_cases.grid()
     spacing = places[1, 0, 0] - places[0, 0, 0]
     sheared = places + 0.3 * places[..., 1:] * np.array([1.0, 0.0])
-    np.testing.assert_allclose(landmark_motion.cell_areas(sheared), spacing**2)
-    np.testing.assert_allclose(landmark_motion.cell_areas(places * [-1.0, 1.0]), -(spacing**2))
+    np.testing.assert_allclose(landmark_cases.cell_areas(sheared), spacing**2)
+    np.testing.assert_allclose(landmark_cases.cell_areas(places * [-1.0, 1.0]), -(spacing**2))
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_sentences_claim_what_was_measured(tmp_path):
     for size, claim in ((1e-9, "vanishes up to"), (0.1, "does NOT vanish")):
         store = Store(tmp_path / f"{size}.jsonl")
         store.measured(Case("weak solution", "nc 3", lambda size=size: {"largest defect": size, "largest rate": 1.0}))
-        assert claim in landmark_questions._ansatz(store).texts[0]
+        assert claim in landmark_study._ansatz(store).texts[0]
 
 
 def test_a_problem_that_is_absent_has_no_report(tmp_path, capsys):

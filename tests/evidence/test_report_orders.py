@@ -11,7 +11,6 @@ from interpreted import without_compilation
 from codegen.emit.naming import Choices
 from codegen.evidence.report.building import Variant
 from codegen.evidence.report.comparison import fitted_order, verdict
-from codegen.evidence.report.drift import answer, drift_values, symplecticity_defect, trend_of
 from codegen.evidence.report.optima import (
     all_grids,
     convergence_of,
@@ -20,6 +19,7 @@ from codegen.evidence.report.optima import (
     sequence,
     switching,
 )
+from codegen.evidence.report.simulations import drift_values, symplecticity_defect, trend_in_words, trend_of
 from codegen.evidence.report.store import Case, Store, section_of
 from codegen.solving import api
 from codegen.solving.compiler import generate
@@ -127,7 +127,7 @@ def test_drifts_of_a_spring(tmp_path):
     assert symplecticity_defect(euler, 0.1, state) == pytest.approx(0.01, abs=1e-12)
     values = drift_values(euler, 100)
     assert values["oscillation"] == pytest.approx(0.5 * (1.01**100 - 1.0))
-    assert answer(values) != "none"
+    assert trend_in_words(values) != "none"
     symplectic = module_of(tmp_path, OSCILLATOR, "symplectic-euler", "hamiltonian")
     assert symplecticity_defect(symplectic, 0.1, state) < 1e-12
-    assert answer(drift_values(symplectic, 20_000)) == "none"
+    assert trend_in_words(drift_values(symplectic, 20_000)) == "none"

@@ -15,9 +15,8 @@ from codegen.drawing import Arrow, Mass, Scene, Trail
 from codegen.errors import ArgumentError
 from codegen.show import figures
 from codegen.show.figures import panels
-from codegen.show.figures.labels import relation
 from codegen.show.figures.picture import STYLE, Picture, using, words_of, write
-from codegen.show.figures.quantities import Inequality, Quantity
+from codegen.show.figures.quantities import Inequality, Quantity, relation
 from codegen.solving import api
 
 

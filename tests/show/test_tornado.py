@@ -38,7 +38,7 @@ def test_the_figure_has_a_panel_of_bars_to_both_sides(effort):
     widths = [bar.get_width() for bar in axes.patches]
     np.testing.assert_allclose(widths, [*shown.values(), *(-change for change in shown.values())])
     names = [text.get_text() for text in axes.get_yticklabels()]
-    assert names == [figures.labels.quantity(name) for name in shown]
+    assert names == [figures.quantities.quantity(name) for name in shown]
     assert axes.get_ylim()[0] > axes.get_ylim()[1]  # the first is on top
 
 

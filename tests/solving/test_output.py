@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from codegen.runtime.search.solution import print_log
-from codegen.show.figures import labels
+from codegen.show.figures import quantities
 from codegen.show.notebook import html
 from codegen.solving import api
 from codegen.solving.results.output import as_record, as_table, log_table
@@ -64,7 +64,7 @@ def test_steps_of_phases(interpreted, problem, steps):
     console, figure = Console(width=120), Figure()
     with console.capture() as captured:
         console.print(as_table(as_record(result, 0.0, 0.0), result))
-    labels.title(figure, result)
+    quantities.title(figure, result)
     for text in (captured.get(), figure.get_suptitle().replace("\n", " ")):
         assert f"{result.scheme}, {steps}" in text
 

@@ -509,7 +509,7 @@ def _(run: Runs) -> Iterator[Row]:
     "1e-14 it goes on.",
 )  # fmt: skip
 def _(run: Runs) -> Iterator[Row]:
-    from codegen.evidence.report.landmark_motion import JUMPS_SECTION, Minimisation, jump_cases
+    from codegen.evidence.report.landmark_cases import JUMPS_SECTION, Minimisation, jump_cases
     from codegen.evidence.report.store import Settings, Store
 
     counts = (10, 20, 30)

@@ -27,8 +27,7 @@ Executor: TypeAlias = Callable[[Work, int], AbstractContextManager[Callable[[Ite
 
 Each chunk has exactly one result. If the workers of a chunk were lost several times, its result is `work.lost(...)`.
 """
-LOCAL = "local"
-"""Value of `cluster` that starts a cluster of dask on this machine."""
+LOCAL = "local"  # value of `cluster` that starts a cluster of dask on this machine
 EXECUTORS = {"threads": "local", "processes": "local", "dask": "dask"}
 """The files of all executors, whose functions have the names of the executors; tests cover each of them."""
 

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 SOLVED = "solved"
-LOST = "worker lost"
-"""Status of a case whose chunk ended several worker processes."""
+LOST = "worker lost"  # status of a case whose chunk ended several worker processes
 
 
 @dataclass(frozen=True)

@@ -26,12 +26,9 @@ from codegen.batch.executors import LOCAL, Results
 from codegen.batch.executors.chunks import Done, Parcel, Work
 from codegen.errors import ArgumentError, ClusterError, CodegenError, clause, one_line
 
-TRIES = 3
-"""Number of lost workers of a local cluster after which the cases of a chunk count as lost."""
-PATIENCE = 8.0
-"""Seconds to wait for the scheduler, and then for a worker."""
-DESERTED = 120.0
-"""Seconds to wait for a new worker when all are lost."""
+TRIES = 3  # number of lost workers of a local cluster after which the cases of a chunk count as lost
+PATIENCE = 8.0  # seconds to wait for the scheduler, and then for a worker
+DESERTED = 120.0  # seconds to wait for a new worker when all are lost
 AHEAD = 2
 """Number of chunks in flight for each thread of a worker: one in progress and one in its queue."""
 _POLL = 2.0

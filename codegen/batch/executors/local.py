@@ -76,10 +76,8 @@ def threads(work: Work, workers: int) -> Iterator[Callable[[Iterable[int]], Resu
 
 
 START = "fork" if sys.platform == "linux" else "spawn"  # on other systems libraries do not survive a fork
-TRIES = 3
-"""Number of lost workers after which the cases of a chunk count as lost."""
-_SECONDS = 5.0
-"""Interval in seconds at which an idle worker checks that its parent process is alive."""
+TRIES = 3  # number of lost workers after which the cases of a chunk count as lost
+_SECONDS = 5.0  # interval in seconds at which an idle worker checks that its parent process is alive
 
 
 @contextmanager

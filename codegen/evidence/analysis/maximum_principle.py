@@ -84,18 +84,7 @@ def necessary_conditions(model: Model) -> NecessaryConditions:
         )
     states = (*model.coordinates, *model.rates)
     costates = new_symbols(model, "psi_", states)
-    # (v, v') of the forced Euler-Lagrange equations, or (q', p') of Hamilton's equations.
-    if model.form == "hamiltonian":
-        dynamics = vector_field(model)
-    else:
-        function, q, rates = model.function, model.coordinates, model.rates
-        gradient = [function.diff(symbol) for symbol in q]
-        momenta = [function.diff(v) for v in rates]
-        right = [
-            slope + f - p.diff(model.time) - sum(p.diff(x) * v for x, v in zip(q, rates, strict=True))
-            for slope, f, p in zip(gradient, model.force, momenta, strict=True)
-        ]
-        dynamics = (*rates, *solve_blocks(sympy.hessian(function, rates), right))
+    dynamics = dynamics_of(model)
     hamiltonian = model.cost + sum((psi * f for psi, f in zip(costates, dynamics, strict=True)), sympy.S.Zero)
     optimal = _optimal_control(model, hamiltonian)
     substitution = dict(zip(model.controls, optimal, strict=True))
@@ -112,6 +101,21 @@ def necessary_conditions(model: Model) -> NecessaryConditions:
         start=_end_equations(states, costates, model.start),
         end=_end_equations(states, costates, model.end),
     )
+
+
+def dynamics_of(model: Model) -> tuple[sympy.Expr, ...]:
+    """Return the time derivatives of all states: coordinates, then rates by the forced Euler-Lagrange equations."""
+    if model.form == "first-order":
+        return tuple(model.dynamics)
+    if model.form == "hamiltonian":
+        return tuple(vector_field(model))
+    function, q, rates = model.function, model.coordinates, model.rates
+    momenta = [function.diff(v) for v in rates]
+    right = [
+        function.diff(x) + f - p.diff(model.time) - sum(p.diff(y) * v for y, v in zip(q, rates, strict=True))
+        for x, f, p in zip(q, model.force, momenta, strict=True)
+    ]
+    return (*rates, *solve_blocks(sympy.hessian(function, rates), right))
 
 
 def _optimal_control(model: Model, hamiltonian: sympy.Expr) -> tuple[sympy.Expr, ...]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from codegen.discretise import schemes
 from codegen.discretise.conditions import CONDITIONS
@@ -48,9 +48,9 @@ def _of_equations(name: str, findings: Finder, without: str = "") -> Check:
     )
 
 
-def _of_control(name: str, findings: Finder, reason: str, of_each_phase: bool = False) -> Check:
+def _of_control(name: str, findings: Finder, reason: str, **options: Any) -> Check:
     """Return a check of control problems alone; `reason` is the end of a sentence that begins with "a simulation"."""
-    return Check(name, findings, of_each_phase=of_each_phase, without={"simulate": f"a simulation {reason}"})
+    return Check(name, findings, without={"simulate": f"a simulation {reason}"}, **options)
 
 
 _ROWS = (
@@ -73,10 +73,14 @@ _ROWS = (
     _of_control("boundary rank", null_spaces.check_boundary_rank, "has no boundary value problem"),
     _of_control("null controls", null_spaces.check_null_controls, "has no controls to be found", of_each_phase=True),
     _of_control("path between nodes", null_spaces.check_path_modes, "has no path conditions"),
-    Check("holonomic drift", solution.check_holonomic_drift),
-    Check("rolling constraints", solution.check_rolling),
-    _of_control("contact", solution.check_contact, "has impacts in place of contact forces"),
-    _of_control("inner times", solution.check_inner_times, "has no conditions on the way"),
+    Check("holonomic drift", solution.check_holonomic_drift, of_solution="all constraints"),
+    Check("rolling constraints", solution.check_rolling, of_solution="all constraints"),
+    _of_control(
+        "contact", solution.check_contact, "has impacts in place of contact forces", of_solution="all contacts"
+    ),
+    _of_control(
+        "inner times", solution.check_inner_times, "has no conditions on the way", of_solution="all conditions"
+    ),
     Check("switches", discrete_equations.check_switches),
     _of_control("delays", solution.check_delays, "has no values of the past"),
     _of_control("second-order condition", solution.check_second_order, "minimises nothing"),
@@ -188,6 +192,8 @@ def _findings(name: str, context: Context) -> Iterator[Finding]:
         kinds = [kind for kind in CONDITIONS if kind.check == name]
         if kinds and not any(kind.of_model(part.model) for kind in kinds):
             return [does_not_apply(name, f"there are no {kinds[0].words}")]
+        if check.of_solution and part.solution.status != "solved":
+            return [not_measured(name, check.of_solution, part.solution.message)]
         return check.findings(part)
 
     parts = discrete_equations.phase_contexts(context) if check.of_each_phase else []

@@ -100,7 +100,16 @@ def check_assembly(context: Context) -> Iterator[Finding]:
     second.compare([f"row of {names[i]}" for i in free], (matrix @ direction)[free], [turned[i] for i in free])
     yield second.finding("KKT matrix", "120-digit second differences along a random direction")
     if module.problem.structure.linear_quadratic:
-        yield _constant_matrix(grid, unknowns, unknowns + direction * (1.0 + np.abs(unknowns)))
+        # The module takes the matrix for constant: its values at two points must agree.
+        values, others = (
+            np.concatenate([point.hessian(grid, at)[2], point.jacobian(grid, at)[2]])
+            for at in (unknowns, unknowns + direction * (1.0 + np.abs(unknowns)))
+        )
+        change = np.abs(others - values).max(initial=0.0)
+        right = "the same at two points, so that one Newton step solves the problem"
+        wrong = f"entries change by {change:.1g} between two points, in a problem taken for linear-quadratic"
+        passed = change <= _CONSTANT * np.abs(values).max(initial=0.0)
+        yield Finding.decided("assembly", "constant KKT matrix", passed, right, wrong)
     # Compare the structured elimination with the dense matrix. A shift of the Hessian makes both regular.
     system, step = allocate_system(grid), np.empty_like(unknowns)
     # The last shift is large enough for any units of the Hessian: it makes every row diagonally dominant.
@@ -122,24 +131,11 @@ def check_assembly(context: Context) -> Iterator[Finding]:
     sizes = np.abs(shifted) @ np.abs(step[free]) + np.abs(emitted[free]).max(initial=0.0)
     errors = residual / np.where(sizes > 0.0, sizes, 1.0)
     worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
-    passed = bool(np.isfinite(errors).all() and errors[worst] <= _SOLVED)
-    detail = f"it solves all {free.size} linear equations to {errors[worst]:.1g}"
-    if not passed:
-        detail = f"it leaves the row of {names[free[worst]]} by {errors[worst]:.1g} of its terms"
-    yield Finding("assembly", "Newton step", passed, detail)
-
-
-def _constant_matrix(grid: Grid, unknowns: Vector, others: Vector) -> Finding:
-    """Return the finding on a KKT matrix that the module takes for constant, from its values at two points."""
-    values, other_values = (
-        np.concatenate([point.hessian(grid, at)[2], point.jacobian(grid, at)[2]]) for at in (unknowns, others)
+    right = f"it solves all {free.size} linear equations to {errors[worst]:.1g}"
+    wrong = f"it leaves the row of {names[free[worst]]} by {errors[worst]:.1g} of its terms"
+    yield Finding.decided(
+        "assembly", "Newton step", np.isfinite(errors).all() and errors[worst] <= _SOLVED, right, wrong
     )
-    change = np.abs(other_values - values).max(initial=0.0)
-    passed = bool(change <= _CONSTANT * np.abs(values).max(initial=0.0))
-    detail = "the same at two points, so that one Newton step solves the problem"
-    if not passed:
-        detail = f"entries change by {change:.1g} between two points, in a problem taken for linear-quadratic"
-    return Finding("assembly", "constant KKT matrix", passed, detail)
 
 
 def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: Grid) -> Iterator[_Share]:

@@ -77,6 +77,11 @@ class Finding:
         object.__setattr__(self, "subject", plain(self.subject))
         object.__setattr__(self, "detail", plain(self.detail))
 
+    @staticmethod
+    def decided(check: str, subject: str, passed: object, right: str, wrong: str) -> Finding:
+        """Return the finding with the text `right` if the check has passed, and with the text `wrong` otherwise."""
+        return Finding(check, subject, bool(passed), right if passed else wrong)
+
     @property
     def outcome(self) -> str:
         """The outcome in words."""
@@ -192,7 +197,8 @@ class Check:
 
     A check with `runs_the_module` calls compiled code or trusts tables of the module; other checks read expressions
     alone. A check `of_each_phase` treats every phase as a separate problem. `without` maps a task ("simulate") or a
-    form ("first-order") to the reason why the check does not apply to such problems.
+    form ("first-order") to the reason why the check does not apply to such problems. `of_solution` is the subject, such
+    as "all constraints", of a check that needs a solution.
     """
 
     name: str
@@ -200,6 +206,7 @@ class Check:
     runs_the_module: bool = True
     of_each_phase: bool = False
     without: Mapping[str, str] = field(default_factory=dict)
+    of_solution: str = ""
 
 
 def does_not_apply(check: str, reason: str) -> Finding:
@@ -431,8 +438,6 @@ class Agreement:
 
     def finding(self, subject: str, against: str) -> Finding:
         """Return the finding on a subject: agreement with the reference `against`, or the entry that differs most."""
-        passed = self.error <= TOLERANCE
-        detail = f"{self.entries} values agree with {against} to {TOLERANCE:g}"
-        if not passed:
-            detail = f"{self.name} differs from {against} by {self.error:.2g} of its value"
-        return Finding(self.check, subject, passed, detail)
+        right = f"{self.entries} values agree with {against} to {TOLERANCE:g}"
+        wrong = f"{self.name} differs from {against} by {self.error:.2g} of its value"
+        return Finding.decided(self.check, subject, self.error <= TOLERANCE, right, wrong)

@@ -12,9 +12,9 @@ Tables are compared with their files, and interpolated values with scipy's splin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
-from typing import Any
 
 import mpmath
 import numpy as np
@@ -124,16 +124,17 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
     interval = [*program.stage_symbols, *program.right_symbols]
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     equations = function_of([*base, *interval], [value for _, value in program.equations])
-    energy = None if program.energy is None else function_of(base, [program.energy], program.state_assignments)
-    rows = [value for c in program.constraints for value in c.row]
-    held, constraints = np.zeros(len(rows)), function_of(base, rows, program.state_assignments)
-    residuals, heights, closed, constrained = Agreement(), Agreement(), Agreement(), Agreement()
-    events = dict[str, tuple[list[str], Callable[..., Any], Agreement]]()
-    for kernel, values in rows_of_events(program).items():
-        assigned = (*program.state_assignments, *program.event_assignments)
-        events[kernel] = (
-            [label for label, _ in values], function_of(base, [value for _, value in values], assigned), Agreement()
-        )  # fmt: skip
+    residuals, closed = Agreement(), Agreement()
+    # Kernels of a state: name, reference in words, labels and expressions of their values, and assignments.
+    of_state = program.state_assignments
+    rows = [(f"value {i}", value) for i, value in enumerate(value for c in program.constraints for value in c.row)]
+    kernels = list[tuple[str, str, Sequence[tuple[str, Expr]], Sequence[tuple[Symbol, Expr]]]]()
+    kernels += [("energy", "the Hamiltonian", [("H", program.energy)], of_state)] if program.energy is not None else []
+    kernels += [("node_constraints", "the constraints, their rates and gradients", rows, of_state)] if rows else []
+    of_events = (*of_state, *program.event_assignments)
+    kernels += [(name, "events and gaps", values, of_events) for name, values in rows_of_events(program).items()]
+    references = [function_of(base, [value for _, value in values], assigned) for _, _, values, assigned in kernels]
+    agreements = [Agreement() for _ in kernels]
     names = [name for name, _ in program.equations]
     module, emitted, after = context.module, np.empty(len(interval)), np.empty(len(program.equations))
     for point in random_points([v for _, v in program.equations], [*base, *interval], program.model):
@@ -143,25 +144,28 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
         numbers = [mpmath.mpf(point[symbol]) for symbol in base]
         with mpmath.workdps(DIGITS):
             residuals.compare(names, emitted, equations(*numbers, *map(mpmath.mpf, drawn)))
-            if energy is not None:
-                heights.compare(["H"], [module.energy(arguments[0], arguments[1], arguments[3])], energy(*numbers))
-            if rows:
-                module.node_constraints(arguments[0], arguments[1], arguments[3], held)
-                constrained.compare([f"value {i}" for i in range(len(rows))], held, constraints(*numbers))
-            for kernel, (labels, reference, agreement) in events.items():
-                filled = np.empty(len(labels))
-                getattr(module, kernel)(arguments[0], arguments[1], arguments[3], filled)
-                agreement.compare(labels, filled, reference(*numbers))
+            for (kernel, _, values, _), reference, agreement in zip(kernels, references, agreements, strict=True):
+                found = np.zeros(len(values))
+                state, t, _, parameters = arguments
+                if kernel == "energy":
+                    found[0] = module.energy(state, t, parameters)
+                else:
+                    getattr(module, kernel)(state, t, parameters, found)
+                agreement.compare([label for label, _ in values], found, reference(*numbers))
 
         # A long step may have no solution, for example where bodies happen to be close; a short step has one.
         errors = [mpmath.inf] * len(names)
+        at_left = dict(zip(program.model.coordinates, program.left_symbols, strict=False))
+        consistent = {**point}
+        for quaternion in program.model.rotations:  # of length one
+            length = math.hypot(*(point[at_left[q]] for q in quaternion))
+            consistent |= {at_left[q]: point[at_left[q]] / length for q in quaternion}
+        if program.model.holonomic:  # random positions violate the constraints; those at the start do not
+            grid = module.make_grid()
+            consistent |= {program.model.time: 0.0} | dict(zip(at_left.values(), map(float, grid.start), strict=False))
+            consistent |= dict(zip(program.model.parameters, map(float, grid.parameters), strict=False))
         for shorter in _SHORTER:
-            shortened = {
-                **point,
-                **{h: shorter * point[h] for h in program.lengths},
-                **_unit_quaternions(point, program),
-                **(_consistent_positions(context, program) if program.model.holonomic else {}),
-            }
+            shortened = {**consistent, **{h: shorter * point[h] for h in program.lengths}}
             arguments = _step_arguments(shortened, program)
             if part_of_step(module.problem.scheme, *arguments, 1e-14, 50, after) < 0:
                 continue
@@ -176,12 +180,8 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
                 [f"{name} after a step" for name in names], [1 + r for r in errors], [mpmath.mpf(1)] * len(names)
             )
     yield residuals.finding("step_equations", "the scheme's equations")
-    if energy is not None:
-        yield heights.finding("energy", "the Hamiltonian")
-    if rows:
-        yield constrained.finding("node_constraints", "the constraints, their rates and gradients")
-    for kernel, (_, _, agreement) in events.items():
-        yield agreement.finding(kernel, "events and gaps")
+    for (kernel, against, _, _), agreement in zip(kernels, agreements, strict=True):
+        yield agreement.finding(kernel, against)
     yield closed.finding("one step", "the scheme's equations")
     if not program.unknowns:
         return
@@ -203,24 +203,6 @@ def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
                 entries.compare(names, matrix[i], gradient(function, numbers, range(size)))
     yield residuals.finding("step_residual", "the reduced equations")
     yield entries.finding("step_jacobian", "120-digit differences of the residual")
-
-
-def _unit_quaternions(point: Point, program: StepProgram) -> dict[Symbol, float]:
-    """Return the quaternions of attitudes at the left node of a random point, with length one."""
-    at_left = dict(zip(program.model.coordinates, program.left_symbols, strict=False))
-    values = dict[Symbol, float]()
-    for quaternion in program.model.rotations:
-        numbers = np.array([point[at_left[q]] for q in quaternion])
-        values |= zip([at_left[q] for q in quaternion], map(float, numbers / np.linalg.norm(numbers)), strict=True)
-    return values
-
-
-def _consistent_positions(context: Context, program: StepProgram) -> dict[Symbol, float]:
-    """Return the positions at the start with the parameters of the problem: random ones violate the constraints."""
-    grid, parameters = context.module.make_grid(), program.model.parameters
-    positions = program.left_symbols[: len(program.model.coordinates)]
-    values = {program.model.time: 0.0} | dict(zip(positions, map(float, grid.start), strict=False))
-    return values | dict(zip(parameters, map(float, grid.parameters), strict=False))
 
 
 def _step_arguments(point: Point, program: StepProgram) -> tuple[Vector, float, Vector, Vector]:
@@ -447,9 +429,8 @@ def check_measurements(context: Context) -> Iterator[Finding]:
     model, program = context.model, context.control
     assert program.sample is not None
     for emitted, data in zip(context.module.OBSERVATIONS, model.measurements, strict=True):
-        same = np.array_equal(emitted, data.array, equal_nan=True)
-        detail = data.summary if same else f"others than in {data.source}"
-        yield Finding("measurements", f"{data.source}: numbers", same, detail)
+        same, wrong = np.array_equal(emitted, data.array, equal_nan=True), f"others than in {data.source}"
+        yield Finding.decided("measurements", f"{data.source}: numbers", same, data.summary, wrong)
     # Compare the interval and the position of every measurement, on intervals of different lengths.
     grid, structure = context.module.make_grid(len(_GRID), grid=_GRID), context.module.problem.structure
     nodes = np.append(0.0, np.cumsum(_GRID)) * grid.steps * grid.h
@@ -461,10 +442,9 @@ def check_measurements(context: Context) -> Iterator[Finding]:
             inside = 0 <= k < len(_GRID) and 0.0 <= fraction <= 1.0
             error = abs(nodes[k] + fraction * (nodes[k + 1] - nodes[k]) - time) if inside else np.inf
             worst, count = max(worst, error / nodes[-1]), count + 1
-    detail = f"{count} samples lie where they were taken, on {len(_GRID)} intervals of different lengths"
-    if not worst <= _ROUNDING:
-        detail = f"a sample is taken {worst:.2g} of the duration away from its time"
-    yield Finding("measurements", "times of samples", bool(worst <= _ROUNDING), detail)
+    right = f"{count} samples lie where they were taken, on {len(_GRID)} intervals of different lengths"
+    wrong = f"a sample is taken {worst:.2g} of the duration away from its time"
+    yield Finding.decided("measurements", "times of samples", worst <= _ROUNDING, right, wrong)
     yield _motion_at_nodes(model, program, program.sample)
     # Compare the emitted losses of a measurement, their gradient and their Hessian, at random points.
     unknowns, pattern = program.element_symbols, pattern_of(context.module, "interval")

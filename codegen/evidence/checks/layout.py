@@ -62,11 +62,9 @@ def check_layout(context: Context) -> Iterator[Finding]:
 def compare(file: Path, module: ModuleType, inputs: str, text: str) -> Iterator[Finding]:
     """Compare a module's recorded hash with the hash `inputs`, and its `file` with the newly derived `text`."""
     recorded = module.metadata.inputs
-    same = recorded == inputs
-    detail = "the recorded hash is that of the problem file, its arguments and versions"
-    if not same:
-        detail = f"made from other inputs (recorded {str(recorded)[:12]}, now {inputs[:12]}); build it again"
-    yield Finding("provenance", "inputs", same, detail)
+    right = "the recorded hash is that of the problem file, its arguments and versions"
+    wrong = f"made from other inputs (recorded {str(recorded)[:12]}, now {inputs[:12]}); build it again"
+    yield Finding.decided("provenance", "inputs", recorded == inputs, right, wrong)
     lines, others = (s.splitlines(keepends=True) for s in (file.read_text(encoding="utf-8"), text))
     if lines == others:
         yield Finding("provenance", "text", True, "identical to a fresh derivation, byte by byte")
@@ -139,14 +137,24 @@ class FlatVector:
         """Return the indices of all unknowns in the Lagrangian's terms of the end `where`: "start" or "end"."""
         return np.concatenate([self.node(body, 0 if where == "start" else self.steps), self.shared(body)])
 
+    def unknowns(self) -> list[tuple[Unknown, str]]:
+        """Return all unknowns with their places, such as " at node 3 of body 0"."""
+        program, several = self.program, self.program.model.bodies > 1
+        of_bodies = [f" of body {body}" if several else "" for body in range(program.model.bodies)]
+        unknowns = []
+        for of_body in of_bodies:
+            for k in range(self.steps):
+                unknowns += [(u, f" at node {k}{of_body}") for u in program.node]
+                unknowns += [(u, f" on interval {k}{of_body}") for u in self.inside[len(program.node) :]]
+            unknowns += [(u, f" at node {self.steps}{of_body}") for u in program.node]
+        unknowns += [(u, of_body) for of_body in of_bodies for u in program.linking.of_bodies]
+        return unknowns + [
+            (u, "") for u in (*program.linking.common, *(c.multiplier for c in program.linking.couplings))
+        ]
+
     def multipliers(self) -> NDArray[np.bool_]:
         """Return the boolean mask of the multipliers."""
-        chain = [*[u.multiplier for u in self.inside] * self.steps, *[u.multiplier for u in self.program.node]]
-        shared = np.zeros(self.size - self.first_shared, bool)
-        shared[self.first_coupling - self.first_shared :] = True
-        for body in range(self.program.model.bodies):
-            shared[self.shared(body) - self.first_shared] = [u.multiplier for u in self.program.linking.unknowns]
-        return np.concatenate([np.tile(np.array(chain, bool), self.program.model.bodies), shared])
+        return np.array([unknown.multiplier for unknown, _ in self.unknowns()], bool)
 
     def free(self) -> NDArray[np.bool_]:
         """Return the mask of unknowns that are neither prescribed, nor tied to a linking unknown, nor unused."""
@@ -176,26 +184,11 @@ class FlatVector:
 
     def names(self) -> list[str]:
         """Return a name for every unknown, for example `lambda_x at node 3 of body 0`."""
-        program, several = self.program, self.program.model.bodies > 1
-        names = []
-        for body in range(program.model.bodies):
-            of_body = f" of body {body}" if several else ""
-            for k in range(self.steps):
-                names += [f"{u.name} at node {k}{of_body}" for u in program.node]
-                names += [f"{u.name} on interval {k}{of_body}" for u in self.inside[len(program.node) :]]
-            names += [f"{u.name} at node {self.steps}{of_body}" for u in program.node]
-        for body in range(program.model.bodies):
-            names += [f"{u.name} of body {body}" if several else u.name for u in program.linking.of_bodies]
-        names += [u.name for u in program.linking.common]
-        return names + [c.multiplier.name for c in program.linking.couplings]
+        return [f"{unknown.name}{place}" for unknown, place in self.unknowns()]
 
     def meanings(self) -> list[Meaning]:
         """Return the meaning of every unknown."""
-        program = self.program
-        chain = [*[u.meaning for u in self.inside] * self.steps, *[u.meaning for u in program.node]]
-        own, common = program.linking.of_bodies, program.linking.common
-        of_bodies = [*chain * program.model.bodies, *[u.meaning for u in own] * program.model.bodies]
-        return [*of_bodies, *(u.meaning for u in common), *(c.multiplier.meaning for c in program.linking.couplings)]
+        return [unknown.meaning for unknown, _ in self.unknowns()]
 
 
 def other_symbols(program: ControlProgram) -> list[Symbol]:

@@ -182,10 +182,9 @@ def check_symplecticity(context: Context) -> Iterator[Finding]:
     if not scheme.symplectic:
         generic = without_forces(generic_model())
         defect = defect_at_random_points(generic, step_equations(generic, scheme))
-        detail = f"not claimed, and violated by a generic system: |S^T J S - J| = {defect:.2g}"
-        if not defect > _VIOLATED:
-            detail = f"not claimed, but |S^T J S - J| = {defect:.2g} for a generic system; flag it as symplectic"
-        yield Finding("symplecticity", scheme.name, defect > _VIOLATED, detail)
+        right = f"not claimed, and violated by a generic system: |S^T J S - J| = {defect:.2g}"
+        wrong = f"not claimed, but |S^T J S - J| = {defect:.2g} for a generic system; flag it as symplectic"
+        yield Finding.decided("symplecticity", scheme.name, defect > _VIOLATED, right, wrong)
         return
     if not (scheme.variational or scheme.is_chain):
         passed = has_symplectic_table(scheme.step().tableau)
@@ -339,16 +338,14 @@ def check_noether(context: Context) -> Iterator[Finding]:
     for i in cyclic:
         q = model.coordinates[i]
         change = momentum_change(model, context.scheme, i)
-        passed = identically_zero(change)
-        detail = f"{q} is cyclic, and without force its discrete momentum is conserved, proved symbolically"
+        right = f"{q} is cyclic, and without force its discrete momentum is conserved, proved symbolically"
         if model.force[i] != 0:
-            detail += f" (the force {sympy.sstr(model.force[i])} changes it)"
+            right += f" (the force {sympy.sstr(model.force[i])} changes it)"
         pushes = any(sympy.diff(c, model.rates[i]) != 0 for c in model.rolling)
         if pushes or any(constraint.has(q) for constraint in model.holonomic):
-            detail += " (the force of a constraint changes it)"
-        if not passed:
-            detail = f"{q} is cyclic, but its discrete momentum changes by {sympy.sstr(change)[:200]} in a step"
-        yield Finding("discrete Noether", f"momentum of {q}", passed, detail)
+            right += " (the force of a constraint changes it)"
+        wrong = f"{q} is cyclic, but its discrete momentum changes by {sympy.sstr(change)[:200]} in a step"
+        yield Finding.decided("discrete Noether", f"momentum of {q}", identically_zero(change), right, wrong)
 
 
 def momentum_change(model: Model, scheme: Scheme, i: int) -> Expr:
@@ -510,11 +507,10 @@ def check_midpoint_equivalence(context: Context) -> Iterator[Finding]:
         yield does_not_apply("midpoint equivalence", "the Legendre transform is degenerate: there is no Lagrangian")
         return
     for name, residual in equations:
-        passed = identically_zero(residual)
-        detail = "p_k = -D1 Ld - f-, p_k1 = D2 Ld + f+ satisfy it, proved symbolically"
-        if not passed:
-            detail = f"the discrete Hamiltonian map leaves {sympy.sstr(residual)[:200]}"
-        yield Finding("midpoint equivalence", f"implicit midpoint rule of {name}", passed, detail)
+        right = "p_k = -D1 Ld - f-, p_k1 = D2 Ld + f+ satisfy it, proved symbolically"
+        wrong = f"the discrete Hamiltonian map leaves {sympy.sstr(residual)[:200]}"
+        subject = f"implicit midpoint rule of {name}"
+        yield Finding.decided("midpoint equivalence", subject, identically_zero(residual), right, wrong)
 
 
 def residuals(model: Model) -> list[tuple[str, Expr]]:

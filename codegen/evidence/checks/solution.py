@@ -29,6 +29,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import sympy
@@ -100,21 +101,21 @@ def integral_of_cost(model: Model, module: ModuleType, solution: ControlSolution
     return total
 
 
+def _with_size(expression: Expr, symbols: Sequence[Symbol]) -> Callable[..., tuple[Any, Any]]:
+    """Return a function of the symbols for the value of an expression, and the sum of the moduli of its terms."""
+    size = sympy.Add(*map(sympy.Abs, sympy.Add.make_args(expression)))
+    return sympy.lambdify(symbols, [expression, size], modules=NUMPY, cse=True)  # type: ignore[no-any-return]
+
+
 _HELD = 1e-9  # violation of a constraint relative to its terms
 
 
 def check_holonomic_drift(context: Context) -> Iterator[Finding]:
     """Check that every holonomic constraint vanishes at all nodes of the solution, relative to its terms."""
-    model = context.model
-    solution = context.solution
-    if solution.status != "solved":
-        yield not_measured("holonomic drift", "all constraints", solution.message)
-        return
+    model, solution = context.model, context.solution
     data, width = data_at_solution(context), len(model.coordinates)
-    symbols = [*model.coordinates, model.time, *data]
     for constraint in model.holonomic:
-        terms = sympy.Add.make_args(constraint)
-        function = sympy.lambdify(symbols, [constraint, sum(map(sympy.Abs, terms), sympy.S.Zero)], cse=True)
+        function = _with_size(constraint, [*model.coordinates, model.time, *data])
         largest, size, node, body = 0.0, 1.0, 0, 0
         for b in range(model.bodies):
             q = solution.q[:, b * width : (b + 1) * width].T
@@ -122,12 +123,11 @@ def check_holonomic_drift(context: Context) -> Iterator[Finding]:
             if np.abs(values).max() >= largest:
                 node, body = int(np.argmax(np.abs(values))), b
                 largest, size = float(np.abs(values[node])), max(1.0, float(np.abs(sizes).max()))
-        passed = largest <= _HELD * size
         of_body = f" of body {body}" if model.bodies > 1 else ""
-        detail = f"|c| <= {largest:.1g} at all {solution.t.size} nodes, greatest at node {node}{of_body}"
-        if not passed:
-            detail = f"the motion leaves the constraint: |c| = {largest:.2g} at node {node}{of_body}"
-        yield Finding("holonomic drift", f"c = {sympy.sstr(constraint)}", passed, detail)
+        right = f"|c| <= {largest:.1g} at all {solution.t.size} nodes, greatest at node {node}{of_body}"
+        wrong = f"the motion leaves the constraint: |c| = {largest:.2g} at node {node}{of_body}"
+        subject = f"c = {sympy.sstr(constraint)}"
+        yield Finding.decided("holonomic drift", subject, largest <= _HELD * size, right, wrong)
     if model.task != "simulate":
         return
     grid = context.module.make_grid(1)
@@ -146,14 +146,10 @@ def check_rolling(context: Context) -> Iterator[Finding]:
     a composition have inner nodes, which are not stored, and no means here.
     """
     model, solution, scheme = context.model, context.solution, context.scheme
-    if solution.status != "solved":
-        yield not_measured("rolling constraints", "all constraints", solution.message)
-        return
     data, width, h = data_at_solution(context), len(model.coordinates), np.diff(solution.t)[:, None]
     symbols = [*model.coordinates, *model.rates, model.time, *data]
     for number, constraint in enumerate(model.rolling):
-        terms = sympy.Add.make_args(sympy.expand(constraint))
-        function = sympy.lambdify(symbols, [constraint, sum(map(sympy.Abs, terms), sympy.S.Zero)], cse=True)
+        function = _with_size(sympy.expand(constraint), symbols)
         largest = size = 0.0
         for b in range(model.bodies if not scheme.parts else 0):
             q = solution.q[:, b * width : (b + 1) * width]
@@ -187,9 +183,6 @@ def check_contact(context: Context) -> Iterator[Finding]:
     Gaps are the author's at the nodes of the solution, and sliding velocities come from differences of positions.
     """
     model, solution = context.model, context.solution
-    if solution.status != "solved":
-        yield not_measured("contact", "all contacts", solution.message)
-        return
     data, metadata = data_at_solution(context), context.module.metadata
     allowed = _RELAXED * float(metadata.parameters[metadata.relaxation])
     q, t, h = solution.q, solution.t, np.diff(solution.t)
@@ -226,12 +219,7 @@ _MET = 1e-7  # violation of a condition relative to its terms
 
 def check_inner_times(context: Context) -> Iterator[Finding]:
     """Check every condition at its inner time, and the order and windows of the inner times, at the solution."""
-    model = context.model
-    solution = context.solution
-    if solution.status != "solved":
-        yield not_measured("inner times", "all conditions", solution.message)
-        return
-    numbers = data_at_solution(context)
+    model, solution, numbers = context.model, context.solution, data_at_solution(context)
 
     def number(expression: Expr | None) -> float:
         return float(sympy.sympify(expression).subs(numbers))
@@ -251,9 +239,7 @@ def check_inner_times(context: Context) -> Iterator[Finding]:
     for condition in model.inner_conditions:
         # Evaluate the condition relative to its own terms, for the body with the largest violation.
         node = nodes[condition.number]
-        expression = condition.expression.subs(rates, simultaneous=True)
-        size = sympy.Add(*map(sympy.Abs, sympy.Add.make_args(expression)))
-        function, worst = sympy.lambdify(symbols, [expression, size], modules=NUMPY, cse=True), 0.0
+        function, worst = _with_size(condition.expression.subs(rates, simultaneous=True), symbols), 0.0
         for body in range(model.bodies):
             columns = slice(body * width, (body + 1) * width)
             state = [*solution.q[node, columns], *(solution.p[node, columns] if model.rates else ())]

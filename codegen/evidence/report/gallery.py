@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from codegen.errors import ArgumentError
-from codegen.evidence.report import drift, modules, optima, simulations, thesis
+from codegen.evidence.report import modules, optima, simulations, thesis
 from codegen.evidence.report.building import MODULES, SURVEYS, Variant, Workshop, build_one, gather, survey_of, workers
 from codegen.evidence.report.comparison import Measured
 from codegen.evidence.report.page import Section, Table, number, page, seconds
@@ -157,7 +157,7 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
         else:
             sections += [
                 *KINDS[chosen.task].sections(store, problem, chosen.variants, f"{name}: {_title_of(problem)}"),
-                *drift.section(store, problem, chosen.variants, f"{name}: energy in the long run"),
+                *simulations.drift_section(store, problem, chosen.variants, f"{name}: energy in the long run"),
                 *(chosen.extra.sections(store, problem) if chosen.extra else []),
                 modules.modules(store, chosen.variants, f"{name}: modules", chosen.omitted),
                 *modules.omissions(store, problem, chosen.variants, f"{name}: parts that its modules do not need"),
@@ -177,7 +177,7 @@ def _cases(chosen: Chosen, workshop: Workshop, extent: Extent) -> Iterator[Case]
     if chosen.task in KINDS:
         yield from KINDS[chosen.task].cases(chosen.problem, chosen.variants, workshop, extent)
         if chosen.task == "simulate":
-            yield from drift.cases(chosen.problem, chosen.variants, workshop, extent)
+            yield from simulations.drift_cases(chosen.problem, chosen.variants, workshop, extent)
         yield from modules.cases(chosen.problem, chosen.variants, workshop, extent)
     if chosen.extra:
         yield from chosen.extra.cases(chosen.problem, chosen.extra.variants(chosen.problem), workshop, extent)

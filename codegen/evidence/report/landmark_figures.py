@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from codegen.evidence.report import landmark_effort, landmark_motion
+from codegen.evidence.report import landmark_cases
 from codegen.evidence.report.page import colour_of
 from codegen.evidence.report.store import Settings, Store, Values, few_landmarks
 from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
@@ -42,13 +42,13 @@ Rows = list[tuple[int, Values]]  # numbers of steps or of landmarks, each with t
 
 def reference_cost(store: Store, count: int) -> float | None:
     """Return the cost of the reference for a set of landmarks, or None if it was not measured."""
-    return (store.get(landmark_effort.REFERENCES, f"nc {count}") or {}).get("cost")
+    return (store.get(landmark_cases.REFERENCES, f"nc {count}") or {}).get("cost")
 
 
 def by_route(settings: Settings, store: Store, scheme: str, route: str, count: int) -> Rows:
     """Return the solves of a scheme by a route for `count` landmarks."""
-    names = ((n, landmark_effort.case_name(scheme, route, count, n)) for n in settings.steps)
-    rows = ((n, store.get(landmark_effort.ROUTES_SECTION, name)) for n, name in names)
+    names = ((n, landmark_cases.case_name(scheme, route, count, n)) for n in settings.steps)
+    rows = ((n, store.get(landmark_cases.ROUTES_SECTION, name)) for n, name in names)
     return [(n, values) for n, values in rows if values is not None and values["seconds"] is not None]
 
 
@@ -103,7 +103,7 @@ def routes(settings: Settings, store: Store, scheme: str) -> Figure:
     figure, (above, below) = _panels(counts, (3.3 * len(counts) + 0.2, 5.6), "|cost − exact|", "seconds")
     for cost_axes, time_axes, count in zip(above, below, counts, strict=True):
         exact = reference_cost(store, count)
-        for route in landmark_effort.ROUTES:
+        for route in landmark_cases.ROUTES:
             rows = by_route(settings, store, scheme, route.label, count)
             solved = [(n, v) for n, v in rows if v["status"] == "solved"]
             failed = [(n, v) for n, v in rows if v["status"] != "solved"]
@@ -126,10 +126,10 @@ def routes(settings: Settings, store: Store, scheme: str) -> Figure:
 def route_paths(settings: Settings, store: Store, scheme: str) -> Figure:
     """Draw Figures 5.5 to 5.7 or 5.11 to 5.13: the paths by every route."""
     counts, paths = settings.counts, {}
-    for route in landmark_effort.routes_of(scheme):
+    for route in landmark_cases.routes_of(scheme):
         for count in counts:
-            name = landmark_effort.case_name(scheme, route.label, count, landmark_effort.DRAWN)
-            paths[count, route.label] = (store.get(landmark_effort.ROUTES_SECTION, name) or {}).get("path")
+            name = landmark_cases.case_name(scheme, route.label, count, landmark_cases.DRAWN)
+            paths[count, route.label] = (store.get(landmark_cases.ROUTES_SECTION, name) or {}).get("path")
     names = list(dict.fromkeys(name for (_, name), path in paths.items() if path))
     figure = Figure(figsize=(1.6 * max(len(names), 1), 1.75 * len(counts)), layout="constrained")
     if not names:
@@ -156,7 +156,7 @@ def best_of_each(settings: Settings, store: Store) -> Figure:
             rows = by_route(settings, store, scheme, STEPPING, count)
             cost_axes.plot([n for n, _ in rows], [v["cost"] for _, v in rows], color=colour, label=scheme)
             time_axes.semilogy([n for n, _ in rows], [v["seconds"] for _, v in rows], color=colour)
-        row = store.get(landmark_effort.TABLE, f"lsoda 1e-06; nc {count}")
+        row = store.get(landmark_cases.TABLE, f"lsoda 1e-06; nc {count}")
         if row is not None:
             look = {"color": RED, "linestyle": "--", "linewidth": 1.1}
             cost_axes.axhline(row["cost"], label="lsoda, tolerance $10^{-6}$", **look)
@@ -192,7 +192,7 @@ def tolerance_sweep(store: Store) -> Figure:
     for code, colour in (("lsoda", RED), ("dop853", BLUE)):
         rows = sorted(
             (v["tolerance"], abs(v["cost"] - exact), v["seconds"], v["status"])
-            for name, v in store.rows(landmark_effort.TOLERANCES)
+            for name, v in store.rows(landmark_cases.TOLERANCES)
             if name.startswith(code) and v["cost"] is not None
         )
         if rows:
@@ -212,7 +212,7 @@ def forty(store: Store) -> Figure:
     """Draw Figure 5.18: the paths of the forty landmarks, magnified."""
     figure = Figure(figsize=(5.2, 5.0), layout="constrained")
     axes = figure.subplots()
-    _draw_paths(axes, (store.get(landmark_effort.REFERENCES, "nc 40") or {})["path"], "")
+    _draw_paths(axes, (store.get(landmark_cases.REFERENCES, "nc 40") or {})["path"], "")
     axes.set(xlim=(-0.75, 0.75), ylim=(-0.75, 0.75))
     return figure
 
@@ -225,11 +225,11 @@ def jump_figure(settings: Settings, store: Store) -> Figure:
     counts = settings.counts[:2]
     figure, (above, below) = _panels(counts, (4.6 * len(counts), 5.8), "|cost − minimum|", "seconds")
     styles = {
-        ("curved", landmark_motion.LOOSE): "-", ("straight", landmark_motion.LOOSE): ":",
-        ("curved", landmark_motion.TIGHT): "--", ("straight", landmark_motion.TIGHT): "-.",
+        ("curved", landmark_cases.LOOSE): "-", ("straight", landmark_cases.LOOSE): ":",
+        ("curved", landmark_cases.TIGHT): "--", ("straight", landmark_cases.TIGHT): "-.",
     }  # fmt: skip
     for error_axes, time_axes, count in zip(above, below, counts, strict=True):
-        for variant in landmark_motion.VARIANTS:
+        for variant in landmark_cases.VARIANTS:
             rows = by_variant(settings, store, variant, count)
             look = {
                 "linestyle": styles[variant.path, variant.tolerance], "linewidth": 1.3,
@@ -243,9 +243,9 @@ def jump_figure(settings: Settings, store: Store) -> Figure:
     return figure
 
 
-def by_variant(settings: Settings, store: Store, variant: landmark_motion.Minimisation, count: int) -> Rows:
+def by_variant(settings: Settings, store: Store, variant: landmark_cases.Minimisation, count: int) -> Rows:
     """Return the minimisations of a variant for `count` landmarks."""
-    rows = ((n, store.get(landmark_motion.JUMPS_SECTION, variant.case(count, n))) for n in settings.steps)
+    rows = ((n, store.get(landmark_cases.JUMPS_SECTION, variant.case(count, n))) for n in settings.steps)
     return [(n, values) for n, values in rows if values is not None and values["error"] is not None]
 
 
@@ -255,14 +255,14 @@ def work_and_precision(store: Store) -> Figure:
     figure = Figure(figsize=(5.6, 3.9), layout="constrained")
     axes = figure.subplots()
     lines: dict[str, list[tuple[float, float]]] = {}
-    for section, separator in ((landmark_effort.WORK, ";"), (landmark_effort.TOLERANCES, " ")):
+    for section, separator in ((landmark_cases.WORK, ";"), (landmark_cases.TOLERANCES, " ")):
         for name, values in store.rows(section):
             if values["status"] == "solved":
                 point = values["seconds"], abs(values["cost"] - exact)
                 lines.setdefault(name.split(separator)[0], []).append(point)
     for scheme, points in lines.items():
         x, y = np.array(sorted(points)).T
-        style = "x" if scheme in landmark_effort.ADAPTIVE else "o-"
+        style = "x" if scheme in landmark_cases.ADAPTIVE else "o-"
         colour = colour_of(scheme)
         axes.loglog(x, np.maximum(y, 1e-16), style, color=colour, markersize=4.0, linewidth=1.3, label=scheme)
     axes.set(xlabel="seconds of a solve", ylabel="|cost − exact|")
@@ -287,7 +287,7 @@ def dimension_figure(store: Store) -> Figure:
 def by_kernel(store: Store) -> dict[str, Rows]:
     """Return the numbers of landmarks with their measured values, for every kernel and dimension."""
     lines: dict[str, Rows] = {}
-    for name, values in store.rows(landmark_effort.DIMENSION_SECTION):
+    for name, values in store.rows(landmark_cases.DIMENSION_SECTION):
         kernel, _, count = name.partition("; nc ")
         lines.setdefault(kernel, []).append((int(count), values))
     return lines
@@ -297,7 +297,7 @@ def smoothness_figure(store: Store) -> Figure:
     """Draw the error of the warped grid, and the least ratio of areas, against N."""
     figure = Figure(figsize=(8.2, 3.4), layout="constrained")
     first, second = figure.subplots(1, 2)
-    for amplitude, colour in zip(landmark_motion.AMPLITUDES, (BLUE, GREEN, RED), strict=True):
+    for amplitude, colour in zip(landmark_cases.AMPLITUDES, (BLUE, GREEN, RED), strict=True):
         rows = warps(store, amplitude)
         if not rows:
             continue
@@ -316,7 +316,7 @@ def smoothness_figure(store: Store) -> Figure:
 def warps(store: Store, amplitude: float) -> list[Values]:
     """Return the warps of an amplitude by increasing N, with errors against the finest; empty for only one warp."""
     prefix = f"amplitude {amplitude:g};"
-    rows = [v for name, v in store.rows(landmark_motion.SMOOTHNESS_SECTION) if name.startswith(prefix)]
+    rows = [v for name, v in store.rows(landmark_cases.SMOOTHNESS_SECTION) if name.startswith(prefix)]
     rows = sorted((v for v in rows if v["status"] == "solved"), key=lambda v: int(v["steps"]))
     if len(rows) < 2:
         return []

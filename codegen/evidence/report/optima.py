@@ -597,9 +597,14 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     for variant, scheme in schemes.items():
         convergence = convergences[variant]
         kind = f"bounds of {', '.join(convergence.switching)}" if convergence.switching else "smooth"
+        steps = [row["steps"] for row in scheme.rows]  # the orders of states and controls are those of the figures
+        of_motion = [
+            measured_order(steps, [row.get(key) for row in scheme.rows], uncertain.get(key) or 0.0)
+            for key in ("states", "controls")
+        ]
         orders.append((
             variant.label, str(variant.order), str(scheme.expected), order_text(scheme.order, scheme.verdict),
-            *(_order_of(scheme, key, uncertain.get(key)) for key in ("states", "controls")),
+            *("" if order is None else number(order.value) for order in of_motion),
             scheme.order.range if scheme.order else "–", str(convergence.finest or "–"),
             number(convergence.error, 2), kind, convergence.remark,
         ))  # fmt: skip
@@ -647,13 +652,6 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         pictures.append(Picture(f"Drivers on {steps} intervals.", svg(times_of_drivers, bars)))
     name = problem.stem
     return [choice, everything, Section(f"{name}: orders and drivers", tuple(texts), tuple(tables), tuple(pictures))]
-
-
-def _order_of(scheme: Measured, quantity: str, floor: float | None) -> str:
-    """Return the order of an error on the grids of the figures, as text."""
-    order = measured_order([row["steps"] for row in scheme.rows], [row.get(quantity) for row in scheme.rows],
-                           floor or 0.0)  # fmt: skip
-    return "" if order is None else number(order.value)
 
 
 def _strange_table(store: Store, problem: Path) -> Table | None:

@@ -134,6 +134,8 @@ class _Program:
         """Print the right-hand sides; raise NotImplementedError with the feature that the program has not."""
         import sympy
 
+        from codegen.evidence.analysis.maximum_principle import dynamics_of
+
         features = [name for name in _ABSENT if getattr(model, name)] + (["bodies"] if model.bodies > 1 else [])
         if features:
             raise NotImplementedError(f"no program for problems with {', '.join(features).replace('_', ' ')}")
@@ -151,7 +153,7 @@ class _Program:
             numeric = [expression.xreplace(self.values) for expression in expressions]
             return sympy.lambdify(arguments, numeric, modules=module, cse=True)  # type: ignore[no-any-return]
 
-        self.rates = printed([*_rates(model), model.cost], self.ca)
+        self.rates = printed([*dynamics_of(model), model.cost], self.ca)
         self.terminal_cost = printed([model.terminal_cost], self.ca)
         momenta = model.rates if model.form == "hamiltonian" else [model.function.diff(v) for v in model.rates]
         self.momenta = printed(momenta, "numpy")
@@ -231,23 +233,3 @@ class _Program:
         columns = [states[:, :half], *(np.broadcast_to(p, times.shape)[:, None] for p in momenta)]
         fractions = np.linspace(0.0, 1.0, steps + 1)
         return Trajectory(self.duration, fractions, np.hstack(columns), fractions[:-1] + 0.5 / steps, controls)
-
-
-def _rates(model: Any) -> Sequence[Any]:
-    """Return the time derivatives of all states."""
-    import sympy
-
-    from codegen.discretise.model.legendre import solve_blocks
-    from codegen.evidence.analysis.modified_equations import vector_field
-
-    if model.form == "first-order":
-        return tuple(model.dynamics)
-    if model.form == "hamiltonian":
-        return tuple(vector_field(model))
-    q, rates = model.coordinates, model.rates
-    momenta = [model.function.diff(v) for v in rates]
-    right = [
-        model.function.diff(x) + f - p.diff(model.time) - sum(p.diff(y) * v for y, v in zip(q, rates, strict=True))
-        for x, f, p in zip(q, model.force, momenta, strict=True)
-    ]
-    return (*rates, *solve_blocks(sympy.hessian(model.function, rates), right))

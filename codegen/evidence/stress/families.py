@@ -1,4 +1,4 @@
-"""The registry of families of stress cases, and the families of control, particles and schemes of higher order.
+"""The registry of families of stress cases, and the families of control, decay, particles and higher order.
 
 A new family is one function and one row of FAMILIES.
 """
@@ -8,7 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from codegen.evidence.stress import dissipative, motions
+import numpy as np
+
+from codegen.discretise.schemes import find, of_method
+from codegen.discretise.schemes.base import FIRST_ORDER
+from codegen.evidence.stress import motions, systems
 from codegen.evidence.stress.cases import Case
 from codegen.evidence.stress.motions import SchemeOf, promised, registered, setup
 
@@ -133,6 +137,57 @@ def _regulator(name: str, reason: str, steps: int, rate: float, **values: float)
         tuple(values.items()), doublings=1, reference="regulator", bound=h_rate**2 / 4.0 if resolved else 0.02,
         drift=NAN, h_omega=h_rate, allowed=() if resolved else ("accurate",),
     )  # fmt: skip
+
+
+# ---- Dissipation ----
+
+COMPARED = ("implicit-euler", "radau-5", "sdirk-4")  # L-stable schemes for problems that take longer to compile
+BOUNDS = {
+    "robertson": (400, 3e-3, 3e-9, 3e-7),
+    "van_der_pol": (100, 3e-3, 1e-7, 1e-6),
+    "hires": (2000, 0.01, 1e-7, 1e-5),
+    "actuator": (200, 0.2, 1e-7, 1e-6),
+    "contact": (4000, 5e-3, 3e-9, 1e-7),
+}
+"""The problems' own steps, and the largest errors of COMPARED there: up to four times the errors at first."""
+
+
+def dissipative_cases() -> Iterator[Case]:
+    """Yield cases: Prothero and Robinson's problem by every scheme, and reactions, an actuator and a contact."""
+    for scheme in of_method(FIRST_ORDER):
+        module = setup("prothero_robinson", (None, scheme.name))
+        factor = abs(systems.stability_function(scheme, -1e4))
+        kind = (
+            "L-stable"
+            if factor < 1e-3
+            else "A-stable without damping"
+            if factor < 1.0 + 1e-6
+            else "unstable at this step"
+        )
+        yield Case(
+            "fast decay, h lambda = -1e4, ten steps", "dissipative", module, "accurate",
+            f"{kind}: a step multiplies a deviation by |R| = {factor:.3g}, as the table says", 10,
+            (("rate", -1e5), ("duration", 1.0), ("start", (("y", 2.0),))), reference="by_table", bound=1e-9,
+            h_omega=1e4,
+        )  # fmt: skip
+        for rate in (1.0, 1e3, 1e6):
+            motions_by_table = [systems.followed(scheme, -rate, n, 1.0) for n in (20, 40)]
+            errors = [float(np.abs(y - np.cos(np.linspace(0.0, 1.0, y.size))).max()) for y in motions_by_table]
+            if not errors[0] < 0.5:
+                continue
+            order = math.log2(errors[0] / errors[1]) if errors[1] > 1e-14 else math.nan
+            reduced = f"order {order:.2g} of {scheme.order}" if order < 90 else "rounding errors only"
+            yield Case(
+                f"slow motion with a fast decay, lambda = -{rate:g}", "dissipative", module, "accurate",
+                f"by the table: {reduced}", 20, (("rate", -rate), ("duration", 1.0)), reference="slow_motion",
+                bound=1.01 * errors[0] + 1e-12, h_omega=rate / 20.0,
+            )  # fmt: skip
+    for problem, (steps, *bounds) in BOUNDS.items():
+        for name, bound in zip(COMPARED, bounds, strict=True):
+            yield Case(
+                problem.replace("_", " "), "dissipative", setup(problem, (None, name)), "accurate",
+                f"L-stable, order {find(name, FIRST_ORDER).order}", steps, reference="by_radau", bound=bound,
+            )  # fmt: skip
 
 
 # ---- Particles ----
@@ -319,7 +374,7 @@ def higher_order_cases() -> Iterator[Case]:
 
 FAMILIES = {
     "stiff": motions.stiff_cases,
-    "dissipative": dissipative.dissipative_cases,
+    "dissipative": dissipative_cases,
     "orbits": motions.orbits_cases,
     "chaos": motions.chaos_cases,
     "horizons": motions.horizons_cases,

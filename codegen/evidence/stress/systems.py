@@ -17,15 +17,17 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from types import ModuleType
 from typing import Any, TypeAlias
 
 import mpmath
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from codegen.discretise.schemes.base import Scheme
 from codegen.evidence.stress.cases import Case
+from codegen.solving.loading import Vector
 from codegen.solving.results.result import Result
 
 # ---- Forces ----
@@ -144,7 +146,6 @@ def plate_gradient(q: Array, p: Array) -> tuple[Array, Array]:
 # ---- The textbook's equations of a step ----
 
 Field = Callable[[Array], Array]
-
 
 TEXTBOOK: dict[str, tuple[float, float]] = {
     "explicit-euler": (0.0, 0.0),
@@ -445,3 +446,55 @@ def swing(scheme: Scheme, x: float) -> float:
         if not abs(root) < abs(mean):
             return math.inf
         return float(max(abs(c / (mean + root) - 1), abs(c / (mean - root) - 1)))
+
+
+# ---- Stiff motions that decay ----
+
+
+def followed(scheme: Scheme, rate: float, steps: int, start: float) -> Vector:
+    """Return y at all nodes of Prothero and Robinson's problem on [0, 1], from the table of a scheme."""
+    a, b = (np.array(each, dtype=float) for each in table_of(scheme))
+    c, h, y = a.sum(axis=1), 1.0 / steps, [start]
+    matrix = np.eye(len(b)) - h * rate * a
+    solve = partial(solve_triangular, lower=True, check_finite=False) if not np.triu(a).any() else np.linalg.solve
+    for k in range(steps):
+        t = (k + c) * h
+        with np.errstate(over="ignore", invalid="ignore"):  # explicit schemes beyond their limit
+            slopes = solve(matrix, rate * (y[-1] - np.cos(t)) - np.sin(t))
+            y.append(float(y[-1] + h * b @ slopes))
+    return np.array(y)
+
+
+def robertson(t: float, y: Vector) -> Vector:
+    """Return the rates of three reactions."""
+    slow, fast, back = 0.04 * y[0], 3e7 * y[1] ** 2, 1e4 * y[1] * y[2]
+    return np.array([back - slow, slow - back - fast, fast])
+
+
+def hires(t: float, y: Vector) -> Vector:
+    """Return the rates of eight reactions."""
+    matrix = np.zeros((8, 8))
+    for i, j, value in (
+        (0, 0, -1.71), (0, 1, 0.43), (0, 2, 8.32), (1, 0, 1.71), (1, 1, -8.75), (2, 2, -10.03), (2, 3, 0.43),
+        (2, 4, 0.035), (3, 1, 8.32), (3, 2, 1.71), (3, 3, -1.12), (4, 4, -1.745), (4, 5, 0.43), (4, 6, 0.43),
+        (5, 3, 0.69), (5, 4, 1.71), (5, 5, -0.43), (5, 6, 0.69), (6, 6, -1.81), (7, 6, 1.81),
+    ):  # fmt: skip
+        matrix[i, j] = value
+    rates = matrix @ y
+    rates[0] += 0.0007
+    rates[5:] += np.array([-1.0, 1.0, -1.0]) * 280.0 * y[5] * y[7]
+    return np.asarray(rates)
+
+
+def contact(t: float, y: Vector) -> Vector:
+    """Return velocity and acceleration of a mass above a spring with a damper."""
+    depth = (math.hypot(y[0], 1e-4) - y[0]) / 2.0
+    return np.array([y[1], 1e6 * depth - 1e3 * depth / (depth + 1e-4) * y[1] - 1.0])
+
+
+RATES: dict[str, Callable[[float, Vector], Vector]] = {
+    "robertson": robertson,
+    "hires": hires,
+    "contact": contact,
+    "van_der_pol": lambda t, y: np.array([y[1], 1000.0 * ((1.0 - y[0] ** 2) * y[1] - y[0])]),
+}

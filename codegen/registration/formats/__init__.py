@@ -1,7 +1,8 @@
 """Reading and writing of landmark files, in the formats of this package and of other programs.
 
-Each format has a module in this folder and an entry in FORMATS. LandmarkPairs are always in pixels, with the origin at
-the centre of the top-left pixel, x to the right and y down. Landmarks of volumes are in the coordinates of their grids.
+A format has functions in a file of this folder, and an entry in FORMATS. LandmarkPairs are always in pixels, with the
+origin at the centre of the top-left pixel, x to the right and y down. Landmarks of volumes are in the coordinates of
+their grids.
 """
 
 from __future__ import annotations
@@ -11,12 +12,12 @@ from pathlib import Path
 
 from codegen.errors import PointsError
 from codegen.files import replacing
-from codegen.registration.formats import elastix, slicer, tables, tps
+from codegen.registration.formats import slicer, tables, tps
 from codegen.registration.formats.base import MOST_BYTES, Format, Frames, Source
 from codegen.registration.pairs import LandmarkPairs
 
 FORMATS: dict[str, Format] = {
-    form.name: form for form in (tables.PLAIN, tables.BIGWARP, elastix.FORMAT, tps.FORMAT, slicer.FORMAT, slicer.FCSV)
+    form.name: form for form in (tables.PLAIN, tables.BIGWARP, tables.ELASTIX, tps.FORMAT, slicer.FORMAT, slicer.FCSV)
 }
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Landmarks as CSV tables: the table of this package, and the table of BigWarp.
+"""Landmarks as tables of text: the CSV tables of this package and of BigWarp, and the point files of elastix.
 
 The table of this package has the columns `moving_x,moving_y,fixed_x,fixed_y` and optionally `name`, in any order.
 Coordinates are in pixels, with the origin at the centre of the top-left pixel, x to the right, y down. Landmarks of
@@ -10,6 +10,12 @@ the units of the images, or in pixels if the images have no units. The origin is
 points down, as in this package. Coordinates of volumes are column, row and slice times the spacing: BigWarp ignores the
 origin and orientation of a file, and this module applies them. Source: `LandmarkTableModel` of BigWarp 9.4
 (github.com/saalfeldlab/bigwarp).
+
+elastix has one point file for each image: `point` or `index`, the number of points, then one point per line. After
+`index`, points are indices of pixels. After `point`, they are in the coordinates of the image file: LPS in millimetres
+for volumes. For PNG, JPEG and plain TIFF files, elastix has spacing 1 and origin 0, that is pixels. Without a keyword
+points are indices, as before elastix 3.5. Sources: elastix manual, section 4.2 (option -def), and
+`TransformixInputPointFileReader` of elastix.
 """
 
 from __future__ import annotations
@@ -23,7 +29,18 @@ import numpy as np
 
 from codegen.errors import PointsError
 from codegen.problem.points import finite_numbers
-from codegen.registration.formats.base import Format, Frames, Source, is_missing, made, placed, rows, text_of
+from codegen.registration.formats.base import (
+    Format,
+    Frames,
+    Source,
+    is_missing,
+    made,
+    placed,
+    require_count,
+    require_order,
+    rows,
+    text_of,
+)
 from codegen.registration.pairs import LandmarkPairs
 
 
@@ -65,7 +82,6 @@ def compose_plain(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
 
 RECOGNISES = re.compile(r"\s*[^\n]*(moving_|fixed_)", re.IGNORECASE).match
 PLAIN = Format("csv", "plain CSV", (".csv", ".txt"), 1, RECOGNISES, parse_plain, compose_plain)
-
 
 AXES = {6: "xy", 8: "xyz"}
 
@@ -125,3 +141,50 @@ def compose_bigwarp(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
 
 
 BIGWARP = Format("bigwarp", "BigWarp CSV", (".csv",), 1, recognises_bigwarp, parse_bigwarp, compose_bigwarp)
+
+_ELASTIX_REMEDY = "give point or index, the number of points, then two coordinates in each line, or three for volumes"
+
+
+def parse_elastix(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
+    """Return the landmarks of the moving and the fixed file; PointsError names the file and the line."""
+    require_order(sources)
+    moving, fixed = (_elastix_points(source, side, frames) for side, source in enumerate(sources))
+    return made(sources, moving, fixed)
+
+
+def _elastix_points(source: Source, side: int, frames: Frames) -> list[tuple[float, ...]]:
+    are_indices = True
+    lines = [(number, line.split()) for number, line in enumerate(source.text.split("\n"), 1) if line.strip()]
+    if lines and lines[0][1][0].lower() in ("point", "index"):
+        number, words = lines.pop(0)
+        are_indices = words[0].lower() == "index"
+        if len(words) > 1:
+            lines.insert(0, (number, words[1:]))
+    if not lines or len(lines[0][1]) != 1 or not lines[0][1][0].isdecimal() or len(lines[0][1][0]) > 9:
+        line = lines[0][0] if lines else 1
+        raise PointsError(f"{source.name}:{line}: there is no number of points", _ELASTIX_REMEDY)
+    count = int(lines.pop(0)[1][0])
+    require_count(source.name, count)
+    if len(lines) != count:
+        raise PointsError(f"{source.name} says {count} points and holds {len(lines)}", "correct the number of points")
+    dimension = len(lines[0][1]) if lines else 2
+    if dimension not in (2, 3):
+        raise PointsError(f"{source.name}:{lines[0][0]}: a point has {dimension} coordinates", _ELASTIX_REMEDY)
+    points = [finite_numbers(source.name, line, words, "xyz"[:dimension]) for line, words in lines]
+    positions = placed(source.name, ("moving", "fixed")[side], points, frames)
+    if are_indices and positions and frames.grids is not None:
+        return list(map(tuple, frames.grids[side].to_places(np.array(positions)).tolist()))
+    return positions
+
+
+def compose_elastix(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
+    """Return the texts of the moving and the fixed file, without names of landmarks."""
+    texts = []
+    for points in (pairs.moving, pairs.fixed):
+        lines = [" ".join(map(text_of, point)) for point in points]
+        texts.append("\n".join(["point", str(len(lines)), *lines, ""]))
+    return tuple(texts)
+
+
+_RECOGNISES_ELASTIX = re.compile(r"\s*(point|index|\d+)(\s|$)", re.IGNORECASE).match
+ELASTIX = Format("elastix", "elastix points", (".pts", ".txt"), 2, _RECOGNISES_ELASTIX, parse_elastix, compose_elastix)

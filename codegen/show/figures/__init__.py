@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from codegen.drawing import Scene
 from codegen.errors import ArgumentError
 from codegen.show.figures.control import Drawings, control_figure
-from codegen.show.figures.labels import label
 from codegen.show.figures.pareto import objectives_of, pareto_figure, require_objectives
 from codegen.show.figures.picture import finished, using, write
+from codegen.show.figures.quantities import label
 from codegen.show.figures.simulation import closed_loop_figure, connect_figure, simulation_figure, specimen_figure
 from codegen.show.figures.sweep import sweep_figure
 from codegen.solving.loading import GeneratedModule, is_connect, is_control

@@ -19,7 +19,6 @@ from matplotlib.ticker import MaxNLocator
 from codegen.drawing import Scene
 from codegen.errors import ArgumentError
 from codegen.show.figures import panels, shapes
-from codegen.show.figures.labels import in_unit, label, quantity, title
 from codegen.show.figures.picture import (
     AMBER,
     BLUE,
@@ -38,8 +37,12 @@ from codegen.show.figures.quantities import (
     Quantity,
     angular_velocities,
     by_expression,
+    in_unit,
     inequalities_of_segments,
+    label,
     quantities_of_segments,
+    quantity,
+    title,
 )
 from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solving.results.estimates import Fit
@@ -80,10 +83,7 @@ def tornado(axes: Axes, shown: Mapping[str, float]) -> None:
     axes.margins(x=0.08)
     rest = len(shown) - len(names)
     axes.set_xlabel("change of the cost" + (f"; {rest} smaller not shown" if rest else ""))
-    axes.legend(  # above the panel, away from bars
-        loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, fontsize=letter_size(8), columnspacing=1.0,
-        handlelength=1.2,
-    )  # fmt: skip
+    panels.legend_above(axes, 2, handlelength=1.2)
 
 
 _POINTS: Look = {

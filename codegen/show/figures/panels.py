@@ -13,7 +13,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from codegen.show.figures.labels import in_unit, label, relation
 from codegen.show.figures.picture import (
     AMBER,
     BLUE,
@@ -27,7 +26,7 @@ from codegen.show.figures.picture import (
     body_colours,
     letter_size,
 )
-from codegen.show.figures.quantities import Inequality, Quantity
+from codegen.show.figures.quantities import Inequality, Quantity, in_unit, label, relation
 from codegen.solving.loading import Matrix, Vector
 
 KINDS = {"state": BLUE, "momentum": GREEN, "spin": GREEN, "multiplier": PINK, "control": RED}
@@ -153,10 +152,13 @@ def iterations(axes: Axes, log: Matrix) -> None:
     axes.set_xlabel("iteration")
     axes.set_ylabel("max-norm")
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
-    axes.legend(  # above the panel, away from curves
-        loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, fontsize=letter_size(8), columnspacing=1.0,
-        handlelength=1.5,
-    )  # fmt: skip
+    legend_above(axes, 3, handlelength=1.5)
+
+
+def legend_above(axes: Axes, columns: int, **look: float) -> None:
+    """Put the legend above the panel, away from curves."""
+    style: Look = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97), "columnspacing": 1.0, **look}
+    axes.legend(ncols=columns, fontsize=letter_size(8), **style)
 
 
 def handles(

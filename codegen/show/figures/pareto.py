@@ -19,13 +19,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
-from codegen.show.figures.labels import heading, in_unit, label, quantity, statuses, unit_in
 from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, Look, body_map, new_figure
-from codegen.show.figures.sweep import is_wide
+from codegen.show.figures.quantities import heading, in_unit, label, quantity, statuses, unit_in
+from codegen.show.figures.sweep import is_wide, last_values
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
-
 
 Numbers = NDArray[np.float64]
 SAME = 1e-6  # differences of an objective up to this fraction of its range are ignored, such as at a common bound
@@ -109,7 +108,7 @@ def _known(data: Dataset) -> dict[str, Callable[[], Numbers]]:
                 own = data[array].isel({column: i})
                 known |= {f"{word}.{name}": partial(_reduced, own, rows, word) for word in _WORDS}
     if "t" in data:
-        known["duration"] = lambda: _last(data["t"]) - np.asarray(data["t"].isel(node=0).values)
+        known["duration"] = lambda: last_values(data["t"].values) - np.asarray(data["t"].isel(node=0).values)
     for name, coordinate in data.coords.items():
         if coordinate.dims and coordinate.dims[0] in dims and coordinate.dtype.kind in "fiub":
             known[str(name)] = lambda own=coordinate: np.array(  # type: ignore[misc]
@@ -123,16 +122,9 @@ def _reduced(array: DataArray, rows: str, word: str) -> Numbers:
     if "stage" in array.dims:
         array = array.mean("stage")
     if word == "end":
-        return _last(array)
+        return last_values(np.asarray(array.values, dtype=float))
     reduced = array.isel({rows: 0}) if word == "start" else array.max(rows) if word == "max" else array.min(rows)
     return np.asarray(reduced.values, dtype=float)
-
-
-def _last(array: DataArray) -> Numbers:
-    """Return the last finite value of each trajectory; trajectories with fewer steps end in NaN."""
-    values = np.asarray(array.values, dtype=float)
-    number = np.maximum(1, np.isfinite(values).sum(axis=-1)) - 1
-    return np.asarray(np.take_along_axis(values, number[..., None], axis=-1)[..., 0])
 
 
 _EDGE = 0.02  # distance of failed cases from the edge of the panel, relative to the panel

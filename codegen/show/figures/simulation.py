@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
-from codegen.show.figures.labels import in_unit, label, set_title, title
 from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, DARK, GREY, RED, Look, letter_size, new_figure
-from codegen.show.figures.quantities import angular_velocities
+from codegen.show.figures.quantities import angular_velocities, in_unit, label, set_title, title
 from codegen.solving.loading import ConnectModule
 from codegen.solving.results.result import Result
 
@@ -215,7 +214,7 @@ def closed_loop_figure(loop: Any, references: References) -> Figure:
         if fallbacks.size:
             axes.plot(loop.times[fallbacks], loop.inputs[fallbacks, i], **_CROSS, label="of the plan before")
             if i == 0:
-                _legend_above(axes)
+                panels.legend_above(axes, 4)
         _finish(axes, loop, name, references)
     if loop.latencies.size:  # in milliseconds on a logarithmic scale
         axes, times, latencies, late = all_axes["latency"], loop.times[:-1], _MILLI * loop.latencies, ~loop.in_time
@@ -233,7 +232,7 @@ def closed_loop_figure(loop: Any, references: References) -> Figure:
         axes.set_xlabel("time")
         axes.set_ylabel("latency (ms)")
         axes.margins(x=0)
-        _legend_above(axes)
+        panels.legend_above(axes, 4)
     shown = ((states, loop.state_names, "states"), (inputs, loop.input_names, "inputs"))
     notes = [f"{len(b) - len(a)} further {what} not shown" for a, b, what in shown if a != b]
     outcome = [f"{n} {status}" for status, n in Counter(loop.statuses.tolist()).most_common()]
@@ -257,8 +256,3 @@ def _finish(axes: Axes, loop: Any, name: str, references: References) -> None:
         axes.plot(fine, [references[name](t) for t in fine.tolist()], **_REFERENCE)
     axes.set_ylabel(label(name))
     axes.margins(x=0)
-
-
-def _legend_above(axes: Axes) -> None:
-    """Put the legend above the panel, away from points."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, fontsize=letter_size(8), columnspacing=1.0)

@@ -28,7 +28,6 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import Locator, LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
-from codegen.show.figures.labels import heading, in_unit, label, quantity, statuses, unit_in
 from codegen.show.figures.panels import KINDS
 from codegen.show.figures.picture import (
     AMBER,
@@ -43,6 +42,7 @@ from codegen.show.figures.picture import (
     letter_size,
     new_figure,
 )
+from codegen.show.figures.quantities import heading, in_unit, label, quantity, statuses, unit_in
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -250,11 +250,14 @@ def measures_of(data: Dataset) -> dict[str, Numbers]:
     if _has_cost(data):
         return {in_unit("cost", unit_in(data, "cost")): data["cost"].values}
     names = [str(name) for name in data["coordinate"].values][:_MOST_MEASURES]
-    # Find the last finite values of q: arrays with fewer steps end in NaN.
-    q = data["q"].transpose(..., "node", "coordinate").values
-    number = np.maximum(1, np.isfinite(q[..., 0]).sum(axis=-1)) - 1
-    ends = np.moveaxis(np.asarray(np.take_along_axis(q, number[..., None, None], axis=-2)[..., 0, :]), -1, 0)
-    return {quantity(f"end.{name}", data): ends[i] for i, name in enumerate(names)}
+    q = data["q"].transpose("coordinate", ..., "node").values
+    return {quantity(f"end.{name}", data): last_values(q[i]) for i, name in enumerate(names)}
+
+
+def last_values(values: Numbers) -> Numbers:
+    """Return the last finite value of each trajectory (..., times); trajectories with fewer steps end in NaN."""
+    number = np.maximum(1, np.isfinite(values).sum(axis=-1)) - 1
+    return np.asarray(np.take_along_axis(values, number[..., None], axis=-1)[..., 0])
 
 
 def is_failed(data: Dataset) -> NDArray[np.bool_]:
