@@ -1,4 +1,13 @@
-"""The derived continuous and discrete equations as text or LaTeX, for the terminal and for notebooks."""
+"""The derived continuous and discrete equations as text or LaTeX, for the terminal and for notebooks.
+
+Equations of motion of bodies with rotations are written in attitudes R and angular velocities omega. With
+mu = dL/domega, the moment m(f) of a function f(R), and the torque M, all in the frame of the body,
+
+    d/dt mu + omega x mu - m(L) - M - sum of kappa m(c) = 0,    m(f)_k = sum_ij df/dR_ij (R hat(e_k))_ij.
+
+The model has quaternions. Its expressions contain the entries of R and omega as an author wrote them, and symbols
+replace these.
+"""
 
 from __future__ import annotations
 
