@@ -1,9 +1,11 @@
 """The initial guess: expressions of time, duration and parameters for the primal unknowns.
 
 The guess of a coordinate, state or momentum is the author's guess, or else the straight line between its values at both
-ends. In a problem of several phases, the quantity also has a value at each switch where the end of a phase prescribes
-one. In every phase a line runs from the value after the last jump to the next prescribed value, which may be several
-phases later. If no value is prescribed before the next jump of the quantity, the guess is constant.
+ends. A coordinate of a Lagrangian with a value at one end only, and with velocities at both ends, moves with the
+velocities on the line between these. In a problem of several phases, the quantity also has a value at each switch where
+the end of a phase prescribes one. In every phase a line runs from the value after the last jump to the next prescribed
+value, which may be several phases later. If no value is prescribed before the next jump of the quantity, the guess is
+constant.
 """
 
 from __future__ import annotations
@@ -42,8 +44,25 @@ def guessed(model: Model, quantities: Sequence[Symbol], duration: Expr) -> tuple
     first = known_values(model, model.start, model.start_conditions)
     last = known_values(model, model.end, model.end_conditions)
     lines = last | first | {x: first[x] + (last[x] - first[x]) * model.time / duration for x in first if x in last}
+    lines |= moving(model, first, last, duration)
     guess = lines | dict(model.guess)
     return tuple(at_guess(model, guess.get(x, S.Zero)) for x in quantities)
+
+
+def moving(model: Model, first: dict[Symbol, Expr], last: dict[Symbol, Expr], duration: Expr) -> dict[Symbol, Expr]:
+    """Return the motions of coordinates with a value at one end, whose velocities have values at both ends.
+
+    A velocity is linear in time. For example, the momenta of a constant angle would contradict two orbits.
+    """
+    motions: dict[Symbol, Expr] = {}
+    if model.form != "lagrangian":
+        return motions
+    for q, v in zip(model.coordinates, model.rates, strict=True):
+        if (q in first) != (q in last) and v in first and v in last:
+            way = first[v] * model.time + (last[v] - first[v]) * model.time**2 / (2 * duration)
+            start = first[q] if q in first else last[q] - (first[v] + last[v]) * duration / 2
+            motions[q] = start + way
+    return motions
 
 
 def at_guess(model: Model, expression: Expr) -> Expr:

@@ -5,8 +5,9 @@ has the factor of its state. The equations of all stages have the factor of the 
 factors therefore depend neither on the scheme nor on the number of intervals.
 
 1. If the author states a scale, this is the factor. Otherwise the factor is the largest modulus at the guess, which
-   contains prescribed values. If a quantity has a lower and an upper bound, these limit the factor. The guess of a
-   slack does not count.
+   contains prescribed values. If a quantity has a lower and an upper bound, these limit the factor. An inequality in
+   the square of an unknown without a factor, such as u^2 + w^2 <= 1, counts as two bounds. The guess of a slack does
+   not count.
 2. An unknown without a factor from rule 1 gets the least factor with which it balances an equation. For that, each
    equation is linearised at the guess and applied to a smooth motion of each quantity. For example, v = x' gives v the
    factor of x divided by the duration. An angle has a factor of at most one radian. If the unknown has a single bound,
@@ -56,6 +57,8 @@ class Quantities(NamedTuple):
         True for quantities that are multipliers.
     stated, radian : array
         The scale of each quantity that the author states, or zero; the value of one radian, or infinity for no angle.
+    slacks, inequalities : array
+        Slacks of an interval and the multipliers of their equations, numbered as the unknowns of an interval.
     is_slack, is_single : array
         True for slacks, and for linking variables that no unknown of a node equals, such as a free duration.
     tied : (k, 2)
@@ -76,6 +79,8 @@ class Quantities(NamedTuple):
     is_equation: np.ndarray
     stated: np.ndarray
     radian: np.ndarray
+    slacks: np.ndarray
+    inequalities: np.ndarray
     is_slack: np.ndarray
     is_single: np.ndarray
     tied: np.ndarray
@@ -129,7 +134,8 @@ def quantities_of(problem):
         np.array([multiplier for _, multiplier in kinds]),
         np.array([float(metadata.scale.get(name, 0.0)) for name, _ in kinds]),
         np.array([float(metadata.angles.get(name, np.inf)) for name, _ in kinds]),
-        is_slack, is_single, tied.astype(np.int64), s.rows, s.columns, of_end(s.start_rows), of_end(s.start_columns),
+        s.slacks.astype(np.int64), s.slack_multipliers.astype(np.int64), is_slack, is_single, tied.astype(np.int64),
+        s.rows, s.columns, of_end(s.start_rows), of_end(s.start_columns),
         filling.astype(float), of_end(s.end_rows), of_end(s.end_columns),
     )  # fmt: skip
 
@@ -139,7 +145,7 @@ class Room(NamedTuple):
 
     Attributes
     ----------
-    of_unknowns : (3, n)
+    of_unknowns : (6, n)
         Rows of numbers for all unknowns.
     of_kinds : (6, k or more)
         Rows of numbers for all quantities; at least five numbers a row.
@@ -159,7 +165,7 @@ def room_for(quantities, n):
     """Return the Room for a problem with these Quantities and `n` unknowns."""
     k = quantities.stated.size
     return Room(
-        np.empty((3, n)), np.empty((6, max(k, 5))), np.empty((6, k, k)), np.empty((2, quantities.local_kind.size, k))
+        np.empty((6, n)), np.empty((6, max(k, 5))), np.empty((6, k, k)), np.empty((2, quantities.local_kind.size, k))
     )
 
 
@@ -245,6 +251,8 @@ def fill_scaling_factors(
     for j in range(ties.shape[0] if lower.size else 0):
         inside[ties[j, 0]] = inside[ties[j, 1]]
     fill(gradient, primal, steps, h, nodes, parameters, slopes)
+    for i in range(kinds.size if q.slacks.size else 0):
+        room.of_unknowns[3, i] = slopes[i]
     for i in range(kinds.size):
         slopes[i] = 0.0 if is_solution and is_multiplier[i] else abs(slopes[i])
         is_moved = is_moved or inside[i] != primal[i]
@@ -262,6 +270,13 @@ def fill_scaling_factors(
     for j in range(count):
         if q.stated[j] > 0.0:
             size[j] = q.stated[j]
+        elif q.slacks.size and size[j] == 0.0 and not (q.is_equation[j] or q.is_slack[j]):
+            limit_by_squares(
+                q, counts, places, lacks, gradient, steps, h, nodes, parameters, primal, room.of_unknowns[3:6], kinds,
+                factors, size, rest, j,
+            )  # fmt: skip
+            if size[j] > 0.0:
+                bound[j] = 0.0
     terms, effect, curvature = room.tables[0], room.tables[1], room.tables[2]
     fill(hessians, primal, steps, h, nodes, parameters, entries)
     measure_derivatives(q, counts, nodes, places, lacks, entries, room, terms, effect, curvature)
@@ -323,6 +338,57 @@ def limit_by_bounds(q, lower, upper, kinds, size, bound, between):
             size[j] = min(max(size[j], LEAST_OF_BOUNDS * between[j]), between[j]) if size[j] > 0.0 else between[j]
         if size[j] > 0.0 or q.stated[j] > 0.0:
             bound[j] = 0.0
+
+
+@njit(error_model="numpy")
+def limit_by_squares(
+    q, counts, places, lacks, gradient, steps, h, nodes, parameters, primal, rows, kinds, point, size, rest, j
+):  # fmt: skip
+    """Set the factor `size` of quantity j, which is zero at the guess, by inequalities in its square.
+
+    An inequality g <= 0 that holds at the guess, and whose second derivative by the quantity is c > 0, limits the
+    quantity to sqrt(-2 g / c). The factor is the smallest limit of all inequalities, each with its largest limit in the
+    sampled intervals. It stays zero without a limit. The value of g is the magnitude of the slack, and counts as a
+    residual of the guess in `rest`.
+
+    The second derivative is the second difference of gradients at which the quantity is zero and plus or minus the
+    `probe`. The first of the `rows` (3, n) is the gradient at `primal`. The other rows and `point` (n,) are work space.
+    """
+    bodies, probe, smallest = counts[0], 0.0, np.inf
+    for pair in range(q.slacks.size):
+        for body in range(bodies):
+            for sample in range(places.size):
+                _, margin = margin_of(q, counts, places, lacks, primal, rows[0], pair, body, sample)
+                probe = max(probe, np.sqrt(margin))
+    if probe == 0.0:
+        return
+    for side in range(2):
+        for i in range(primal.size):
+            point[i] = primal[i] + (probe * (1.0 - 2.0 * side) if kinds[i] == j else 0.0)
+        fill(gradient, point, steps, h, nodes, parameters, rows[1 + side])
+    for pair in range(q.slacks.size):
+        largest = 0.0
+        for body in range(bodies):
+            for sample in range(places.size):
+                i, margin = margin_of(q, counts, places, lacks, primal, rows[0], pair, body, sample)
+                bend = rows[1, i] + rows[2, i] - 2.0 * rows[0, i]
+                if margin > 0.0 and bend > CANCELLED * margin:
+                    largest = max(largest, probe * np.sqrt(2.0 * margin / bend))
+                    rest[kinds[i]] = max(rest[kinds[i]], margin)
+        if largest > 0.0:
+            smallest = min(smallest, largest)
+    if smallest < np.inf:
+        size[j] = smallest
+
+
+@njit(error_model="numpy")
+def margin_of(q, counts, places, lacks, primal, residuals, pair, body, sample):
+    """Return the index of the equation of an inequality g <= 0 in a sampled interval, and max(0, -g) at the guess."""
+    steps, stride, node, k = counts[1], counts[4], counts[5], places[sample]
+    first = (body * steps + k) * stride + body * node
+    i, slack = first + q.inequalities[pair], first + q.slacks[pair]
+    margin = primal[slack] - residuals[i]
+    return i, margin if margin > 0.0 and not lacks[sample, q.inequalities[pair]] else 0.0
 
 
 @njit(error_model="numpy")

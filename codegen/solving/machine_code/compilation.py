@@ -177,7 +177,8 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
 
 
 QUANTITIES = (
-    int, bool, int, bool, float, bool, bool, float, float, bool, bool, int, int, int, int, int, float, int, int,
+    int, bool, int, bool, float, bool, bool, float, float, int, int, bool, bool, int, int, int, int, int, float, int,
+    int,
 )  # fmt: skip
 """Python types of the entries of the arrays in the fields of `scaling.Quantities`, in order."""
 
