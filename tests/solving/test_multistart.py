@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from interpreted import of_problem
+from scipy.optimize import fsolve
 from sympy import cos, sin
 
-from codegen import Control, control, coordinates, states
+import codegen
+from codegen import Control, control, coordinates, free_parameter, states
 from codegen.errors import ArgumentError
 from codegen.runtime.search import solve
 from codegen.runtime.search.cascade import varied_guess
@@ -121,3 +123,44 @@ def test_a_search_that_stalls_begins_anew_at_varied_guesses(hoop, monkeypatch, c
         assert found.status == "solved"
         assert found.residual <= 1e-10
         assert found.message.endswith(f"found from varied guess {count}, as the search from the first guess stalled")
+
+
+def least_time_of_oscillator(x: int) -> float:
+    """Return the least time from an odd x at rest to the origin at rest for q'' + q = u, |u| <= 1.
+
+    In the plane of z = q + i q', arcs of circles about z = u lead from z = x to the origin. The first arc leads to the
+    semicircle about x, and (x - 1) / 2 arcs of half a period lead from there to the semicircle about 1 or -1.
+    """
+    halves = (x - 1) // 2
+
+    def miss(times: np.ndarray) -> list[float]:
+        first, last = times
+        z, u = complex(x), -1.0
+        for length in (first, *[np.pi] * halves, last):
+            z, u = u + (z - u) * np.exp(-1j * length), -u
+        return [z.real, z.imag]
+
+    first, last = fsolve(miss, [0.2, 1.4], xtol=1e-13)
+    np.testing.assert_allclose(miss(np.array([first, last])), 0.0, atol=1e-10)
+    assert first > 0.0
+    assert last > 0.0
+    return float(first + last + np.pi * halves)
+
+
+def test_a_duration_that_is_far_too_short_is_lengthened():
+    """The violation has a minimum near the period 2 pi; IPOPT 3.14 ends there from guesses of 1 to 8."""
+    q, v = states("q v")
+    u, T = control("u"), free_parameter("T", 1)
+    problem = Control(
+        dynamics={q: v, v: u - q},
+        terminal_cost=T,
+        duration=T,
+        start={q: 7, v: 0},
+        end={q: 0, v: 0},
+        bounds={u: (-1, 1)},
+        steps=100,
+    )
+    solution = codegen.solve(problem)
+    assert solution.status == "solved", solution.message
+    assert solution.cost == pytest.approx(least_time_of_oscillator(7), rel=2e-3)
+    assert "times the duration, as the search from the first guess found no feasible motion" in solution.message

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.search import descent
+from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.curvature import barrier_curvature, escape_steps
 from codegen.runtime.search.descent import (
     FROM_AFAR,
@@ -211,6 +212,21 @@ def varied_guess(grid, unknowns, seed):
                 size = max(np.abs(values[body, :, index]).max(), least)
                 curves[body, :, index] = AMPLITUDE * size * ((rng.standard_normal(WAVES) / waves) @ sines)
     return np.where(is_changed, unknowns + change, unknowns)
+
+
+def longer_guess(grid, unknowns, factor):
+    """Return a guess (n,) with each free duration multiplied by `factor`, or up to its bound.
+
+    These are the linking variables that make the motion, or a phase, longer. The motion keeps its shape.
+    """
+    durations, longer = grid.problem.phase_durations or grid.problem.duration_of, unknowns.copy()
+    _, upper = bounds_of(grid)
+    for i in range(unknowns.size - grid.problem.structure.root, unknowns.size):
+        changed = unknowns.copy()
+        changed[i] *= factor
+        if not grid.is_multiplier[i] and np.max(durations(grid, changed) - durations(grid, unknowns)) > 0.0:
+            longer[i] = min(changed[i], max(unknowns[i], upper[i]))
+    return longer
 
 
 def leave_saddles(search, start, attempt, tolerance, max_iterations, log, **how):

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.search.bounds import bounds_of, with_slacks
-from codegen.runtime.search.cascade import minimise, varied_guess
+from codegen.runtime.search.cascade import longer_guess, minimise, varied_guess
 from codegen.runtime.search.curvature import least_delta_w
 from codegen.runtime.search.descent import FLAT, WORTH_MEASURING
 from codegen.runtime.search.grid import NONE, with_pinned_values
@@ -40,7 +40,10 @@ FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", 
 SLOW = 150  # iterations after which a search from a motion follows; most searches need 10 to 100
 FROM_MOTION = 300  # largest number of iterations of the search from a motion
 STEEP = 1e-3  # a larger slope of the Lagrangian, in itself and relative to the cost's slope, belongs to no optimum
-VARIED, FROM_VARIED = 5, 500  # largest number of varied guesses after a search has stalled; iterations for each
+VARIED, FROM_OTHER = 5, 500  # largest number of varied guesses after a search has stalled; iterations for each
+OTHER_GUESSES = {"stalled": ("stalled", "varied"), "infeasible": ("found no feasible motion", "longer")}
+"""For each status after which searches from other guesses follow: what has happened, and the kind of these guesses."""
+LONGER = 4, 16  # factors of a free duration, after a search has found no feasible motion
 ROUNDED, RUN_AWAY = 1e-8, 1e6  # a larger residual is doubtful if unknowns exceed the guess by this factor
 
 NEWTON_STEPS = 20  # largest number of Newton steps on one interval of a motion
@@ -55,29 +58,50 @@ LARGE = 1e6  # a larger step, relative to the unknowns, means that the problem i
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise with scaling factors, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
 
-    `scaled` is the grid with the scaling factors of the guess. A search may stall, for example from a symmetric guess
-    through the middle of an obstacle. Searches from up to VARIED varied guesses then follow. The message names the
-    guess that has succeeded, or the number of guesses that have failed.
+    `scaled` is the grid with the scaling factors of the guess. Searches from other guesses follow if the first search
+    stalls, or if it finds no feasible motion of a free duration, see `other_guesses`. The message names the guess that
+    has succeeded, or the guesses that have failed.
     """
     outcome = optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
     status, message, point, iterations, scaled = outcome
-    is_linear = grid.problem.structure.linear_quadratic
-    if status != "stalled" or warm or is_linear or iterations >= max_iterations:
+    if warm or grid.problem.structure.linear_quadratic:
         return outcome
-    number = 0
-    while number < VARIED and iterations < max_iterations:
+    number, (failure, kind) = 0, OTHER_GUESSES.get(status, ("", ""))
+    for guess, name in other_guesses(grid, unknowns, status):
+        if iterations >= max_iterations:
+            break
         number += 1
-        remaining, guess = min(FROM_VARIED, max_iterations - iterations), varied_guess(grid, unknowns, number)
-        varied_status, text, optimum, further, varied_grid = optimise_from(
+        remaining = min(FROM_OTHER, max_iterations - iterations)
+        other_status, text, optimum, further, other_grid = optimise_from(
             grid, guess, tolerance, remaining, False, scaling, log
         )
         iterations += further
-        if varied_status == "solved":
-            text += f"; found from varied guess {number}, as the search from the first guess stalled"
-            return varied_status, text, optimum, iterations, varied_grid
-        if varied_status == "time limit":
-            return varied_status, text, point, iterations, scaled
-    return status, f"{message}; searches from {number} varied guesses did not succeed", point, iterations, scaled
+        if other_status == "solved":
+            text += f"; found from {name}, as the search from the first guess {failure}"
+            return other_status, text, optimum, iterations, other_grid
+        if other_status == "time limit":
+            return other_status, text, point, iterations, scaled
+    if number:
+        message += f"; searches from {number} {kind} guesses did not succeed"
+    return status, message, point, iterations, scaled
+
+
+def other_guesses(grid, unknowns, status):
+    """Yield pairs (guess, its name) for searches after a search from the guess `unknowns` (n,) has failed.
+
+    A search may stall, for example from a symmetric guess through the middle of an obstacle: up to VARIED varied
+    guesses follow. A duration may be far too short for any motion. The violation may then have a minimum at a duration
+    between that of the guess and those of motions, as at a full period of an oscillator. Guesses with a longer duration
+    follow.
+    """
+    if status == "stalled":
+        for number in range(1, VARIED + 1):
+            yield varied_guess(grid, unknowns, number), f"varied guess {number}"
+    if status == "infeasible":
+        for factor in LONGER:
+            guess = longer_guess(grid, unknowns, factor)
+            if (guess != unknowns).any():
+                yield guess, f"a guess with {factor} times the duration"
 
 
 def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
