@@ -90,8 +90,12 @@ class Outcome:
 
     @property
     def for_python(self) -> Result:
-        """The result with a note that names the untried options as arguments."""
-        return self._advised([option.in_python for option in self.untried])
+        """The result with a note that names the untried options as arguments.
+
+        Without a solution, the first notes are the warnings about the problem, which the command line prints itself.
+        """
+        result = self._advised([option.in_python for option in self.untried])
+        return result if result.solved else replace(result, notes=(*output.notes(self.module.metadata), *result.notes))
 
     @property
     def for_command_line(self) -> Outcome:
