@@ -12,10 +12,10 @@ import pytest
 from failing_problems import DEPENDENT_END, FAILING, HEAD, RANK_DEFICIENT, STEEP, Failing, mass, plane, row
 from interpreted import of_problem, silent_math, without_compilation
 from made_records import control_record
-from sympy import Eq
+from sympy import Eq, exp
 from typer.testing import CliRunner
 
-from codegen import Control, controls, states
+from codegen import Control, control, controls, states, time
 from codegen.cli import main
 from codegen.emit.naming import Choices
 from codegen.errors import BoundaryError
@@ -271,3 +271,22 @@ def test_rounding_of_unknowns_that_ran_away_is_no_solution(tmp_path):
     guess = module.initial_guess(grid)
     assert not has_run_away(grid, guess, guess + 1.0)
     assert has_run_away(grid, guess, guess + 1e9)
+
+
+def test_residuals_whose_squares_overflow_end_in_a_status():
+    """The residual on the last interval is exp(487.5) / 20 = 2.6e210; its square ended in an OverflowError."""
+    x, y = states("x y")
+    u = control("u")
+    problem = Control(
+        dynamics={x: u, y: exp(x)},
+        cost=u**2,
+        duration=1,
+        start={x: 0, y: 0},
+        end={y: 2},
+        guess={x: 500 * time()},
+        bounds={u: (-1000, 1000)},
+        steps=20,
+    )
+    result = api.solve(of_problem(problem))
+    assert result.status == "stalled"
+    assert f"{math.exp(487.5) / 20:.1e}" in result.message

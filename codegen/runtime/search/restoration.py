@@ -21,6 +21,7 @@ FEASIBILITY_STEPS = 1000  # largest number of steps of the search for the least 
 STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # largest slope at the least violation, relative to the residual
 WEIGHT = 1e-2  # first weight of the barrier, relative to the squared residual
 LARGEST_DAMPING = 1e12  # times the barrier's weight if the weight exceeds one: squared residuals have their own units
+LARGEST_RESIDUAL = 1e150  # the squares of larger residuals overflow: no step lowers such a violation
 HOLDING, NONE_HELD = 1e16, slice(0)  # the curvature that holds unknowns fixed; the empty set of unknowns
 LARGEST_DUAL = 0.1  # at the start; with 1e3, not 2 but 15 of 30 searches for the space shuttle from noise fail
 
@@ -34,6 +35,8 @@ def restore(search, iterate, reduction, pairs, is_late, is_optional=False):
     it is not restored. If the restoration `is_optional`, it ends as soon as its steps would not suffice at the present
     rate.
     """
+    if not iterate.point.residual < LARGEST_RESIDUAL:
+        return "stalled", iterate
     grid, damping = search.grid, 0.0
     largest = LARGEST_DAMPING * max(1.0, WEIGHT * iterate.point.residual**2)
     first, current = iterate.point.violation, restoration_start(search, iterate)
@@ -79,6 +82,8 @@ def least_violation(search, iterate, tolerance, is_late, held):
     """
     grid, damping = search.grid, 0.0
     inside = begin(search, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), FROM_GUESS)
+    if not inside.point.residual < LARGEST_RESIDUAL:
+        return "stalled", inside
     current = restoration_start(search, inside)
     for _ in range(FEASIBILITY_STEPS):
         if is_late():
