@@ -64,7 +64,7 @@ ONE_SYSTEM = frozenset(
 )
 """Files of tests on the mathematics of many problems; others test the machine code that a build makes."""
 
-OWN_PROCESSES = frozenset("processes compilation machine_code linking faults specialised".split())
+OWN_PROCESSES = frozenset("processes compilation machine_code linking faults specialised refusals".split())
 """Files of tests on the processes that compile, which are started as users start them."""
 
 
