@@ -537,8 +537,8 @@ def _midpoint(settings: Settings, store: Store) -> Section:
                 f"{'less' if ratio < thesis else 'more'} than the thesis's {number(thesis, 3)}."
             )
     table = Table(
-        "Processor time of midpoint stepping, N = 10: Newton's method with generated derivatives inside each step and "
-        "for the initial momenta, beside root finders with differences inside root finders.",
+        "Processor time of midpoint stepping, N = 10. Newton's method with generated derivatives solves each step and "
+        "finds the initial momenta. The thesis nests two root finders with finite differences.",
         ("nc", "midpoint", "explicit Euler", "ratio", "ratio of trajectories", "nested fsolve, as in the thesis",
          "its time / ours"),
         tuple(rows),
