@@ -251,7 +251,7 @@ def test_a_sample_where_derivatives_leave_all_measure_does_not_count():
 
 
 def test_a_cost_of_hundreds_does_not_throw_the_first_steps_onto_bounds():
-    """Beside sizes it was left as it was, and its slope sent the duration to the lower bound: 43 iterations."""
+    """An unscaled cost sent the duration to its lower bound by its slope: 43 iterations."""
     solution = of_problem(lane()).solve()
     assert solution.status == "solved", solution.message
     assert solution.cost == pytest.approx(147.848102916, rel=1e-9)
@@ -259,7 +259,7 @@ def test_a_cost_of_hundreds_does_not_throw_the_first_steps_onto_bounds():
 
 
 def test_a_duration_has_its_size_where_the_guess_is_at_rest():
-    """It was 1e18 s, that of what balances rounding, and a search began there: 56 iterations on 100 intervals."""
+    """A scaling factor that balanced rounding errors was 1e18 s: 56 iterations on 100 intervals."""
     module = of_problem(charging())
     grid = time_grid(module, 20)
     assert scaled_grid(grid, module.initial_guess(grid)).sizes[-1] == 100.0
