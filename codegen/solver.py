@@ -72,9 +72,9 @@ class Solver:
         """Title of the problem in one line."""
         return str(self.module.metadata.title)
 
-    @property
+    @cached_property
     def module(self) -> GeneratedModule:
-        """The generated module, which is loaded on first use."""
+        """The generated module."""
         from codegen.solving.loading import load
 
         return load(self.build.path)
@@ -102,7 +102,7 @@ class Solver:
         choices = self.choices
         named = {"scheme": choices.scheme, "method": choices.method, "controls": choices.controls, "out": self.out}
         sensitivities = {"sensitivities": True} if choices.sensitivities else {}
-        return {"problem": self.problem, "arguments": dict(self.arguments), **named, **sensitivities}
+        return {"problem": self.problem, "arguments": self._settings, **named, **sensitivities}
 
     def solve(self, driver: str = "newton", **options: Any) -> Result:
         """Solve the problem.
@@ -193,6 +193,10 @@ class Solver:
     def _settings(self) -> Settings:
         return settings_of(self.problem, self.arguments)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes without the module, which another process loads from its file."""
+        return {name: value for name, value in vars(self).items() if name != "module"}
+
     def __repr__(self) -> str:
         return f"Solver({self.name!r}, {str(self.build.path)!r})"
 
@@ -262,7 +266,6 @@ def compile(
     The cache identifies an object by its content, in any process. Paths of tables and measurements of an object are
     relative to the current folder.
     """
-    from codegen.solving.loading import load
     from codegen.solving.machine_code import processes
     from codegen.solving.progress import building, shown_from_call
 
@@ -272,6 +275,7 @@ def compile(
             source, values, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities, out=out,
             time_limit=time_limit, deriving=deriving,
         )  # fmt: skip
-    processes.require(made.path, load(made.path), made.written, building)
     choices = chosen(scheme, method, controls, sensitivities=sensitivities)
-    return Solver(source, values, choices, None if out is None else Path(out), made)
+    solver = Solver(source, values, choices, None if out is None else Path(out), made)
+    processes.require(made.path, solver.module, made.written, building)
+    return solver

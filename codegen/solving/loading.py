@@ -114,6 +114,7 @@ class ControlModule(Protocol):
     vector of unknowns: (bodies, nodes, unknowns of a node) and (bodies, intervals, unknowns of an interval).
     """
 
+    __name__: str
     metadata: ControlRecord
     problem: Any
 
@@ -173,6 +174,7 @@ class SimulateSolution(Protocol):
 class SimulateModule(Protocol):
     """The functions of a generated module for a simulation; a module for first-order dynamics has no `energy`."""
 
+    __name__: str
     metadata: Any
     problem: Any
 
@@ -216,6 +218,7 @@ class ConnectModule(Protocol):
     The functions of the action exist if `metadata.method` is Method.ACTION.
     """
 
+    __name__: str
     metadata: ConnectRecord
 
     solve: Callable[..., Any]

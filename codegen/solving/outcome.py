@@ -26,7 +26,7 @@ from codegen.solving.accuracy import refine, to_accuracy
 from codegen.solving.arcs import discretisation_error
 from codegen.solving.drivers import DRIVERS, Driver
 from codegen.solving.drivers.shared import quiet_single_thread
-from codegen.solving.loading import GeneratedModule, Vector, is_control, machine_code_counts
+from codegen.solving.loading import GeneratedModule, Vector, is_control
 from codegen.solving.machine_code import processes
 from codegen.solving.machine_code.compilation import seconds_of_machine_code
 from codegen.solving.machine_code.processes import Compilers
@@ -66,6 +66,8 @@ LIMITS = {"iteration limit": "max_iterations", "newton failed": "max_iterations"
 _ADVICE = "what may help, in this order"
 _IDLE = "all controls are zero, and so is the cost: the free motion meets all conditions; is an end missing?"
 _ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relative error of the cost"}
+_LOADED: set[str] = set()
+"""The import names of generated modules whose machine code this process has loaded."""
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
 """A function that returns a context manager, which displays a text while a slow operation runs."""
@@ -134,9 +136,11 @@ def outcome_of(
     """
     with processes.compilers() as compilers:
         start = start_of(request.warm)
-        path, is_new, build_seconds = _built(request, working, compilers)
+        module: Any = request.compiled
+        known = None if module is None else (Path(module.__file__), False, 0.0)
+        path, is_new, build_seconds = known or _built(request, working, compilers)
         begin = time.perf_counter()
-        module: Any = request.problem if path is None else loading.load(path)
+        module = module or (request.problem if path is None else loading.load(path))
         load_seconds = time.perf_counter() - begin
         values = dict(request.parameters or {})
         module = with_values(with_observations(with_tables(module, request.tables), request.observations), values)
@@ -144,7 +148,7 @@ def outcome_of(
         if request.sensitivities:
             require_sensitive(module)
         notices: list[str] = []
-        if path is not None and driver.generated:
+        if path is not None and driver.generated and (is_new or module.__name__ not in _LOADED):
             seconds, notices = processes.require(path, module, is_new, working, compilers)
             build_seconds += seconds
         segments, steps = segments_of(module.metadata), request.steps or module.metadata.steps
@@ -264,32 +268,30 @@ def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: in
     task = task_of(module)
     require_memory(task.numbers(module.metadata, run), run.steps)
     solve = driver.function(task.name)
-    compiled_before = machine_code_counts(module)[0]
-    begin = time.perf_counter()
+    begin, seconds = time.perf_counter(), math.inf
     try:
-        # Load machine code before the timed runs.
-        if not driver.generated:
-            with quiet_single_thread():
-                task.warm_up(module, run.steps)
-        elif machine_code_counts(module) == (0, 0):
-            with quiet_single_thread():
-                task.small(module)
-        code_seconds = time.perf_counter() - begin
-        seconds = math.inf
-        for _ in range(repeat):
-            with seconds_of_machine_code() as spent:
-                begin = time.perf_counter()
+        with seconds_of_machine_code() as of_code:
+            # Load machine code before the timed runs.
+            if not driver.generated:
+                with quiet_single_thread():
+                    task.warm_up(module, run.steps)
+            elif module.__name__ not in _LOADED:
+                with quiet_single_thread():
+                    task.small(module)
+            code_seconds = time.perf_counter() - begin - of_code.seconds
+            for _ in range(repeat):
+                begin, before = time.perf_counter(), of_code.seconds
                 attempt = solve(module, run)
                 elapsed = time.perf_counter() - begin
-            code_seconds += spent.seconds
-            seconds = min(seconds, max(elapsed - spent.seconds, 0.0))
+                seconds = min(seconds, max(elapsed - (of_code.seconds - before), 0.0))
     except ValueError as error:  # generated modules raise ValueError in place of errors of codegen
         raise NumericsError(str(error), "correct the problem's numbers or the options") from error
     except OSError as error:
         raise processes.unwritable_cache_error(module, error) from error
     result: Result = task.result(module, driver.name, run, attempt, seconds)
-    compiled = machine_code_counts(module)[0] > compiled_before
-    return replace(result, seconds_code=code_seconds, compiled=compiled)
+    if driver.generated:
+        _LOADED.add(module.__name__)
+    return replace(result, seconds_code=code_seconds + of_code.seconds, compiled=of_code.is_compiled)
 
 
 def require_memory(numbers: int, steps: int) -> None:
@@ -318,7 +320,8 @@ def _with_notes(request: Request, module: GeneratedModule, result: Result) -> Re
     kinds = {meaning.kind for meaning in module.metadata.meanings.values()}
     has_target = bool(module.metadata.end) or not kinds.isdisjoint(_OF_TARGETS)
     idle = [_IDLE] if sizes and max(sizes) <= _ZERO and not has_target else []
-    return replace(result, notes=(*result.notes, *idle, *gross, *beyond, *(pole.note for pole in poles(*solution))))
+    notes = [*idle, *gross, *beyond, *(pole.note for pole in poles(*solution))]
+    return replace(result, notes=(*result.notes, *notes)) if notes else result
 
 
 def _untried(request: Request, module: GeneratedModule, result: Result) -> tuple[Option, ...]:

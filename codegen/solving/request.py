@@ -11,11 +11,11 @@ import inspect
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from numbers import Integral, Real
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from codegen.symbolic.tables import Layout, given_measurements, read_measurement
 
 if TYPE_CHECKING:
     from codegen.problem.points import PointSet
+    from codegen.solver import Solver
     from codegen.solving.results.result import Result, Watch
 
 SCALINGS = ("auto", "none")
@@ -104,13 +105,15 @@ class Request:
     scaling: str = "auto"
     log: bool = False
     watch: Watch | None = None
+    _solver: ClassVar[Solver | None] = None
 
     def __post_init__(self) -> None:
         """Raise an error for options that no problem can have; replace a compiled problem by its source and options."""
-        compiled: Mapping[str, Any] | None = getattr(self.problem, "build_options", None)
-        if compiled is not None:
+        solver = self.problem
+        if hasattr(solver, "build_options"):
             self._refuse_build_options("compiled already", "compile the problem with it")
-            for name, value in compiled.items():
+            object.__setattr__(self, "_solver", solver)
+            for name, value in solver.build_options.items():
                 object.__setattr__(self, name, value)
         elif isinstance(self.problem, AuthorObject):
             object.__setattr__(self, "problem", source_of(self.problem))
@@ -179,6 +182,16 @@ class Request:
         assert not self.is_built, "a module has been made already"
         return source_of(self.problem)
 
+    @property
+    def compiled(self) -> GeneratedModule | None:
+        """The module of a compiled problem; None for other problems, and if the request needs another module."""
+        solver = self._solver
+        if solver is None or self.sensitivities != solver.choices.sensitivities:
+            return None
+        if self.accuracy is not None and self.scheme is None:
+            return None
+        return solver.module if solver.build.path.exists() else None
+
     @cached_property
     def settings(self) -> Settings:
         """The arguments of the function problem() in a problem file."""
@@ -205,10 +218,7 @@ class Request:
         for name in filter(self._is_given, _DEFAULTS):
             if name in task.options or driver.takes(task.name, name):
                 continue
-            takers = {
-                other.name: [d.name for d in DRIVERS.values() if name in other.options or d.takes(other.name, name)]
-                for other in TASKS.values()
-            }
+            takers = _takers(name)
             if names := takers[task.name]:
                 finding = f"driver {driver.name} takes no {_option(name)} for a {task.name} problem"
                 raise ArgumentError(finding, f"leave it out, or use {', '.join(names)}")
@@ -230,6 +240,15 @@ def require_options(names: Iterable[str]) -> None:
             listed = f"use one of {', '.join(_DEFAULTS)}; a parameter of the problem is given by parameters={{...}}"
             remedy = f"did you mean {close[0]}?" if close else listed
             raise ArgumentError(f"codegen.solve has no option {name}", remedy)
+
+
+@cache
+def _takers(option: str) -> dict[str, list[str]]:
+    """Return, for each task, the names of the drivers that take an option."""
+    return {
+        task.name: [d.name for d in DRIVERS.values() if option in task.options or d.takes(task.name, option)]
+        for task in TASKS.values()
+    }
 
 
 def _option(name: str) -> str:

@@ -419,14 +419,21 @@ def failed(error: Exception) -> int:
 
 
 class CodeSeconds(Listener):  # type: ignore[misc, unused-ignore]  # numba is annotated in parts
-    """A stopwatch for the time that numba spends in one thread on compiling functions or reading them from the disk."""
+    """A stopwatch for the time that numba spends in one thread on compiling functions or reading them from the disk.
+
+    `seconds` is the time so far. `is_compiled` is True if a function was compiled, and not only read.
+    """
 
     def __init__(self) -> None:
-        self.seconds, self._thread, self._depth, self._begin = 0.0, threading.get_ident(), 0, 0.0
+        self.seconds, self.is_compiled = 0.0, False
+        self._thread, self._depth, self._begin = threading.get_ident(), 0, 0.0
 
     def on_start(self, event: Event) -> None:
         """Start the stopwatch, unless it runs already because a function is compiled during another compilation."""
         if threading.get_ident() != self._thread:
+            return
+        if event.kind == "numba:compile":
+            self.is_compiled = True
             return
         if self._depth == 0:
             self._begin = time.perf_counter()
@@ -434,7 +441,7 @@ class CodeSeconds(Listener):  # type: ignore[misc, unused-ignore]  # numba is an
 
     def on_end(self, event: Event) -> None:
         """Stop the stopwatch at the end of the outermost compilation."""
-        if threading.get_ident() != self._thread:
+        if threading.get_ident() != self._thread or event.kind == "numba:compile":
             return
         self._depth -= 1
         if self._depth == 0:
@@ -444,7 +451,8 @@ class CodeSeconds(Listener):  # type: ignore[misc, unused-ignore]  # numba is an
 @contextmanager
 def seconds_of_machine_code() -> Iterator[CodeSeconds]:
     """Measure the time that numba spends on compiling and reading functions in this thread during a with block."""
-    with install_listener("numba:compiler_lock", CodeSeconds()) as listener:
+    listener = CodeSeconds()
+    with install_listener("numba:compiler_lock", listener), install_listener("numba:compile", listener):
         yield listener
 
 

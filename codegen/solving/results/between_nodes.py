@@ -408,10 +408,12 @@ def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector
     rounding = ROUNDING * sizes_of_terms(coarse, unknowns)[0]
     mean_lengths = np.diff(first.grid.nodes).reshape(first.cuts.shape).mean(axis=1)
     suspects, intervals = list[_Suspect](), set[int]()
+    after_switches = np.arange(steps, len(lengths), steps)
     for equation in first.equations():
-        changes = first.changes(equation)
-        changes[:, np.flatnonzero(np.arange(len(lengths)) % steps == 0)[1:]] = 0.0
-        usual = np.maximum(first.usual(equation), rounding / mean_lengths)
+        values = first.values(equation)
+        changes = _changes(values)
+        changes[:, after_switches] = 0.0
+        usual = np.maximum(_usual_changes(values), rounding / mean_lengths)
         body, interval, part = map(int, np.unravel_index(int(np.argmax(changes / usual[..., None])), changes.shape))
         ordinary = float(usual[body, interval])
         if interval not in intervals and changes[body, interval, part] >= CONSPICUOUS * ordinary:
@@ -430,7 +432,7 @@ def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector
             cuts[suspect.interval] = parts / parts.sum()
         finer = _Refined(module, coarse, unknowns, cuts)
         for number, suspect in enumerate(suspects):
-            changes = finer.changes(suspect.equation)[suspect.body, suspect.interval]
+            changes = _changes(finer.values(suspect.equation))[suspect.body, suspect.interval]
             part = int(np.argmax(changes))
             middle = finer.middle(suspect.equation, suspect.interval, part)
             suspects[number] = replace(suspect, middle=middle, largest=(*suspect.largest, float(changes[part])))
@@ -439,6 +441,22 @@ def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector
         for s in suspects
         if s.largest[-1] > max(WITHOUT_END * s.usual, GROWTH * min(s.largest[: LEVELS // 2]))
     ]
+
+
+def _changes(values: Matrix) -> Matrix:
+    """Return the absolute changes (..., m - 1) between neighbouring values (..., m)."""
+    return np.abs(values[..., 1:] - values[..., :-1])
+
+
+def _usual_changes(values: Matrix) -> Matrix:
+    """Return the median change of the values (bodies, intervals, m) in each interval, shape (bodies, intervals).
+
+    The median is at least `NEGLIGIBLE_POLE` times the largest of all values.
+    """
+    ordered = np.sort(_changes(values), axis=-1)
+    middle = ordered.shape[-1] // 2
+    median = ordered[..., middle] if ordered.shape[-1] % 2 else 0.5 * (ordered[..., middle - 1] + ordered[..., middle])
+    return np.maximum(median, max(NEGLIGIBLE_POLE * float(np.abs(values).max()), 1e-300))
 
 
 class _Refined:
@@ -458,7 +476,8 @@ class _Refined:
             if of in names and not self.module.problem.structure.is_multiplier[nodes.shape[2] + index]:
                 state = nodes[:, :, names.index(of)]
                 intervals[:, :, index] = 0.5 * (state[:, :-1] + state[:, 1:])
-        self._gradient = module.evaluate(self.grid, self._unknowns).gradient
+        self._rows = module.views(self.grid, module.evaluate(self.grid, self._unknowns).gradient)
+        self._lengths = np.diff(self.grid.nodes).reshape(cuts.shape)
 
     def equations(self) -> Iterator[_Equation]:
         """Yield the equations of motion of states, without the equations of stages."""
@@ -469,39 +488,28 @@ class _Refined:
                 if meaning and meaning.kind in (Kind.STEP, Kind.MOTION) and meaning.of in metadata.node:
                     yield _Equation(meaning.of, index, at_nodes)
 
-    def changes(self, equation: _Equation) -> Matrix:
-        """Return the absolute changes of an equation between neighbouring parts, shape (bodies, intervals, parts - 1).
-
-        An equation at nodes has values only at the nodes inside intervals, and the last axis has parts - 2 entries.
-        Values that are not finite count as zero.
-        """
-        return np.abs(np.diff(self._values(equation), axis=2))
-
-    def usual(self, equation: _Equation) -> Matrix:
-        """Return the median change of an equation in each interval, shape (bodies, intervals).
-
-        The median is at least `NEGLIGIBLE_POLE` times the largest value of the equation.
-        """
-        largest = float(np.abs(self._values(equation)).max())
-        usual: Matrix = np.median(self.changes(equation), axis=2)
-        return np.maximum(usual, max(NEGLIGIBLE_POLE * largest, 1e-300))
-
     def middle(self, equation: _Equation, interval: int, part: int) -> float:
         """Return the position of the change with the index `part`, as a fraction of an interval."""
         ends = np.concatenate([[0.0], np.cumsum(self.cuts[interval])])
         places = ends[1:-1] if equation.at_nodes else 0.5 * (ends[:-1] + ends[1:])
         return float(0.5 * (places[part] + places[part + 1]))
 
-    def _values(self, equation: _Equation) -> Matrix:
-        """Return the values of an equation divided by the time step, in all parts or at the nodes between the parts."""
-        nodes, intervals = self.module.views(self.grid, self._gradient)
-        lengths = np.diff(self.grid.nodes).reshape(self.cuts.shape)
+    def values(self, equation: _Equation) -> Matrix:
+        """Return the values of an equation divided by the time step, in all parts or at the nodes between the parts.
+
+        The shape is (bodies, intervals, parts), or (bodies, intervals, parts - 1) at nodes. Values that are not finite
+        are zero.
+        """
+        nodes, intervals = self._rows
+        lengths = self._lengths
         if equation.at_nodes:
             rows = nodes[:, :-1, equation.index].reshape(-1, *self.cuts.shape)[:, :, 1:]
             lengths = 0.5 * (lengths[:, :-1] + lengths[:, 1:])
         else:
             rows = intervals[:, :, equation.index].reshape(-1, *self.cuts.shape)
-        return np.asarray(np.nan_to_num(rows / lengths, nan=0.0, posinf=0.0, neginf=0.0))
+        values = rows / lengths
+        values[~np.isfinite(values)] = 0.0
+        return np.asarray(values)
 
     def time(self, interval: int, share: float) -> float:
         """Return the time at the fraction `share` of an interval."""
