@@ -1,17 +1,20 @@
-"""The same problem from a file and as an object: the same module, the same cache, in any process."""
+"""The same problem from a file and as an object: the same module, the same cache, in any process; compiled problems."""
 
 from __future__ import annotations
 
 import os
+import pickle
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import typed_use
 from conftest import PROBLEMS
 from written_objects import object_of
 
+import codegen
 from codegen.emit.naming import chosen
 from codegen.solving.compiler import generate
 
@@ -83,3 +86,48 @@ def test_the_cache_finds_an_object_again_in_processes_of_other_hash_seeds(tmp_pa
     assert first == "False"
     assert others == [[path, "True"]] * 2
     assert Path(path).name == "pendulum_stormer_verlet.py"
+
+
+PUSHED = '''"""Push a unit mass by one metre in one second, from rest to rest."""
+
+from codegen import Control, control, states
+
+
+def problem() -> Control:
+    x, v = states("x v")
+    u = control("u")
+    return Control(
+        dynamics={{x: v, v: u}}, cost=u**2, duration=1, start={{x: 0, v: 0}}, end={{x: {distance}, v: 0}}, steps=10
+    )
+'''
+
+
+@pytest.fixture(scope="module")
+def pushed(tmp_path_factory):
+    """A compiled problem whose file has been edited since, its file, and the exact cost of the compiled problem."""
+    file = tmp_path_factory.mktemp("edited") / "pushed.py"
+    file.write_text(PUSHED.format(distance=1))
+    solver = codegen.compile(file)
+    file.write_text(PUSHED.format(distance=2))
+    return solver, file, 12.0 / (1.0 - 1.0 / 100)  # with N controls that are constant on intervals: 12 / (1 - 1/N^2)
+
+
+def test_a_compiled_problem_is_solved_as_it_was_compiled(pushed):
+    """An edit of the file changes what is built from the file, and not the compiled problem."""
+    solver, file, cost = pushed
+    assert [solver.solve().cost for _ in range(2)] == pytest.approx([cost, cost], rel=1e-12)
+    assert codegen.solve(file).cost == pytest.approx(4.0 * cost, rel=1e-12)
+
+
+def test_a_compiled_problem_can_be_pickled(pushed):
+    solver, _, cost = pushed
+    solver.solve()
+    assert pickle.loads(pickle.dumps(solver)).solve().cost == pytest.approx(cost, rel=1e-12)
+
+
+def test_a_compiled_problem_whose_module_was_removed_is_built_again(tmp_path):
+    solver = codegen.compile(typed_use.double_integrator(), out=tmp_path)
+    cost = solver.solve().cost
+    solver.build.path.unlink()
+    assert solver.solve().cost == cost
+    assert solver.build.path.exists()

@@ -27,7 +27,7 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.grid import MARGINS, Extent, Frame, Grid, corners, grid_of, place_text
 from codegen.registration.pairs import Alignment, Kind, LandmarkPairs, PointArray, align
 from codegen.registration.solver import DEFAULT_SCHEME, Flow, FlowCase, FlowModule, FlowSolution, registration_module
-from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.drivers.quiet import quiet_single_thread
 
 ONE = 1e-4  # largest distance, in pixels in each image, between two pairs that are carried as one point
 

@@ -25,7 +25,7 @@ from codegen.solving import compiler, loading
 from codegen.solving.accuracy import refine, to_accuracy
 from codegen.solving.arcs import discretisation_error
 from codegen.solving.drivers import DRIVERS, Driver
-from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.drivers.quiet import quiet_single_thread
 from codegen.solving.loading import GeneratedModule, Vector, is_control
 from codegen.solving.machine_code import processes
 from codegen.solving.machine_code.compilation import seconds_of_machine_code

@@ -23,6 +23,7 @@ from codegen.emit.lower.particles import ParticlesModule
 from codegen.errors import FileError
 from codegen.runtime.record import Task
 from codegen.solving.compiler import build
+from codegen.solving.loading import load
 from codegen.solving.results.output import record_in
 
 ROOT = Path(__file__).parents[2]
@@ -300,3 +301,13 @@ def test_the_cache_sees_changes_of_problem_arguments_and_choices(tmp_path, monke
     assert not build(path, controls="nodal").cached
     path.write_text(path.read_text().replace("steps=50", "steps=60"))
     assert not build(path).cached
+
+
+@pytest.mark.parametrize(
+    ("problem", "expected"),
+    [("bouncing_ball", [1, 2]), ("published/reorientation", [0]), ("published/gas_oil", []), ("crane", [])],
+)
+def test_free_durations_are_marked_among_the_linking_variables(problem, expected):
+    """Two phases after the multiplier of a condition; one duration; free parameters of another kind; none."""
+    module = load(build(ROOT / "problems" / f"{problem}.py").path)
+    assert module.problem.structure.durations.tolist() == expected

@@ -1,11 +1,11 @@
-"""What Newton's equations of the barrier are given, and moves that stay inside of bounds."""
+"""What Newton's equations of the barrier are given, moves that stay inside of bounds, and the longest steps."""
 
 import numpy as np
 import pytest
 from dense_problem import INFINITY, guess_of
 from known_optima import nlp, x1, x2, x3
 
-from codegen.runtime.search.descent import fill_newton_system, lower_barrier, move
+from codegen.runtime.search.descent import fill_newton_system, lower_barrier, measure_step, move
 from codegen.runtime.search.grid import primal_unknowns
 from codegen.runtime.search.iterates import pushed_inside, search_on
 
@@ -39,6 +39,15 @@ def test_unknowns_stay_inside_in_spite_of_rounding() -> None:
         trial, distance = moved(np.array([2.0]), np.array([step]), 1.0, indices, side, np.ones(2))
         assert trial[0] == 2.0 + step
         assert (distance > 0.0).all()
+
+
+@pytest.mark.parametrize(("step", "expected"), [(-1.9, 1.0 / 1.9), (-0.5, 1.0), (30.0, 1.0)])
+def test_a_step_takes_at_most_half_of_a_free_duration(step, expected):
+    """From 2, with the lower bound 0; without the rule, 0.99 of the duration could go in one step."""
+    grid = (0,) * 4 + (np.zeros(1, bool),) + (0,) * 6 + (np.zeros(1, int),)
+    bounds, numbers = (np.zeros(1, int), np.ones(1)), (np.array([2.0]), np.array([-1.0]), np.array([step]))
+    *_, longest, _ = measure_step.py_func(grid, bounds, *numbers, np.array([2.0]), np.ones(1), 1e-8, np.empty(1))
+    assert longest == pytest.approx(expected, rel=1e-7)
 
 
 def test_distances_are_finer_than_the_rounding_of_unknowns() -> None:

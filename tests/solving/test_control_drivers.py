@@ -16,7 +16,8 @@ from codegen.runtime.search.nlp import NonlinearProgram
 from codegen.solving import api, drivers
 from codegen.solving.drivers import shared
 from codegen.solving.drivers.newton import control as newton
-from codegen.solving.drivers.shared import ScaledProblem, quiet_single_thread
+from codegen.solving.drivers.quiet import quiet_single_thread
+from codegen.solving.drivers.shared import ScaledProblem
 from codegen.solving.results.control import control_result
 from codegen.solving.results.result import STATUSES, Run
 

@@ -14,7 +14,7 @@ from scipy.optimize import Bounds, NonlinearConstraint, minimize
 from scipy.sparse import coo_array
 
 from codegen.solving.drivers.ipopt import _Callbacks
-from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.drivers.quiet import quiet_single_thread
 
 PENDULUM = 4.546929903  # an independent program, N = 10; 4.530760981 in the limit
 PROGRAMS = {

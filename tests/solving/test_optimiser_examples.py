@@ -9,7 +9,7 @@ from compiled_modules import compiled
 from conftest import PROBLEMS
 
 from codegen.solving.compiler import build
-from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.drivers.quiet import quiet_single_thread
 
 PAGE = PROBLEMS.parent / "docs" / "guide" / "optimisers.md"
 EXAMPLES = {

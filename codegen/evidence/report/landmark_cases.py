@@ -33,7 +33,7 @@ from codegen.evidence.report.store import Case, Settings, Store, Values, few_lan
 from codegen.problem.points import PointSet
 from codegen.solving import api
 from codegen.solving.drivers import DRIVERS
-from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.drivers.quiet import quiet_single_thread
 from codegen.solving.loading import ConnectModule, Matrix, Vector
 from codegen.solving.results.result import Result
 

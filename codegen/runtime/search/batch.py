@@ -78,7 +78,7 @@ class Common(NamedTuple):
         Times of the nodes in mean lengths of an interval.
     is_multiplier, all_are_multiplier : (n,), (m,)
         Masks of multipliers, among the n unknowns of the search and among all m unknowns with stages.
-    ties, all_ties, is_free, fillings : array
+    ties, all_ties, is_free, fillings, durations : array
         See `iterates.arguments_of`.
     kinds, counts, places, lacks : array
         See `scaling.sampled`.
@@ -104,6 +104,7 @@ class Common(NamedTuple):
     all_ties: np.ndarray
     is_free: np.ndarray
     fillings: np.ndarray
+    durations: np.ndarray
     kinds: np.ndarray
     counts: np.ndarray
     places: np.ndarray
@@ -275,7 +276,7 @@ def is_case_solved(case, calls, common, numbers, tolerance, limit, is_warm, spac
     bounds = indices, side, magnitude, value, least, greatest
     grid = (
         common.steps, h, common.nodes, parameters, common.is_multiplier, own_sizes, forces, weight, common.ties,
-        common.is_free, common.fillings,
+        common.is_free, common.fillings, common.durations,
     )  # fmt: skip
     for i in range(n):
         x[i] = guess[i] / own_sizes[i] if is_scaled else guess[i]
@@ -384,7 +385,7 @@ def is_solved_at_once(calls, common, grid, system, bounds, tolerance, limit, is_
 @njit(error_model="numpy")
 def is_solved_by_newton_steps(calls, common, grid, system, tolerance, space):
     """Solve a linear-quadratic problem as `solve.solve_linear_quadratic` does; return True on success."""
-    steps, h, nodes, parameters, is_multiplier, sizes, _, _, _, _, _ = grid
+    steps, h, nodes, parameters, is_multiplier, sizes, _, _, _, _, _, _ = grid
     tables, factors, orders, entries, scaled, _, inverses, counts, equations, _, _ = system
     problem, reals, vectors = common.problem, space.reals, space.vectors
     x, g, step, none, spare = (
@@ -680,8 +681,9 @@ def common_of(grid, search, scaling):
         search.arguments[0],
         (problem.gradient.address, problem.hessians.address, 0 if is_whole else problem.shooting.stages.address),
         quantities_of(problem), steps, grid.nodes, searched.is_multiplier, grid.is_multiplier, own.ties(steps),
-        s.ties(steps), layout_of(searched).is_free, own.fillings(steps), kinds, counts, places, lacks,
-        quantities_of(problem).is_slack[kinds], everything if is_whole else kept_unknowns(s, steps),
+        s.ties(steps), layout_of(searched).is_free, own.fillings(steps), own.free_durations(steps), kinds, counts,
+        places, lacks, quantities_of(problem).is_slack[kinds],
+        everything if is_whole else kept_unknowns(s, steps),
         everything if is_whole else like_unknowns(problem, steps), own.local_is_multiplier, own.without_cost,
         bool(own.linear_quadratic), bool(own.costless), scaling == "auto" and not own.linear_quadratic,
     )  # fmt: skip

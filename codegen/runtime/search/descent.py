@@ -78,6 +78,7 @@ Unknowns close to their bounds would shorten all steps."""
 WARM_WEIGHT = 0.1  # the first weight of the barrier of a warm start, relative to the tolerance; 1 takes one more step
 CLOSE = 1e-8  # least distance of unknowns to their bounds at a warm start
 NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes 50 percent more iterations on one problem
+LARGEST_FALL = 0.5  # largest part of a free duration that one step takes away; 0.75 and 0.9 take more iterations
 LARGEST_DUAL = 1e3  # largest dual at a start, for a bound that is very close
 LARGEST_MULTIPLIER = 1e3  # a larger least-squares multiplier means that equations depend on each other
 FILTERED = 1e-4  # largest violation, relative to the first, for which the switching condition requires descent
@@ -233,7 +234,7 @@ def evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vector
 
     Stationarity and error include the duals of bounds.
     """
-    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _ = grid
+    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _, _ = grid
     cost, residual, violation, stationarity, error = measured_gradient(
         problem[0], unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, vectors[SCALED][: sizes.size],
         gradient,
@@ -268,7 +269,7 @@ def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted, is_ne
     `weight_of_cost`, 0 or 1, multiplies the Hessian of the cost. If not `is_new`, the second derivatives are those of
     the last call.
     """
-    steps, h, nodes, parameters, _, sizes, _, _, _, _, _ = grid
+    steps, h, nodes, parameters, _, sizes, _, _, _, _, _, _ = grid
     tables, factors, orders, entries, scaled, costless, inverses, counts, equations, _, _ = system
     chosen = scaled if weight_of_cost == 1.0 else costless
     return factor_at(
@@ -286,7 +287,7 @@ def terms(problem, grid, system, x, is_costless, vectors):
     times the unit roundoff. See Higham (2002), Accuracy and stability of numerical algorithms, section 7.2. With
     `is_costless`, the second sum is at least one.
     """
-    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings = grid
+    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings, _ = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
     unknowns, sums = x, vectors[SPARE]
     if sizes.size:
@@ -342,7 +343,7 @@ def have_large_terms(problem, grid, system, x, vectors):
     The tolerance is then absolute, see `is_solved`. The test is faster than `terms`: most often, an end and a few
     intervals have such terms.
     """
-    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings = grid
+    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings, _ = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
     unknowns = x
     if sizes.size:
@@ -423,9 +424,10 @@ def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
     `right` is the right-hand side of the step. The slope is the derivative of the barrier function along the primal
     part d. With the Jacobian A of the equations, A d = -residual. The slope of the Lagrangian along d therefore
     contains -multipliers . residual, which is subtracted again. A step that is far larger than its right-hand side is a
-    rounding error. The longest lengths keep the part 1 - tau of every distance and of every dual (15).
+    rounding error. The longest lengths keep the part 1 - tau of all distances and duals (15), and half of every
+    free duration: a far shorter motion needs huge controls, from which the search hardly returns.
     """
-    is_multiplier, indices, side = grid[4], bounds[0], bounds[1]
+    is_multiplier, durations, indices, side = grid[4], grid[11], bounds[0], bounds[1]
     slope = size = largest = 0.0
     for i in range(x.size):
         slope += right[i] * (x[i] if is_multiplier[i] else step[i])
@@ -435,6 +437,9 @@ def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
     tau = max(0.99, 1.0 - mu)
     # The largest part of a distance, and of a dual, that the full step takes away, but at least tau.
     primal, dual = tau, tau
+    for i in durations:
+        if x[i] > 0.0:
+            primal = max(primal, -step[i] / x[i] * (tau / LARGEST_FALL))
     for j in range(indices.size):
         change, inverse = side[j] * step[indices[j]], 1.0 / distance[j]
         dual_step[j] = (mu - duals[j] * change) * inverse - duals[j]
@@ -529,7 +534,7 @@ def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight
 
     Return the `inaccuracy` of the step. `diagonal` (n,) is added to the diagonal of the matrix.
     """
-    steps, h, nodes, parameters, is_multiplier, sizes, forces, _, ties, is_free, _ = grid
+    steps, h, nodes, parameters, is_multiplier, sizes, forces, _, ties, is_free, _, _ = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
     unknowns, vector = x, step
     if sizes.size:
@@ -844,7 +849,7 @@ def begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, bar
 @njit(error_model="numpy")
 def evaluate_iterate(problem, grid, reals, vectors):
     """Evaluate cost, gradient and norms of the iterate in the work space, without the duals of bounds."""
-    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _ = grid
+    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _, _ = grid
     measures = measured_gradient(
         problem[0], vectors[X], sizes, weight, steps, h, nodes, parameters, is_multiplier,
         vectors[SCALED][: sizes.size], vectors[G],
@@ -920,7 +925,7 @@ def descend(
     problem : tuple of int
         Addresses of the loops for the gradient and for the second derivatives, and of the linear system.
     grid : tuple
-        steps, h, nodes, parameters, is_multiplier, sizes, forces, weight, ties, is_free, fillings; see
+        steps, h, nodes, parameters, is_multiplier, sizes, forces, weight, ties, is_free, fillings, durations; see
         `iterates.arguments_of`.
     system : tuple
         Storage of the linear system: tables, factors, orders, entries, scaled, costless, inverses, counts, equations,

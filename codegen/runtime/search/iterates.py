@@ -232,7 +232,7 @@ def arguments_of(grid, system):
     s = problem.structure
     data = (
         steps, float(h), nodes, parameters, is_multiplier, sizes, forces, float(weight), s.ties(steps),
-        layout_of(grid).is_free, s.fillings(steps),
+        layout_of(grid).is_free, s.fillings(steps), s.free_durations(steps),
     )  # fmt: skip
     return (problem.gradient.address, system.loop, system.address), data, system[2:]
 

@@ -68,6 +68,8 @@ class Structure:
         Indices of the unknowns that only the first and the last node have.
     backward, bordered, constant : bool
         See `kkt.shape.Shape`.
+    durations : array of int
+        Indices, among the linking variables of a body, of those that are durations.
     equations : array of int
         Indices of the multipliers of the equations of motion in a node, if these equations give the momenta.
     slacks, slack_multipliers : array of int
@@ -119,6 +121,7 @@ class Structure:
     costless: bool = False
     forward: bool = False
     equations: np.ndarray = field(default_factory=_no_indices)
+    durations: np.ndarray = field(default_factory=_no_indices)
     start_tied: np.ndarray = field(default_factory=_no_indices)
     start_shared: np.ndarray = field(default_factory=_no_indices)
     end_tied: np.ndarray = field(default_factory=_no_indices)
@@ -423,6 +426,11 @@ class Structure:
                 pairs += zip(body * chain + self.start_tied, indices[self.start_shared], strict=True)
                 pairs += zip((body + 1) * chain - self.node + self.end_tied, indices[self.end_shared], strict=True)
         return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+    @last_results
+    def free_durations(self, steps):
+        """Return the indices of the unknowns that are durations, of the motion or of phases."""
+        return np.unique(self.size(steps) - self.root + self.root_indices()[:, self.durations]).astype(np.int64)
 
     @last_results
     def fillings(self, steps):

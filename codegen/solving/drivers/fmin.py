@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
-from codegen.solving.drivers.shared import quiet_single_thread, require_at_most, require_method, verdict
+from codegen.solving.drivers.quiet import quiet_single_thread
+from codegen.solving.drivers.shared import require_at_most, require_method, verdict
 from codegen.solving.loading import ConnectModule, Vector
 from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, Run

@@ -14,11 +14,11 @@ from scipy.optimize import fsolve
 
 from codegen.errors import ArgumentError
 from codegen.runtime.record import Method
+from codegen.solving.drivers.quiet import quiet_single_thread
 from codegen.solving.drivers.shared import (
     DENSE_LIMIT,
     finite,
     program_on_grid,
-    quiet_single_thread,
     require_at_most,
     require_method,
     require_small,

@@ -15,7 +15,8 @@ from scipy.sparse import tril
 
 from codegen.errors import ArgumentError
 from codegen.runtime.search.messages import not_finite
-from codegen.solving.drivers.shared import claim, program_on_grid, quiet_single_thread
+from codegen.solving.drivers.quiet import quiet_single_thread
+from codegen.solving.drivers.shared import claim, program_on_grid
 from codegen.solving.loading import ControlModule, Indices, NonlinearProgram, Vector
 from codegen.solving.results.result import ControlAttempt, Run
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ArgumentError
-from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.drivers.quiet import quiet_single_thread
 from codegen.solving.loading import Case, ConnectModule, ControlModule, Matrix, SimulateModule, Vector, is_of_particles
 from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt, max_norm

@@ -9,12 +9,9 @@ problem corresponds to the multiplier lambda = r nu / f of the problem.
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
-from threading import Lock
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,9 +19,9 @@ import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, lsq_linear
-from threadpoolctl import ThreadpoolController
 
 from codegen.errors import ArgumentError
+from codegen.solving.drivers.quiet import quiet_single_thread
 from codegen.solving.loading import Case, ConnectModule, ControlModule, Matrix, NonlinearProgram, Vector, time_grid
 from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, max_norm
@@ -188,57 +185,6 @@ class ScaledProblem:
         if not np.isfinite(nu).all():
             nu = np.linalg.lstsq(jacobian.T.toarray(), -gradient, rcond=None)[0]
         return np.asarray(nu, dtype=float)
-
-
-@contextmanager
-def _quiet_process() -> Iterator[None]:
-    """Use one BLAS thread and suppress warnings during a with block; both settings apply to the whole process."""
-    with _blas().limit(limits=1), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
-
-
-@cache
-def _blas() -> ThreadpoolController:
-    """Return the controller of libraries with threads; it is cached because its construction is slow."""
-    return ThreadpoolController()
-
-
-class _Shared:
-    """A context manager that several threads share: the first thread enters the context, and the last thread leaves it.
-
-    `make` returns the context.
-    """
-
-    def __init__(self, make: Callable[[], AbstractContextManager[None]]) -> None:
-        self.make, self.lock, self.inside = make, Lock(), 0
-
-    def __enter__(self) -> None:
-        with self.lock:
-            if not self.inside:
-                self.context = self.make()
-                self.context.__enter__()
-            self.inside += 1
-
-    def __exit__(self, *error: object) -> None:
-        with self.lock:
-            self.inside -= 1
-            if not self.inside:
-                self.context.__exit__(None, None, None)
-
-
-_QUIET = _Shared(_quiet_process)
-
-
-@contextmanager
-def quiet_single_thread() -> Iterator[None]:
-    """Use one BLAS thread and suppress warnings during a with block.
-
-    With small matrices several threads would only wait for each other. A singular matrix or an overflow needs no
-    warning, because the status and the residuals show it.
-    """
-    with _QUIET, np.errstate(all="ignore"):
-        yield
 
 
 DENSE_LIMIT = 3000

@@ -7,14 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize
 
-from codegen.solving.drivers.shared import (
-    ScaledProblem,
-    claim,
-    largest_error,
-    minimised,
-    quiet_single_thread,
-    require_small,
-)
+from codegen.solving.drivers.quiet import quiet_single_thread
+from codegen.solving.drivers.shared import ScaledProblem, claim, largest_error, minimised, require_small
 from codegen.solving.loading import Case, ConnectModule, ControlModule, Vector
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run
 

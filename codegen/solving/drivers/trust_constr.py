@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
-from codegen.solving.drivers.shared import ScaledProblem, claim, minimised, quiet_single_thread
+from codegen.solving.drivers.quiet import quiet_single_thread
+from codegen.solving.drivers.shared import ScaledProblem, claim, minimised
 from codegen.solving.loading import Case, ConnectModule, ControlModule, Vector
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run
 

@@ -131,7 +131,7 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     factors = (int64, REALS, INTEGERS, int64, INTEGERS)  # equations, factors, orders, inverses, counts
     bounds = types.Tuple((INTEGERS, *[REALS] * 5))
     addresses = types.UniTuple(int64, 3)
-    on_grid = types.Tuple((*grid, MASK, REALS, REALS, float64, INDEX_TABLE, READ_MASK, INDEX_TABLE))
+    on_grid = types.Tuple((*grid, MASK, REALS, REALS, float64, INDEX_TABLE, READ_MASK, INDEX_TABLE, INTEGERS))
     yield descent.descend, (
         addresses, on_grid,
         types.Tuple((INTEGERS, REALS, INTEGERS, *[REALS] * 3, int64, INTEGERS, int64, INTEGERS, INTEGERS)),

@@ -9,7 +9,7 @@ import numpy as np
 from codegen.runtime.search import point
 from codegen.solving.compiler import build
 from codegen.solving.drivers.ipopt import _Callbacks
-from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.drivers.quiet import quiet_single_thread
 from codegen.solving.loading import load
 from codegen.solving.machine_code.processes import compilers, prepare
 

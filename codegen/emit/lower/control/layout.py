@@ -70,7 +70,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         f"unknowns of stages, eliminated first, as many as equations {_names(inside[stages : 2 * stages])}",
     )
     own = Line("OWN", str(number["OWN"]), f"linking variables of a body: {_names(program.linking.of_bodies)}")
-    shared = [unknown.multiplier for unknown in program.linking.unknowns]
+    shared, durations = [unknown.multiplier for unknown in program.linking.unknowns], _free_durations(program)
     lines = [
         Line("NODE", str(len(program.node)), f"unknowns of a node: {_names(program.node)}"),
         Line("CONDENSED", str(condensed), f"eliminated inside their interval: {_names(eliminated)}"),
@@ -96,6 +96,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
             "for the unknowns of a node and an interval",
         ),
         *([Line("SHARED_IS_MULTIPLIER", f"np.array({shared})", "for the linking variables")] if any(shared) else []),
+        *([Line("DURATIONS", integers(durations), "linking variables that are durations")] if durations else []),
         Line("START_PINNED", integers(_pinned(program.start)), "unknowns of the first node that are prescribed"),
         Line("END_PINNED", integers(_pinned(program.end)), "unknowns of the last node that are prescribed"),
         Line("ONLY_AT_ENDS", integers(program.only_at_ends), "unknowns that inner nodes do not have; zero there"),
@@ -133,6 +134,16 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         lines.append(Line("SLACKS", slacks, "unknowns of an interval that take up an inequality's distance"))
         lines.append(Line("SLACK_MULTIPLIERS", multipliers, "of the equations that define them"))
     return lines
+
+
+def _free_durations(program: ControlProgram) -> list[int]:
+    """Return the indices of the linking variables that are durations, and therefore positive.
+
+    The duration of a periodic motion has no lower bound.
+    """
+    lengths = {phase.duration for phase in program.phases or (program.model,)}
+    positive = {free.symbol for free in program.model.free_parameters if free.lower is not None}
+    return [i for i, symbol in enumerate(program.linking.symbols) if symbol in lengths & positive]
 
 
 def structure(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, str], ...]:
