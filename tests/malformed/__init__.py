@@ -56,6 +56,9 @@ _FILES = [
     Malformed("free-parameter-alone", declaring('free_parameter("T")'), ProblemFileError, 'free_parameter("T", 3)'),
     Malformed("tuple-as-control", declaring('controls("w")**2'), ProblemFileError, "unpack"),
     Malformed("tuple-as-parameter", declaring("q * parameters(k=1)"), ProblemFileError, "unpack"),
+    Malformed(
+        "matrix-as-key", declaring("from sympy import Matrix; {Matrix([q]): 1}"), ProblemFileError, "ImmutableMatrix"
+    ),
     Malformed("truth-of-symbol", declaring("if q > 0: pass"), ProblemFileError, "truth value"),
 ]
 
