@@ -46,6 +46,8 @@ _NEARLY = 1e-6
 """Largest deviation from orthogonality, or from length one, of numbers for an attitude that is taken for rounding."""
 _STRAIGHT = 1e-3
 """Angle between the values at both ends, in radians, below which a straight line is a good guess."""
+_NOW = sympy.Dummy("t", real=True)
+"""The time in guesses, before the time symbol of the problem takes its place."""
 _ATTITUDE = "a rotation matrix (3, 3), a unit quaternion (w, x, y, z), or an axis and an angle as in ([0, 0, 1], pi/2)"
 
 
@@ -426,11 +428,10 @@ class _Reading:
             if sphere in self.guessed:
                 continue
             if last is not None:
-                part = _time_in(problem) / problem.duration
-                arcs |= _arc(sphere, first, last, part, self.axes.get(sphere, (1, 0, 0)))
+                arcs |= _arc(sphere, first, last, _NOW / problem.duration, self.axes.get(sphere, (1, 0, 0)))
             elif spin is not None and last_spin is not None:
-                arcs |= _turn(sphere, first, spin, last_spin, _time_in(problem), problem.duration)
-        return arcs
+                arcs |= _turn(sphere, first, spin, last_spin, problem.duration)
+        return _in_time(arcs, problem)
 
 
 def phases_with_arcs(phases: Sequence[Any], jumps: Any) -> tuple[Any, ...]:
@@ -457,9 +458,9 @@ def phases_with_arcs(phases: Sequence[Any], jumps: Any) -> tuple[Any, ...]:
             for k in range(i, j):
                 guess = changed[k].guess
                 if isinstance(guess, Mapping) and not {*qs} & {*guess}:
-                    part = (_time_in(phases[k]) - times[i]) / (times[j] - times[i])
+                    part = (_NOW - times[i]) / (times[j] - times[i])
                     arc = _arc(sphere, first, last, part, (1, 0, 0))
-                    changed[k] = replace(changed[k], guess={**arc, **guess})
+                    changed[k] = replace(changed[k], guess={**_in_time(arc, phases[k]), **guess})
     return tuple(changed)
 
 
@@ -487,14 +488,14 @@ def _arc(sphere: Sphere, first: Any, last: Any, part: Expr, axis: Sequence[Any])
 
 
 def _turn(
-    sphere: Sphere, first: Sequence[Any], spin: Sequence[Any], last_spin: Sequence[Any], t: Expr, duration: Any
+    sphere: Sphere, first: Sequence[Any], spin: Sequence[Any], last_spin: Sequence[Any], duration: Any
 ) -> dict[Any, Expr]:
     """Return the motion from a point of a sphere with velocities on the line between those at both ends.
 
     Return {} for a motion at rest, and for a unit vector that does not come to rest: its last velocity has a tangent
     plane that is not known.
     """
-    turn = [a * t + (b - a) * t**2 / (2 * duration) for a, b in zip(spin, last_spin, strict=True)]
+    turn = [a * _NOW + (b - a) * _NOW**2 / (2 * duration) for a, b in zip(spin, last_spin, strict=True)]
     if not any(turn) or not (sphere.is_attitude or not any(last_spin)):
         return {}
     angle = sympy.sqrt(squared_length(turn))
@@ -515,14 +516,17 @@ def _across(sphere: Sphere, point: NDArray[np.float64], axis: Sequence[Any]) -> 
     return tuple(across / np.linalg.norm(across))
 
 
-def _time_in(problem: Any) -> Time:
-    """Return the time symbol of a problem, or a new one."""
+def _in_time(guess: dict[Any, Expr], problem: Any) -> dict[Any, Expr]:
+    """Return a guess in the time symbol of a problem, which is declared if the guess moves and the problem has none."""
+    if not any(value.has(_NOW) for value in guess.values()):
+        return guess
     written = [
         getattr(problem, name, 0) for name in ("lagrangian", "cost", "terminal_cost", "force", "dynamics", "guess")
     ]
     values = [value for each in written for value in (each.values() if isinstance(each, Mapping) else [each])]
     symbols = (s for value in values for s in getattr(value, "free_symbols", ()))
-    return next((s for s in symbols if isinstance(s, Time)), None) or time()
+    now = next((s for s in symbols if isinstance(s, Time)), None) or time()
+    return {q: value.xreplace({_NOW: now}) for q, value in guess.items()}
 
 
 def _attitude(key: Any) -> Sphere | None:
