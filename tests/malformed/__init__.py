@@ -154,7 +154,7 @@ _EXPRESSIONS = [
     Malformed(
         "integral", simulation(lagrangian="dq**2/2 - Integral(exp(sin(q)), q)"), ExpressionError, "no closed form"
     ),
-    Malformed("matrix", simulation(lagrangian="Matrix([[dq**2/2]])"), ExpressionError, "DenseMatrix"),
+    Malformed("matrix", simulation(lagrangian="Matrix([[dq**2/2]])"), ExpressionError, "is a matrix"),
     Malformed("array", simulation(lagrangian="Array([dq**2/2])"), ExpressionError, "DenseNDimArray"),
     Malformed("text", simulation(lagrangian='"dq**2/2"'), ExpressionError, "'dq**2/2'"),
     Malformed("truth", simulation(lagrangian="True"), ExpressionError, "lagrangian is True"),

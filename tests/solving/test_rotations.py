@@ -552,7 +552,24 @@ def test_kinematic_attitude_takes_the_geodesic():
     assert result.cost == pytest.approx(1.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("make", [free_body, lambda: slew(([0, 0, 1], 1.0))])
+def ball_on_a_turntable() -> Simulate:
+    """A homogeneous ball of radius 1 rolls on a table that turns at the rate 1."""
+    (x, R), (v, omega) = pose("B")
+    up = Matrix([0, 0, 1])
+    return Simulate(
+        lagrangian=v.dot(v) / 2 + omega.dot(omega) / 5, rolling=list(v - (R @ omega).cross(up) - up.cross(x)),
+        duration=3, start={x: (1, 0, 1), R: eye(3), v: (0, 0.5, 0), omega: (0.5, 0, 0)}, steps=300,
+    )  # fmt: skip
+
+
+def test_a_ball_on_a_turntable_runs_in_a_circle_at_two_sevenths_of_its_rate():
+    """Earnshaw (1844): the centre runs at the rate 2/7 about x + up x v 7/2, here about (-0.75, 0)."""
+    angle = 2 / 7 * 3
+    end = codegen.solve(ball_on_a_turntable()).q[-1, :2]
+    assert end == pytest.approx([-0.75 + 1.75 * np.cos(angle), 1.75 * np.sin(angle)], abs=1e-4)
+
+
+@pytest.mark.parametrize("make", [free_body, lambda: slew(([0, 0, 1], 1.0)), ball_on_a_turntable])
 def test_checks_pass(make):
     findings = list(checks.run(make(), steps=20))
     assert [finding for finding in findings if not finding.passed] == []
