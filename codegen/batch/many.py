@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, overload
 
@@ -25,6 +26,7 @@ from codegen.solving.loading import Vector, is_control, is_simulation
 from codegen.solving.machine_code import processes
 from codegen.solving.progress import building, shown_from_call
 from codegen.solving.request import Request, require_options, with_values
+from codegen.solving.results.display import Background
 from codegen.solving.results.segments import segments_of
 from codegen.solving.results.sensitivities import require_sensitive
 
@@ -137,6 +139,11 @@ def solve_many(
         except ValueError as error:
             raise NumericsError(f"{module.metadata.problem}: {error}", "give other values") from error
         found = empty_solutions(module, varied, count, limits, number, _guesses(unknowns, guess, warm, number))
+    file = getattr(module, "__file__", None)
+    background = Background(module, None if file is None else Path(file))
+    if not request.is_built:
+        background = replace(background, source=request.source, arguments=request.settings)
+    found = replace(found, background=background)
     if not found.is_ready:
         with building("Compiling what solves many cases, once"):
             found.fill(slice(0, 1), lambda: True)

@@ -34,6 +34,7 @@ from codegen.runtime.stepping.steps import NON_FINITE, NOT_CONVERGED, SINGULAR
 from codegen.solving.drivers.newton import TOLERANCE, simulate
 from codegen.solving.loading import Matrix, SimulateModule, Vector, is_of_particles
 from codegen.solving.request import with_values
+from codegen.solving.results.display import Background
 from codegen.solving.results.motions import (
     PENETRATION,
     ROUNDING,
@@ -105,6 +106,8 @@ class Motions(Cases):
         Lengths of a step, parameters and initial states of all cases.
     logs : dict of int to tuple
         Numbers of events of each case and all events of a block of cases, by the index of its first case.
+    background : Background or None
+        The module and the problem, for figures of single cases.
     """
 
     numbers_of_cases = ("residual", "iterations")
@@ -123,6 +126,7 @@ class Motions(Cases):
     messages: dict[int, str]
     numbers: Ensemble
     logs: dict[int, tuple[NDArray[np.int64], EventLog]] = field(default_factory=dict)
+    background: Background | None = None
 
     @property
     def is_ready(self) -> bool:
@@ -272,9 +276,10 @@ class Motions(Cases):
 
     def __getitem__(self, index: int) -> Result:
         """Return the Result of a case, which is followed once more; raises IndexError beyond the end."""
-        module = with_values(self.module, self._values(index))
+        values = self._values(index)
+        module = with_values(self.module, values)
         run = Run(self.steps, every=self.every, max_iterations=self.limits.max_iterations)
-        return simulate_result(module, "newton", run, simulate(module, run))
+        return self._in_background(simulate_result(module, "newton", run, simulate(module, run)), module, values)
 
 
 def require_motions(module: Any, is_on_device: bool) -> None:

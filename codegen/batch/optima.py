@@ -36,6 +36,7 @@ from codegen.solving.drivers.newton import TOLERANCE
 from codegen.solving.loading import ControlModule, Matrix, Vector
 from codegen.solving.request import with_values
 from codegen.solving.results.control import control_result
+from codegen.solving.results.display import Background
 from codegen.solving.results.result import ControlAttempt, Result, Run, component_names
 from codegen.solving.results.segments import put_together, segments_of
 from codegen.solving.results.sensitivities import rates_at, require_sensitive
@@ -78,6 +79,8 @@ class Solutions(Cases):
         The guess of each case; None for the problem's own.
     grids : ndarray of object, (n,)
         A function (case) -> grid, from the numbers of a block of cases; None without formulas on arrays.
+    background : Background or None
+        The module and the problem, for figures of single cases.
     """
 
     numbers_of_cases = ("cost", "residual", "stationarity", "iterations")
@@ -95,6 +98,7 @@ class Solutions(Cases):
     guesses: Sequence[Vector | None]
     grids: NDArray[np.object_]
     messages: dict[int, str] = field(default_factory=dict)
+    background: Background | None = None
 
     @property
     def is_ready(self) -> bool:
@@ -241,14 +245,16 @@ class Solutions(Cases):
 
     def __getitem__(self, index: int) -> Result:
         """Return the Result of a case, whose equations are evaluated once more; raises IndexError beyond the end."""
-        module = with_values(self.module, self._values(index))
+        values = self._values(index)
+        module = with_values(self.module, values)
         tolerance = self.limits.tolerance or 1e-10
         run = Run(self.steps, tolerance=tolerance, scaling=self.limits.scaling)
         attempt = ControlAttempt(
             str(self.status[index]), str(self.message[index]), int(self.iterations[index]), self.unknowns[index],
             tolerance, is_explained=True, generated=True,
         )  # fmt: skip
-        return put_together(control_result(module, "newton", run, attempt), module.metadata)
+        result = put_together(control_result(module, "newton", run, attempt), module.metadata)
+        return self._in_background(result, module, values)
 
     @cached_property
     def _motions(self) -> dict[str, NDArray[np.float64]]:

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -17,6 +17,7 @@ from codegen.batch.layout import COLUMNS
 from codegen.errors import ArgumentError, DeviceError, ExtraError, NumericsError, clause, one_line
 from codegen.runtime.search.batch import SOLVED
 from codegen.solving.loading import Matrix, Vector
+from codegen.solving.results.display import Background
 from codegen.solving.results.result import Result
 
 if TYPE_CHECKING:
@@ -91,6 +92,7 @@ class Cases(ABC):
     parameters: Mapping[str, Vector]
     module: Any
     steps: int
+    background: Background | None
     numbers_of_cases: ClassVar[tuple[str, ...]]
 
     @property
@@ -139,6 +141,11 @@ class Cases(ABC):
         if self.status[index] == UNUSABLE:
             raise NumericsError(clause(f"case {index} has unusable numbers"), "look at `status` and `message` before")
         return {name: float(values[index]) for name, values in self.parameters.items()}
+
+    def _in_background(self, result: Result, module: Any, values: Mapping[str, float]) -> Result:
+        """Return the result of a case with its numbers and its module, which figures and angular velocities need."""
+        background = None if self.background is None else replace(self.background, module=module)
+        return replace(result, parameters=dict(values), background=background)
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{count} {status}" for status, count in self.counts.items())

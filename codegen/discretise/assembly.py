@@ -135,7 +135,12 @@ def assemble(
         start=start_element,
         end=end_element,
         boundary_values=boundary_values,
-        guess=InitialGuess(motion.node_guess, motion.stage_guess, of_controls * max(1, len(sites.stage_controls))),
+        guess=InitialGuess(
+            motion.node_guess,
+            motion.stage_guess,
+            of_controls * max(1, len(sites.stage_controls)),
+            tuple(replace(h, unknowns=tuple(len(motion.node) + i for i in h.unknowns)) for h in nodal.holding),
+        ),
         slacks=path.slacks,
         slack_multipliers=path.slack_multipliers,
         path_multipliers=len(path.multipliers),

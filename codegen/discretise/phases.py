@@ -487,6 +487,10 @@ class _Chain:
             node_guess=program.guess.node,
             inside_guess=by_index(pair for pair in guesses if pair[0] in present),
             switch_guess=() if switch is None else by_index(switch.guess),
+            holding=tuple(
+                replace(each, unknowns=tuple(_index(self.node, program.node[i].name) for i in each.unknowns))
+                for each in program.guess.holding
+            ),
             equations=in_scales(program.equations, scales),
             switch_equations=() if switch is None else in_scales(switch.equations, scales),
             integrals=program.integrals,

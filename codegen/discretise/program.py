@@ -153,15 +153,34 @@ class LinkingVariables:
 
 
 @dataclass(frozen=True)
+class HoldingForces:
+    """The guess of constraint forces kappa: the least-squares solution of F + G^T kappa = 0 at the guess of the motion.
+
+    These forces hold the guess at rest. `unknowns` are the indices of kappa (m,) in a node, `forces` F (n,) the other
+    forces at rest, and `gradients` the rows of G (m, n), in time, duration and parameters.
+    """
+
+    unknowns: tuple[int, ...]
+    forces: tuple[Expr, ...]
+    gradients: tuple[tuple[Expr, ...], ...]
+
+    @property
+    def expressions(self) -> tuple[Expr, ...]:
+        """All expressions, the forces first."""
+        return (*self.forces, *(entry for row in self.gradients for entry in row))
+
+
+@dataclass(frozen=True)
 class InitialGuess:
     """The initial guess of the primal unknowns of a node, of the stages, and of the controls of an interval or a node.
 
-    The guesses are expressions in time, duration and parameters.
+    The guesses are expressions in time, duration and parameters. `holding` are guesses of constraint forces.
     """
 
     node: tuple[Expr, ...]
     stages: tuple[Expr, ...]
     controls: tuple[Expr, ...]
+    holding: tuple[HoldingForces, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -269,7 +288,8 @@ class Phase:
     switch before the phase, `jumping` are indices in a node of quantities that change: bounds of this phase do not hold
     before. `given` are indices of quantities with a prescribed value, which need no bounds, and `broken` names
     quantities with another value after the switch. Guesses are expressions in the time of the whole problem:
-    `node_guess` for the primal unknowns of a node, the others as pairs (index in `inside`, value).
+    `node_guess` for the primal unknowns of a node, `holding` for constraint forces, the others as pairs (index in
+    `inside`, value).
     """
 
     duration: Expr
@@ -283,6 +303,7 @@ class Phase:
     node_guess: tuple[Expr, ...]
     inside_guess: tuple[tuple[int, Expr], ...]
     switch_guess: tuple[tuple[int, Expr], ...]
+    holding: tuple[HoldingForces, ...]
     equations: tuple[Equation, ...]
     switch_equations: tuple[Equation, ...]
     integrals: tuple[IntegralEquation, ...] = ()

@@ -345,7 +345,7 @@ def _symbols_of(expression: Expr) -> AbstractSet[Symbol]:
     return frozenset(expression.free_symbols)
 
 
-_SHORT, _SMALL = ONE / 10**4, ONE / 100
+_SHORT, _SMALL = sympy.Rational(1, 10**4), sympy.Rational(1, 100)
 """A short time step; the least size of a pivot relative to other coefficients of its equation for this step."""
 _LARGE = 12
 """Number of unknowns from which they are put into an order that makes the Jacobian a narrow band."""

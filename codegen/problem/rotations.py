@@ -27,7 +27,8 @@ Marsden (2009), Hamilton-Pontryagin integrators on Lie groups; Hairer, Lubich an
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -45,6 +46,8 @@ _NEARLY = 1e-6
 """Largest deviation from orthogonality, or from length one, of numbers for an attitude that is taken for rounding."""
 _STRAIGHT = 1e-3
 """Angle between the values at both ends, in radians, below which a straight line is a good guess."""
+_NOW = sympy.Dummy("t", real=True)
+"""The time in guesses, before the time symbol of the problem takes its place."""
 _ATTITUDE = "a rotation matrix (3, 3), a unit quaternion (w, x, y, z), or an axis and an angle as in ([0, 0, 1], pi/2)"
 
 
@@ -224,6 +227,21 @@ def spheres_in(*expressions: Any) -> list[Sphere]:
     return list(found)
 
 
+def names_of(symbols: Iterable[Any]) -> list[str]:
+    """Return the names of symbols as the author wrote them: components have the name of their rotation or vector."""
+    names: dict[str, None] = {}
+    for symbol in symbols:
+        q = symbol.partner if isinstance(symbol, Velocity) else symbol
+        sphere = q.sphere if isinstance(q, (_CoordinateOnSphere, _StateOnSphere)) else None
+        if sphere is None:
+            names.setdefault(str(symbol))
+        elif q is symbol:
+            names.setdefault(sphere.name)
+        else:
+            names.setdefault(f"the {'angular ' if sphere.is_attitude else ''}velocity of {sphere.name}")
+    return list(names)
+
+
 def in_coordinates(problem: Any) -> dict[str, Any]:
     """Return the arguments of a problem that change when matrices, which are keys, are written out in coordinates.
 
@@ -311,12 +329,13 @@ class _Reading:
     """The arguments of a problem, written out one after the other.
 
     `conditions` must vanish at the end. `ends` has the values of rotations and unit vectors at the "start" and the
-    "end", and `axes` those axes of rotation that are written there.
+    "end", `spins` their angular velocities or velocities, and `axes` those axes of rotation that are written there.
     """
 
     def __init__(self) -> None:
         self.conditions: list[Expr] = []
         self.ends: dict[str, dict[Sphere, tuple[Any, ...]]] = {"start": {}, "end": {}}
+        self.spins: dict[str, dict[Sphere, tuple[Any, ...]]] = {"start": {}, "end": {}}
         self.axes: dict[Sphere, tuple[Any, ...]] = {}
         self.guessed: set[Sphere] = set()
 
@@ -329,6 +348,12 @@ class _Reading:
                 attitudes[sphere] = quaternion_of(value, f"{what} of {sphere.name}")
                 if isinstance(value, (list, tuple)) and len(value) == 2:
                     self.axes[sphere] = tuple(value[0])
+            elif sphere is None and isinstance(key, MatrixBase) and what in (*self.ends, "guess"):
+                for unit in (unit for unit in spheres_in(key) if unit.coordinates == tuple(key)):
+                    name = f"{what} of {unit.name}"
+                    values = vector(value, name)
+                    attitudes[unit] = _of_length_one(values, name, "a unit vector") if what in self.ends else values
+                    self.guessed |= {unit} if what == "guess" else set()
         for key, value in mapping.items():
             if not isinstance(key, MatrixBase):
                 yield key, value
@@ -337,6 +362,8 @@ class _Reading:
             name = sphere.name if sphere else f"the angular velocity of {spinning.name}" if spinning else _short([*key])
             if what in ("bounds", "scale"):
                 remedy = "bound parts by path=[... <= ...]" if what == "bounds" else "give the scale of each symbol"
+                if all(isinstance(entry, Quantity) for entry in key):
+                    remedy = f"give one entry for each symbol, as in {what}={{{key[0]}: ...}}"
                 raise ExpressionError(f"{what} has the key {name}, which is no number", remedy)
             if (sphere and what in ("periodic", "history")) or (spinning and what not in (*self.ends, "jumps")):
                 remedies = {"guess": "guess the attitude", "force": "give the torque as force={R: torque}"}
@@ -346,6 +373,7 @@ class _Reading:
                 yield from zip(sphere.coordinates, self._of_attitude(what, sphere, value), strict=False)
             elif spinning is not None:
                 rates = vector(value, f"{what} of {name}")
+                self.spins.get(what, {})[spinning] = rates
                 if spinning in attitudes or what == "jumps":
                     half = product(attitudes.get(spinning, spinning.coordinates), (sympy.S.Zero, *rates))
                     yield from zip(spinning.velocities, (part / 2 for part in half), strict=True)
@@ -357,8 +385,11 @@ class _Reading:
                 values = vector(value, f"{what} of {name}", len(key))
                 for unit in spheres_in(key):
                     if unit.coordinates == tuple(key):
-                        attitudes[unit] = values
-                        self.guessed |= {unit} if what == "guess" else set()
+                        values = attitudes.get(unit, values)
+                    elif unit.velocities == tuple(key) and what in self.ends:
+                        if unit in attitudes:
+                            values = _along_sphere(values, attitudes[unit], f"{what} of the velocity of {unit.name}")
+                        self.spins[what][unit] = values
                 yield from zip(key, values, strict=True)
             else:
                 raise SymbolError(
@@ -388,15 +419,19 @@ class _Reading:
         """Return guesses along the sphere from the values at the start to those at the end.
 
         Straight lines, which other coordinates have, would pass near the centre of the sphere between nearly opposite
-        values. Opposite values are joined by a turn about the axis that is written at the end.
+        values. Opposite values are joined by a turn about the axis that is written at the end. If the end has no value,
+        the guess moves with the velocities on the line between those at both ends.
         """
         arcs = dict[Any, Expr]()
-        for sphere, last in self.ends["end"].items() if _is_duration(problem.duration) else ():
-            first = self.ends["start"].get(sphere)
-            if first is not None and sphere not in self.guessed:
-                part = _time_in(problem) / problem.duration
-                arcs |= _arc(sphere, first, last, part, self.axes.get(sphere, (1, 0, 0)))
-        return arcs
+        for sphere, first in self.ends["start"].items() if _is_duration(problem.duration) else ():
+            last, spin, last_spin = self.ends["end"].get(sphere), *(each.get(sphere) for each in self.spins.values())
+            if sphere in self.guessed:
+                continue
+            if last is not None:
+                arcs |= _arc(sphere, first, last, _NOW / problem.duration, self.axes.get(sphere, (1, 0, 0)))
+            elif spin is not None and last_spin is not None:
+                arcs |= _turn(sphere, first, spin, last_spin, problem.duration)
+        return _in_time(arcs, problem)
 
 
 def phases_with_arcs(phases: Sequence[Any], jumps: Any) -> tuple[Any, ...]:
@@ -423,9 +458,9 @@ def phases_with_arcs(phases: Sequence[Any], jumps: Any) -> tuple[Any, ...]:
             for k in range(i, j):
                 guess = changed[k].guess
                 if isinstance(guess, Mapping) and not {*qs} & {*guess}:
-                    part = (_time_in(phases[k]) - times[i]) / (times[j] - times[i])
+                    part = (_NOW - times[i]) / (times[j] - times[i])
                     arc = _arc(sphere, first, last, part, (1, 0, 0))
-                    changed[k] = replace(changed[k], guess={**arc, **guess})
+                    changed[k] = replace(changed[k], guess={**_in_time(arc, phases[k]), **guess})
     return tuple(changed)
 
 
@@ -452,6 +487,25 @@ def _arc(sphere: Sphere, first: Any, last: Any, part: Expr, axis: Sequence[Any])
     return {q: weights[0] * x + weights[1] * y for q, x, y in zip(sphere.coordinates, first, last, strict=True)}
 
 
+def _turn(
+    sphere: Sphere, first: Sequence[Any], spin: Sequence[Any], last_spin: Sequence[Any], duration: Any
+) -> dict[Any, Expr]:
+    """Return the motion from a point of a sphere with velocities on the line between those at both ends.
+
+    Return {} for a motion at rest, and for a unit vector that does not come to rest: its last velocity has a tangent
+    plane that is not known.
+    """
+    turn = [a * _NOW + (b - a) * _NOW**2 / (2 * duration) for a, b in zip(spin, last_spin, strict=True)]
+    if not any(turn) or not (sphere.is_attitude or not any(last_spin)):
+        return {}
+    angle = sympy.sqrt(squared_length(turn))
+    if sphere.is_attitude:
+        half = [part / 2 * sympy.sinc(angle / 2) for part in turn]
+        return dict(zip(sphere.coordinates, product(first, (sympy.cos(angle / 2), *half)), strict=True))
+    point = (sympy.cos(angle) * x + sympy.sinc(angle) * part for x, part in zip(first, turn, strict=True))
+    return dict(zip(sphere.coordinates, point, strict=True))
+
+
 def _across(sphere: Sphere, point: NDArray[np.float64], axis: Sequence[Any]) -> tuple[float, ...]:
     """Return a unit vector that is perpendicular to a point of a sphere."""
     if sphere.is_attitude:
@@ -462,14 +516,17 @@ def _across(sphere: Sphere, point: NDArray[np.float64], axis: Sequence[Any]) -> 
     return tuple(across / np.linalg.norm(across))
 
 
-def _time_in(problem: Any) -> Time:
-    """Return the time symbol of a problem, or a new one."""
+def _in_time(guess: dict[Any, Expr], problem: Any) -> dict[Any, Expr]:
+    """Return a guess in the time symbol of a problem, which is declared if the guess moves and the problem has none."""
+    if not any(value.has(_NOW) for value in guess.values()):
+        return guess
     written = [
         getattr(problem, name, 0) for name in ("lagrangian", "cost", "terminal_cost", "force", "dynamics", "guess")
     ]
     values = [value for each in written for value in (each.values() if isinstance(each, Mapping) else [each])]
     symbols = (s for value in values for s in getattr(value, "free_symbols", ()))
-    return next((s for s in symbols if isinstance(s, Time)), None) or time()
+    now = next((s for s in symbols if isinstance(s, Time)), None) or time()
+    return {q: value.xreplace({_NOW: now}) for q, value in guess.items()}
 
 
 def _attitude(key: Any) -> Sphere | None:
@@ -516,7 +573,7 @@ def quaternion_of(value: Any, what: str) -> tuple[Any, ...]:
         return _about(vector(parts[0], f"the axis in {what}"), parts[1], what)
     if len(parts) == 4:
         quaternion = vector(parts, what, 4)
-        return _of_length_one(quaternion, f"the quaternion in {what}")
+        return _of_length_one(quaternion, f"the quaternion in {what}", "a quaternion of length one")
     if len(parts) == 3 and all(isinstance(row, (list, tuple, np.ndarray)) and len(row) == 3 for row in parts):
         return _of_matrix(parts, what)
     raise BoundaryError(f"{what} is {_short(value)}", f"give {_ATTITUDE}")
@@ -532,19 +589,34 @@ def _about(axis: Sequence[Any], angle: Any, what: str) -> tuple[Any, ...]:
     return (sympy.cos(half), *(sympy.sin(half) * part / length for part in axis))
 
 
-def _of_length_one(parts: tuple[Expr, ...], name: str) -> tuple[Expr, ...]:
+def _of_length_one(parts: tuple[Expr, ...], name: str, wanted: str) -> tuple[Expr, ...]:
     length = sympy.sqrt(sympy.Add(*(part**2 for part in parts)))
     if length.is_number and abs(float(length) - 1.0) > _NEARLY:
-        raise BoundaryError(f"{name} has the length {float(length):.6g}", "give a quaternion of length one")
-    return tuple(part / length for part in parts) if length.is_number else parts
+        raise BoundaryError(f"{name} has the length {float(length):.6g}", f"give {wanted}")
+    is_rounded = length.is_number and abs(float(length) - 1.0) > 4.0 * sys.float_info.epsilon
+    return tuple(part / length for part in parts) if is_rounded else parts
+
+
+def _along_sphere(velocity: tuple[Expr, ...], vector: Sequence[Any], name: str) -> tuple[Expr, ...]:
+    """Return the part of a velocity perpendicular to its unit vector; the other part must be rounding."""
+    along = sympy.Add(*(a * b for a, b in zip(velocity, vector, strict=True)))
+    if not along.is_number or not sympy.Add(*velocity).is_number:
+        return velocity
+    size = math.sqrt(sum(float(part) ** 2 for part in velocity))
+    if abs(float(along)) > _NEARLY * size:
+        raise BoundaryError(
+            f"{name} has the component {float(along):.6g} along the unit vector", "give a velocity perpendicular to it"
+        )
+    return tuple(a - along * b for a, b in zip(velocity, vector, strict=True))
 
 
 def _of_matrix(rows: Sequence[Any], what: str) -> tuple[Any, ...]:
     from scipy.spatial.transform import Rotation as Attitude
 
     entries = [vector(row, f"a row of {what}") for row in rows]
-    if any(entry.free_symbols for row in entries for entry in row):
-        raise BoundaryError(f"the matrix in {what} depends on parameters", "give an axis and an angle")
+    if symbols := {symbol for row in entries for entry in row for symbol in entry.free_symbols}:
+        names = ", ".join(names_of(sorted(symbols, key=str)))
+        raise BoundaryError(f"the matrix in {what} depends on {names}", "give an axis and an angle")
     numbers = np.array(entries, dtype=float)
     error = float(np.abs(numbers.T @ numbers - np.eye(3)).max())
     if not error <= _NEARLY:
@@ -554,7 +626,7 @@ def _of_matrix(rows: Sequence[Any], what: str) -> tuple[Any, ...]:
     if np.linalg.det(numbers) < 0.0:
         raise BoundaryError(f"{what} is a reflection, whose determinant is -1", f"give {_ATTITUDE}")
     x, y, z, w = map(sympy.Float, Attitude.from_matrix(numbers).as_quat(canonical=True))
-    return _of_length_one((w, x, y, z), what)
+    return _of_length_one((w, x, y, z), what, "a quaternion of length one")
 
 
 def _short(value: Any) -> str:

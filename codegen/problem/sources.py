@@ -344,6 +344,10 @@ _MISTAKES = (
     ("Cannot convert expression to float", _OF_SYMPY),
     ("ufunc", _OF_SYMPY),
     ("free_parameter() missing", 'give its initial guess, as in free_parameter("T", 3)'),
+    (
+        "'MutableDenseMatrix'",
+        "make a vector that is a key an ImmutableMatrix, as in u = ImmutableMatrix(controls('u1:4'))",
+    ),
     ("'function'", "call it where it makes a symbol, as in t = time()"),
 )
 """Words in the message of a TypeError, and the remedy for each."""
@@ -359,7 +363,7 @@ def _blaming(path: Path) -> Iterator[None]:
     except CodegenError as error:
         raise with_location(error, _location(path, error)) from error
     except (Exception, SystemExit) as error:  # the user's code may raise any error; KeyboardInterrupt is not caught
-        finding = f"{type(error).__name__}: {error}".rstrip(": ")
+        finding = f"{type(error).__name__}: {error}".rstrip(":. ")
         raise _unusable(_location(path, error), finding, _remedy(error)) from error
 
 

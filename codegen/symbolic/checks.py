@@ -51,7 +51,9 @@ def checked(value: object, what: str) -> sympy.Expr:
         expression = sympy.sympify(value, strict=True)
     except (sympy.SympifyError, TypeError, ValueError):
         raise ExpressionError(f"{what} is a {type(value).__name__}", "give one sympy expression or number") from None
-    if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
+    if getattr(expression, "is_Matrix", False):
+        raise ExpressionError(f"{what} is a matrix", "give one scalar expression, such as a.dot(b) for a.T @ b")
+    if not isinstance(expression, sympy.Expr):
         raise ExpressionError(f"{what} is a {type(expression).__name__}", "give one scalar expression")
     expression = functions.rewritten(with_exponents_together(expression), what)
     for atom in sorted(expression.atoms(sympy.Number, sympy.core.numbers.ComplexInfinity), key=str):

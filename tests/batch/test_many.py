@@ -124,6 +124,7 @@ def test_solutions_are_results_and_a_data_set():
     found = codegen.solve_many(PROBLEMS / "orbital_transfer.py", {"r1": [5.6, 6.4], "m": 100.0}, steps=20)
     assert len(found) == 2
     assert found[1].r[-1] == pytest.approx(6.4)
+    assert "6.4" in found[1].plot().text
     assert [result.cost for result in found] == pytest.approx(found.cost.tolist())
     data = found.to_dataset()
     assert data["q"].sel(coordinate="r").values[:, -1] == pytest.approx([5.6, 6.4])

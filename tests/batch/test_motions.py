@@ -44,6 +44,17 @@ def test_every_case_has_the_motion_that_solve_finds(name, every):
             np.testing.assert_array_equal(getattr(found, array)[i], getattr(alone, array))
 
 
+def test_a_case_of_a_tumbling_body_has_its_angular_velocity_and_a_film(tmp_path):
+    """The magnitude of the angular momentum J omega of a free body is constant."""
+    found = codegen.solve_many(PROBLEMS / "dzhanibekov.py", {"duration": [1.0, 2.0]}, steps=20)
+    case = found[1]
+    assert case["omega"][0] == pytest.approx([1e-3, 2, 0], abs=1e-12)
+    momentum = np.linalg.norm(case["omega"] * [3, 2, 1], axis=1)
+    assert momentum == pytest.approx(np.full(21, np.hypot(3e-3, 4)), rel=1e-12)
+    case.animate(tmp_path / "body.gif")
+    assert (tmp_path / "body.gif").stat().st_size > 1000
+
+
 def test_midpoint_rule_of_oscillators_is_a_rotation_by_a_known_angle():
     """A step of length h turns the phase by 2 arctan(w h/2)."""
     rng = np.random.default_rng(1)

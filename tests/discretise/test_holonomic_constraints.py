@@ -8,10 +8,13 @@ from dense_assembly import DenseProblem
 from dense_layout import pinned_names
 from sympy import cos, sin
 
+import codegen
 from codegen import Control, control, controls, coordinate, coordinates, parameters, time
 from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.transcribe import transcribe
 from codegen.errors import ArgumentError, BoundaryError, DegenerateError
+from codegen.runtime.search.grid import holding_forces, views
+from codegen.solving.loading import load
 
 FROM, TO, SPEED = 0.3, 1.2, 0.5
 
@@ -69,6 +72,41 @@ def test_lagrangian_may_be_singular_across_a_constraint(exact_swing):
         assert dense.at_nodes(z, "x") ** 2 + dense.at_nodes(z, "y") ** 2 == pytest.approx(1, abs=1e-12)
         errors.append(abs(dense.cost(z) - exact_swing))
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.25)
+
+
+def hanging_load(mass: float = 0.3) -> Control:
+    """Carry a load on a rope of length 0.8 by a cart, from rest to rest."""
+    (s, x, y), (ds, dx, dy) = coordinates("s x y")
+    u = control("u")
+    (m,) = parameters(m=mass)
+    rest = {s: 0, x: 0, y: -0.8, ds: 0, dx: 0, dy: 0}
+    return Control(
+        lagrangian=ds**2 / 2 + m * (dx**2 + dy**2) / 2 - m * 9.81 * y, force={s: u}, cost=u**2, duration=3, start=rest,
+        end=rest | {s: 1, x: 1}, constraint=[((x - s) ** 2 + y**2 - 0.64) / 2], steps=40,
+    )  # fmt: skip
+
+
+def test_constraint_forces_of_a_guess_hold_the_load():
+    """The tension per length is m g/l. Without it the linear equations of the load have no sideways force."""
+    solver = codegen.compile(hanging_load())
+    module = load(solver.source.path)
+    grid = module.make_grid(40, m=0.5)
+    nodes, _ = views(grid, module.initial_guess(grid))
+    assert nodes[0, :, 6] == pytest.approx(np.full(41, -0.5 * 9.81 / 0.8), rel=1e-9)
+    result = solver.solve()
+    assert result.status == "solved"
+    assert result.iterations <= 5  # 7 from a guess without forces
+
+
+def test_holding_forces_are_the_least_squares_solution():
+    """Two constraints and three forces at two nodes, by the pseudo-inverse of numpy; no force along no gradient."""
+    rng = np.random.default_rng(0)
+    force, rows = rng.normal(size=(3, 2)), rng.normal(size=(2, 3, 2))
+    found = holding_forces([*force], [[*row] for row in rows])
+    for node in range(2):
+        assert found[node] == pytest.approx(-np.linalg.pinv(rows[:, :, node].T) @ force[:, node], rel=1e-9)
+    assert holding_forces([1.0, 0.0], [[0.0, 0.0]]) == pytest.approx([0.0], abs=0)
+    assert holding_forces([np.nan], [[1.0]]) == pytest.approx([0.0], abs=0)
 
 
 def test_lagrangian_that_is_singular_along_a_constraint_is_refused():

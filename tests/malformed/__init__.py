@@ -56,6 +56,9 @@ _FILES = [
     Malformed("free-parameter-alone", declaring('free_parameter("T")'), ProblemFileError, 'free_parameter("T", 3)'),
     Malformed("tuple-as-control", declaring('controls("w")**2'), ProblemFileError, "unpack"),
     Malformed("tuple-as-parameter", declaring("q * parameters(k=1)"), ProblemFileError, "unpack"),
+    Malformed(
+        "matrix-as-key", declaring("from sympy import Matrix; {Matrix([q]): 1}"), ProblemFileError, "ImmutableMatrix"
+    ),
     Malformed("truth-of-symbol", declaring("if q > 0: pass"), ProblemFileError, "truth value"),
 ]
 
@@ -151,7 +154,7 @@ _EXPRESSIONS = [
     Malformed(
         "integral", simulation(lagrangian="dq**2/2 - Integral(exp(sin(q)), q)"), ExpressionError, "no closed form"
     ),
-    Malformed("matrix", simulation(lagrangian="Matrix([[dq**2/2]])"), ExpressionError, "DenseMatrix"),
+    Malformed("matrix", simulation(lagrangian="Matrix([[dq**2/2]])"), ExpressionError, "is a matrix"),
     Malformed("array", simulation(lagrangian="Array([dq**2/2])"), ExpressionError, "DenseNDimArray"),
     Malformed("text", simulation(lagrangian='"dq**2/2"'), ExpressionError, "'dq**2/2'"),
     Malformed("truth", simulation(lagrangian="True"), ExpressionError, "lagrangian is True"),

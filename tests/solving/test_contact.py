@@ -401,7 +401,7 @@ BAD = [
     ({"unilateral": lambda s: {"floor": s["y"] + s["u"] >= 0}}, ExpressionError, "depends on u"),
     ({"unilateral": lambda s: {"floor": s["m"] >= 0}}, ExpressionError, "depends on no coordinate"),
     ({"unilateral": lambda s: {"floor": Symbol("w") >= 0}}, SymbolError, "w in unilateral floor was never declared"),
-    ({"unilateral": lambda s: [Eq(s["y"], 0)]}, ExpressionError, "is an equation"),
+    ({"unilateral": lambda s: [Eq(s["y"], 0)]}, ExpressionError, "is no inequality"),
     ({"unilateral": lambda s: s["y"] >= 0}, ExpressionError, "unilateral is a single relation"),
     ({"constraint": lambda s: [s["x"] - 1]}, ExpressionError, "with a holonomic constraint"),
     ({"rolling": lambda s: [s["dx"] - s["dy"]]}, ExpressionError, "with a rolling constraint"),

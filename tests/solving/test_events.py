@@ -477,7 +477,7 @@ REFUSED = {
         lambda: ball(unilateral=lambda y, v, e: [e >= 0]), ExpressionError, "depends on no coordinate",
     ),
     "a gap that is an equation": (
-        lambda: ball(unilateral=lambda y, v, e: [Eq(y, 0)]), ExpressionError, "is an equation; write it in constraint",
+        lambda: ball(unilateral=lambda y, v, e: [Eq(y, 0)]), ExpressionError, "is no inequality; write gap >= 0, or",
     ),
     "a gap of first-order dynamics": (growing, ExpressionError, "with dynamics; give a Lagrangian or a Hamiltonian"),
     "a gap beside a constraint": (

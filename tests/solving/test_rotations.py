@@ -429,6 +429,47 @@ def test_detour_of_a_guess_returns_to_a_great_circle():
     assert np.abs(result.n_z).max() < 1e-9
 
 
+@pytest.mark.parametrize("inertia", [diag(2, 2, 2), J], ids=["ball", "body"])
+def test_a_tumbling_body_stops_from_a_guess_that_turns(inertia):
+    """The torque -pi/T along the angular momentum pi has the least cost |pi|^2/(2 T), for every inertia."""
+    R, omega = rotation("R")
+    u = Matrix(controls("u1 u2 u3"))
+    problem = Control(
+        lagrangian=omega.dot(inertia * omega) / 2,
+        force={R: u},
+        cost=u.dot(u) / 2,
+        duration=5,
+        start={R: TILT, omega: (0.5, -1, 2)},
+        end={omega: (0, 0, 0)},
+        steps=50,
+    )
+    result = codegen.solve(problem)
+    momentum = np.array([0.5, -1, 2]) * np.diag(np.array(inertia, dtype=float))
+    assert result.status == "solved"
+    assert result.cost == pytest.approx(momentum @ momentum / 10, rel=2e-3)
+    assert result.iterations <= 12
+
+
+def test_a_moving_direction_stops_from_a_guess_that_turns():
+    """A point on a sphere brakes evenly along a great circle: cost |v|^2/(2 T), angle |v| T/2 = 4."""
+    n, dn = direction("n")
+    u = Matrix(controls("u1 u2 u3"))
+    problem = Control(
+        lagrangian=dn.dot(dn) / 2,
+        force={n: u},
+        cost=u.dot(u) / 2,
+        duration=4,
+        start={dn: (0, 2, 0), n: (1, 0, 0)},
+        end={dn: (0, 0, 0)},
+        steps=200,
+    )
+    result = codegen.solve(problem)
+    assert result.status == "solved"
+    assert result.cost == pytest.approx(0.5, rel=1e-3)
+    assert result.q[-1] == pytest.approx([np.cos(4), np.sin(4), 0], abs=2e-3)
+    assert result.iterations <= 20
+
+
 def test_a_search_leaves_the_plane_of_a_symmetric_guess():
     """A pendulum swings up through space with less effort than in a plane, where the straight guess lies.
 
@@ -511,7 +552,24 @@ def test_kinematic_attitude_takes_the_geodesic():
     assert result.cost == pytest.approx(1.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("make", [free_body, lambda: slew(([0, 0, 1], 1.0))])
+def ball_on_a_turntable() -> Simulate:
+    """A homogeneous ball of radius 1 rolls on a table that turns at the rate 1."""
+    (x, R), (v, omega) = pose("B")
+    up = Matrix([0, 0, 1])
+    return Simulate(
+        lagrangian=v.dot(v) / 2 + omega.dot(omega) / 5, rolling=list(v - (R @ omega).cross(up) - up.cross(x)),
+        duration=3, start={x: (1, 0, 1), R: eye(3), v: (0, 0.5, 0), omega: (0.5, 0, 0)}, steps=300,
+    )  # fmt: skip
+
+
+def test_a_ball_on_a_turntable_runs_in_a_circle_at_two_sevenths_of_its_rate():
+    """Earnshaw (1844): the centre runs at the rate 2/7 about x + up x v 7/2, here about (-0.75, 0)."""
+    angle = 2 / 7 * 3
+    end = codegen.solve(ball_on_a_turntable()).q[-1, :2]
+    assert end == pytest.approx([-0.75 + 1.75 * np.cos(angle), 1.75 * np.sin(angle)], abs=1e-4)
+
+
+@pytest.mark.parametrize("make", [free_body, lambda: slew(([0, 0, 1], 1.0)), ball_on_a_turntable])
 def test_checks_pass(make):
     findings = list(checks.run(make(), steps=20))
     assert [finding for finding in findings if not finding.passed] == []
@@ -567,10 +625,10 @@ REFUSED = {
     "text": (lambda R, w: {R: "identity", w: (0, 0, 0)}, BoundaryError, "start of R is identity"),
     "a matrix of parameters": (
         lambda R, w: {R: Matrix([[parameters(a=1.0)[0], 0, 0], [0, 1, 0], [0, 0, 1]]), w: (0, 0, 0)},
-        BoundaryError, "depends on parameters; give an axis and an angle"),
+        BoundaryError, "the matrix in start of R depends on a; give an axis and an angle"),
     "a spin in the plane": (lambda R, w: {R: eye(3), w: (0, 1)}, BoundaryError, "the angular velocity of R is (0, 1)"),
     "a spin without an attitude": (lambda R, w: {w: (0, 0, 1)}, BoundaryError, "without the attitude; add R: ..."),
-    "no spin": (lambda R, w: {R: eye(3)}, BoundaryError, "start lacks dR_w"),
+    "no spin": (lambda R, w: {R: eye(3)}, BoundaryError, "start lacks the angular velocity of R; a"),
     "an angle that is not a number": (
         lambda R, w: {R: ([0, 0, 1], float("nan")), w: (0, 0, 0)}, BoundaryError, "the angle in start of R is nan"),
     "an angle as text": (
@@ -604,7 +662,7 @@ def test_values_that_are_no_attitudes_are_refused(what):
         (
             lambda: _simulate(lambda R, w: {R: eye(3), w: (0, 0, 0)}, lambda R, w: w[2] ** 2),
             DegenerateError,
-            "degenerate",
+            "degenerate in the angular velocity of R; give all moments of inertia",
         ),
         (lambda: slew(eye(3), bounds={rotation("R")[0]: (0, 1)}), ExpressionError, "bounds has the key R"),
         (lambda: slew(diag(2, 1, 1)), BoundaryError, "end of R is no rotation"),
@@ -619,8 +677,26 @@ def test_values_that_are_no_attitudes_are_refused(what):
         (lambda: slew(([0, 0, 1], 1), guess={rotation("R")[1]: (0, 0, 1)}), SymbolError, "guess the attitude"),
         (_bouncing, ExpressionError, "with the rotation or direction R"),
         (lambda: direction(3), CodegenError, "not an identifier"),
+        (
+            lambda: (lambda R: Simulate(dynamics={R: (0, 0, 1)}, start={R: eye(3)}, duration=1))(rotation("R")[0]),
+            SymbolError,
+            'R is declared for a Lagrangian, but the problem is given by dynamics; declare the attitude by attitude("R',
+        ),
+        (
+            lambda: _simulate(lambda R, w: {R: eye(3), w: (0, 0, 0)}, lambda R, w: w.dot(w) + rotation("R")[1][0] ** 2),
+            SymbolError,
+            "two symbols are called R;",
+        ),
+        (
+            lambda: _simulate(lambda R, w: {R: eye(3), w: (0, 0, 0)}, lambda R, w: w.T @ w),
+            ExpressionError,
+            "lagrangian is a matrix; give one scalar expression",
+        ),
     ],
-    ids=["degenerate", "bounds", "end", "scale", "name", "names", "first order", "guess", "gap", "number"],
+    ids=[
+        *("degenerate", "bounds", "end", "scale", "name", "names", "first order", "guess", "gap", "number", "dynamics"),
+        *("twice", "matrix"),
+    ],
 )
 def test_other_mistakes_are_refused(make, error, text):
     with pytest.raises(error) as caught:
@@ -656,10 +732,28 @@ def test_constraints_with_names_beside_a_rotation():
 
 
 @pytest.mark.fast
-def test_unit_vector_of_another_length_is_refused():
+@pytest.mark.parametrize(
+    ("start", "text"),
+    [
+        (lambda n, dn: {n: (1, 1, 0), dn: (0, 0, 1)}, "start of n has the length 1.41421; give a unit vector"),
+        (lambda n, dn: {dn: (1, 0, 1), n: (1, 0, 0)}, "velocity of n has the component 1 along the unit vector"),
+        (lambda n, dn: {n: (1, 0, 0)}, "start lacks the velocity of n"),
+    ],
+    ids=["length", "velocity", "none"],
+)
+def test_values_that_do_not_fit_a_unit_vector_are_refused(start, text):
     n, dn = direction("n")
-    with pytest.raises(BoundaryError, match="n_x"):
-        codegen.solve(Simulate(lagrangian=dn.dot(dn), duration=1, start={n: (1, 1, 0), dn: (0, 0, 1)}))
+    with pytest.raises(BoundaryError, match=text):
+        codegen.solve(Simulate(lagrangian=dn.dot(dn), duration=1, start=start(n, dn)))
+
+
+def test_a_rounded_unit_vector_gets_the_length_one():
+    n, dn = direction("n")
+    result = codegen.solve(
+        Simulate(lagrangian=dn.dot(dn), duration=1, start={dn: (0.3, -0.3, 1), n: (0.70710678, 0.70710678, 0)})
+    )
+    assert result.status == "solved"
+    assert np.abs(np.linalg.norm(result.q, axis=1) - 1).max() < 1e-15
 
 
 def test_symbolic_attitudes_are_parameters_of_the_module():

@@ -39,14 +39,16 @@ from codegen.discretise.conditions.base import (
 from codegen.discretise.conditions.path import NodalTerms, nodal_equalities
 from codegen.discretise.interval import STEP, at_nodes
 from codegen.discretise.model.definitions import Boundary, Condition, Model
+from codegen.discretise.model.guesses import at_guess, coordinate_guess
 from codegen.discretise.model.relations import Entry, relation_entries, text
-from codegen.discretise.program import Equation, Names, Unknown, occurring, symbols
+from codegen.discretise.program import Equation, HoldingForces, Names, Unknown, occurring, symbols
 from codegen.discretise.schemes.base import Scheme
 from codegen.errors import ArgumentError, DegenerateError, ExpressionError, SchemeError
 from codegen.problem.problem import Control, Simulate
+from codegen.problem.rotations import squared_length
 from codegen.problem.symbols import Coordinate, Parameter, Time
 from codegen.runtime.record import Kind, Meaning
-from codegen.symbolic.derivatives import partials
+from codegen.symbolic.derivatives import gradient, partials
 
 
 class Holonomic(ConditionKind):
@@ -166,7 +168,34 @@ class Constraints:
                 *eta.equations,
                 *(Equation(mean, condition=u.meaning.subject) for u, mean in zip(zeta, means, strict=True)),
             ),
+            holding=self._holding(),
         )
+
+    def _holding(self) -> tuple[HoldingForces, ...]:
+        """Return the guess of the forces at the guess of the motion; () if no other force acts on the coordinates.
+
+        From forces of zero, a linear equation of motion may have no solution: a load without tension in its rope cannot
+        be moved sideways by the rope. The length of a quaternion needs no force, since no force acts along it.
+        """
+        model = self.model
+        lengths = [squared_length(rotation) - 1 for rotation in model.rotations]
+        chosen = [i for i, c in enumerate((*model.holonomic, *model.rolling)) if c not in lengths]
+        touched = sorted(set[int]().union(*(self.touched[i] for i in chosen)))
+        rows = [[sympy.diff(c, q) for q in model.coordinates] for c in model.holonomic]
+        rows += [[*row] for row in self.rows]
+        at_rest = dict.fromkeys(model.rates, S.Zero)
+        guess = dict(zip(model.coordinates, coordinate_guess(model), strict=True))
+        guess |= {u: dict(model.guess).get(u, S.Zero) for u in model.controls}
+
+        def guessed(expression: Expr) -> Expr:
+            value = at_guess(model, expression.subs(at_rest).subs(guess, simultaneous=True))
+            return S.Zero if value.has(S.NaN, S.ComplexInfinity, S.Infinity, S.NegativeInfinity) else value
+
+        slopes = gradient(model.function, model.coordinates)
+        forces = tuple(guessed(slopes[i] + model.force[i]) for i in touched)
+        if not any(forces):
+            return ()
+        return (HoldingForces((*chosen,), forces, tuple(tuple(guessed(rows[i][j]) for j in touched) for i in chosen)),)
 
     def tangency(self, boundary: Boundary, matched: set[int], values: Mapping[Symbol, Expr]) -> tuple[Condition, ...]:
         """Return dc/dt = 0 at an end for constraints with matched velocities, unless prescribed values imply it.

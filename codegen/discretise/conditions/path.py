@@ -31,7 +31,15 @@ from codegen.discretise.conditions.ends import imposed
 from codegen.discretise.interval import STEP, PathValue, StateValue, at_nodes
 from codegen.discretise.model.definitions import Boundary, Condition, Model
 from codegen.discretise.model.relations import MOVING, STATIC
-from codegen.discretise.program import Equation, Names, Unknown, is_invariant_under_shifts, occurring, symbols
+from codegen.discretise.program import (
+    Equation,
+    HoldingForces,
+    Names,
+    Unknown,
+    is_invariant_under_shifts,
+    occurring,
+    symbols,
+)
 from codegen.errors import DegenerateError, ExpressionError
 from codegen.problem.symbols import ControlInput, Delayed, Time
 from codegen.runtime.record import Kind, Meaning
@@ -109,13 +117,17 @@ class IntervalTerms:
 
 @dataclass(frozen=True)
 class NodalTerms:
-    """Unknowns of every node, their contribution to an interval, and names of unknowns that are zero at an end."""
+    """Unknowns of every node, their contribution to an interval, and names of unknowns that are zero at an end.
+
+    The indices of `holding` are those in `unknowns`.
+    """
 
     unknowns: tuple[Unknown, ...] = ()
     element: Expr = S.Zero
     start_pins: tuple[str, ...] = ()
     end_pins: tuple[str, ...] = ()
     equations: tuple[Equation, ...] = ()
+    holding: tuple[HoldingForces, ...] = ()
 
     def __add__(self, other: NodalTerms) -> NodalTerms:
         """Return the terms of both."""

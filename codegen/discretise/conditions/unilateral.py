@@ -6,7 +6,7 @@ The equations are in `codegen.discretise.contact`.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -60,6 +60,8 @@ class Unilateral(ConditionKind):
                 raise ExpressionError(
                     f"friction has {len(friction)} values for {len(gaps)} gaps", "give one number, or one for each gap"
                 )
+        elif isinstance(friction, Mapping):
+            raise ExpressionError("friction is a mapping", "give one number, or a list with one for each gap")
         else:
             friction = [friction] * len(gaps)
         slips = checked_sequence("slip", control.slip, "sliding velocity")
@@ -94,7 +96,7 @@ class Unilateral(ConditionKind):
         if form != "lagrangian":
             raise ExpressionError(f"{entry.what} with {form}", "give a Lagrangian, whose forces are those of contact")
         if entry.equality:
-            raise ExpressionError(f"{entry.what} is an equation", "write it in constraint, or as gap >= 0")
+            raise ExpressionError(f"{entry.what} is no inequality", "write gap >= 0, or an equation in constraint")
         if control.bodies != 1:
             raise ExpressionError(f"{entry.what} with {control.bodies} bodies", "give each body coordinates of its own")
         if spheres := spheres_in(control.lagrangian):

@@ -57,6 +57,8 @@ def written(problem: Simulate) -> Iterator[Entry]:
             raise ExpressionError(
                 f"restitution has {len(values)} values for {count} gaps", "give one number, or one for each gap"
             )
+    elif isinstance(values, Mapping):
+        raise ExpressionError("restitution is a mapping", "give one number, or a list with one for each gap")
     else:
         values = [values] * count
     for index, value in enumerate(values):
@@ -98,7 +100,7 @@ def require_fitting(problem: Simulate, form: str, entries: Sequence[Entry]) -> N
         if entry.role != "unilateral":
             continue
         if entry.equality:
-            raise ExpressionError(f"{entry.what} is an equation", "write it in constraint, or as gap >= 0")
+            raise ExpressionError(f"{entry.what} is no inequality", "write gap >= 0, or an equation in constraint")
         if form == "dynamics":
             raise ExpressionError(f"{entry.what} with dynamics", "give a Lagrangian or a Hamiltonian")
         if constraint:

@@ -25,7 +25,7 @@ from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, Sym
 from codegen.problem import symbols
 from codegen.problem.bodies import require_body
 from codegen.problem.problem import FORMS, Control, Problem, Simulate, form_of
-from codegen.problem.rotations import spheres_in
+from codegen.problem.rotations import names_of, spheres_in
 from codegen.problem.symbols import Quantity
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.terms import value_counts
@@ -148,7 +148,7 @@ def require_unique_names(quantities: Sequence[Quantity]) -> None:
         if isinstance(symbol, symbols.EndValue):
             continue  # its name was not chosen by the author
         if seen.setdefault(symbol.name, symbol) != symbol:
-            raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
+            raise SymbolError(f"two symbols are called {names_of([symbol])[0]}", "give one of them another name")
 
 
 def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
@@ -161,7 +161,7 @@ def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kind
         lagrangian = next((entry.expression for entry in entries if entry.role == "lagrangian"), None)
         is_linear = lagrangian is not None and degenerate.is_linear(lagrangian, kinds.rates)
         rates = () if is_linear else kinds.rates
-        missing = [str(s) for s in (*kinds.coordinates, *rates) if s not in problem.start]
+        missing = names_of(s for s in (*kinds.coordinates, *rates) if s not in problem.start)
         if missing:
             raise BoundaryError(f"start lacks {', '.join(missing)}", "a simulation needs the complete initial state")
         for simulated in SIMULATED:
@@ -169,7 +169,7 @@ def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kind
                 simulated.require_fitting(entry, problem, form)
         events.require_fitting(problem, form, entries)
     if form == "dynamics":
-        missing = [str(x) for x in kinds.coordinates if x not in (problem.dynamics or {})]
+        missing = names_of(x for x in kinds.coordinates if x not in (problem.dynamics or {}))
         if missing:
             raise ExpressionError(f"dynamics lacks {', '.join(missing)}", "give the derivative of every state")
         if problem.force:

@@ -19,6 +19,7 @@ from codegen.discretise.model.relations import MOVING, STATIC, Entry
 from codegen.drawing import Item
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
 from codegen.problem.problem import Problem
+from codegen.problem.rotations import spheres_in
 from codegen.problem.symbols import (
     BodyNumber,
     ControlInput,
@@ -109,6 +110,14 @@ def kinds_of(used: Sequence[Quantity], form: str) -> Kinds:
     for symbol in sorted(moving, key=lambda symbol: (isinstance(symbol, Coordinate), symbol.name)):
         if not isinstance(symbol, moving_kinds[form]):
             article = "" if form == "dynamics" else "a "
+            if spheres := spheres_in(symbol):
+                what = (
+                    "an attitude of first-order dynamics" if isinstance(symbol, State) else "declared for a Lagrangian"
+                )
+                remedy = "give a Lagrangian"
+                if form == "dynamics" and spheres[0].is_attitude:
+                    remedy = f'declare the attitude by attitude("{spheres[0].name}"), or give a Lagrangian'
+                raise SymbolError(f"{spheres[0].name} is {what}, but the problem is given by {article}{form}", remedy)
             raise SymbolError(
                 f"{symbol} is a {type(symbol).__name__.lower()}, but the problem is given by {article}{form}",
                 "declare coordinates(...) for a Lagrangian, canonical_pairs(...) for a Hamiltonian, states(...) for "

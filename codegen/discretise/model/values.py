@@ -85,11 +85,15 @@ def require_regular_lagrangian(model: Model, points: Points) -> None:
     regularised = model.function + sum(rate**2 for rate in across)
     null = expressions.null_direction(hessian_samples(regularised, model.rates, points))
     if null is not None:
-        names = " ".join(str(v) for v, weight in zip(model.rates, null, strict=True) if abs(weight) > 1e-6)
+        singular = [v for v, weight in zip(model.rates, null, strict=True) if abs(weight) > 1e-6]
+        turning = {f"d{name}_{part}": f"the angular velocity of {name}" for name in model.attitudes for part in "wxyz"}
+        names = " ".join(dict.fromkeys(turning.get(str(v), str(v)) for v in singular))
         remedy = "give every coordinate a kinetic energy, or leave it out"
+        if all(str(v) in turning for v in singular):
+            raise DegenerateError(f"the Lagrangian is degenerate in {names}", "give all moments of inertia values > 0")
         if model.task == "control" and is_linear(model.function, model.rates):
             remedy = "it is linear in the velocities, for simulations only; write the equations as dynamics={x: ...}"
-        elif any(sympy.diff(model.function, v) != 0 for v in model.rates if str(v) in names.split()):
+        elif any(sympy.diff(model.function, v) != 0 for v in singular):
             remedy += ", or let the Lagrangian be linear in all velocities"
         if len(constraints) < len(model.holonomic):
             remedy += "; across a constraint, add the square of its time derivative, which vanishes along the motion"

@@ -538,7 +538,8 @@ def check_rotating_momenta(context: Context, program: StepProgram) -> Iterator[F
             at: dict[Symbol, Any] = dict.fromkeys(symbols, mpmath.mpf(0))
             at |= dict(zip(program.left_symbols, left.values(), strict=False))
             at |= dict(zip(program.right_symbols, right.values(), strict=False))
-            at |= dict(zip(program.stage_symbols, action.rates(left, right), strict=True))
+            # Forces of rolling constraints follow the rates, and are zero like the momenta.
+            at |= dict(zip(program.stage_symbols, action.rates(left, right), strict=False))
             at |= dict(zip(model.parameters, action.parameters, strict=True)) | {model.time: _TIME}
             at |= dict.fromkeys((STEP, *program.lengths), _LENGTH)
             found = dict(zip(equations, values(*(at[s] for s in symbols)), strict=True))

@@ -10,6 +10,7 @@ import numpy as np
 
 from codegen.runtime.search.problem import ControlProblem
 
+LEAST_SQUARE = 1e-12  # least square of the length of a gradient, relative to the sum of all
 NONE = np.zeros(0)  # the scaling factors of a grid in the problem's own units
 SHORTEST = 1e-10  # least length of an interval, relative to the duration or the phase
 EQUAL = 1e-12  # largest relative difference of the lengths of equal intervals
@@ -298,6 +299,22 @@ def through_inner_times(grid, values, numbers, wanted, at_start, at_end):
         shifts = np.concatenate([[0.0] * at_start, targets - values[body, inner], [0.0] * at_end])
         shifted[body] += np.interp(grid.nodes, grid.nodes[nodes], shifts)
     return shifted
+
+
+def holding_forces(forces, gradients):
+    """Return the constraint forces kappa (..., m) with the least |F + G^T kappa|, zero where the force F is not finite.
+
+    `forces` are the n components of F, and `gradients` the m rows of G, numbers or arrays (...). Forces along gradients
+    that vanish or depend on each other are small.
+    """
+    arrays = np.broadcast_arrays(*forces, *(entry for row in gradients for entry in row))
+    n, m = len(forces), len(gradients)
+    force = np.stack(arrays[:n], axis=-1)
+    rows = np.stack(arrays[n:], axis=-1).reshape(*force.shape[:-1], m, n)
+    products = rows @ rows.swapaxes(-1, -2)
+    size = np.trace(products, axis1=-2, axis2=-1)[..., None, None]
+    right = np.nan_to_num(rows @ force[..., None], nan=0.0, posinf=0.0, neginf=0.0)
+    return -np.linalg.solve(products + np.where(size > 0.0, LEAST_SQUARE * size, 1.0) * np.eye(m), right)[..., 0]
 
 
 def without_inner_unknown(grid, number):

@@ -7,13 +7,13 @@ intervals, and of the linking variables, which all intervals share.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import sympy
 from sympy import Expr, Symbol
 
 from codegen.discretise.model.guesses import DURATION
-from codegen.discretise.program import ControlProgram, EndElement, Unknown
+from codegen.discretise.program import ControlProgram, EndElement, HoldingForces, Unknown
 from codegen.emit.differentiation import ControlDerivatives
 from codegen.emit.lower.kernels import Line
 from codegen.emit.lower.module import DurationText, GuessText, SolutionText
@@ -420,7 +420,19 @@ def _phase_guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
                 lines.append(Line("t", f"{times}[{part}]"))
             lines += [Line(f"{view}[:, {part}, {j}]", array_code(v), unknowns[j].name) for j, v in nonzero]
             read += [value for _, value in nonzero]
+        for holding in phase.holding:
+            if any(value.has(program.model.time) for value in holding.expressions):
+                lines.append(Line("t", f"{node_times}[{nodes}]"))
+            lines.append(_holding_line(f"nodes[:, {nodes}, {[*holding.unknowns]}]", holding, lambda value: value))
+            read += holding.expressions
     return lines, read
+
+
+def _holding_line(target: str, holding: HoldingForces, prepared: Callable[[Expr], Expr]) -> Line:
+    """Return the line that guesses constraint forces; `prepared` changes expressions before they are printed."""
+    forces = ", ".join(array_code(prepared(force)) for force in holding.forces)
+    rows = ", ".join(f"[{', '.join(array_code(prepared(entry)) for entry in row)}]" for row in holding.gradients)
+    return Line(target, f"holding_forces([{forces}], [{rows}])", "forces that hold the guess at rest")
 
 
 def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
@@ -436,15 +448,19 @@ def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
         at_nodes += controls
     else:
         inside += controls
+
+    def relative(value: Expr) -> Expr:
+        """Return a guess in the fraction of the duration, unless the duration occurs otherwise."""
+        changed = value.xreplace({program.model.time: FRACTION * DURATION})
+        return value if changed.has(DURATION) else changed
+
     groups = []
     for view, guessed in (("nodes", at_nodes), ("intervals", inside)):
-        lines = []
-        for i, name, value in guessed:
-            # Write the guess in the fraction of the duration, unless the duration occurs otherwise.
-            relative = value.xreplace({program.model.time: FRACTION * DURATION})
-            lines.append(Line(f"{view}[:, :, {i}]", array_code(value if relative.has(DURATION) else relative), name))
+        lines = [Line(f"{view}[:, :, {i}]", array_code(relative(value)), name) for i, name, value in guessed]
         groups.append([line for line in lines if line.code != "0"])
     node_lines, interval_lines = groups
+    for holding in program.guess.holding:
+        node_lines.append(_holding_line(f"nodes[:, :, {[*holding.unknowns]}]", holding, relative))
     # Guesses interpolate the samples at nodes, and the mean of both nodes at stages inside intervals.
     prescribed = [{index for index, *_ in (*end.pins, *end.shared)} for end in (program.start, program.end)]
     straight = []
@@ -457,6 +473,7 @@ def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
             if stage.name.rpartition("_")[0] == name:
                 straight.append(Line(f"intervals[:, :, {j}]", mean, stage.name))
     read = [*program.guess.node, *program.guess.stages, *program.guess.controls]
+    read += [value for holding in program.guess.holding for value in holding.expressions]
     for index, values, at_start, at_end in program.inner.guess:
         numbers, codes = [number for number, _ in values], ", ".join(array_code(value) for _, value in values)
         target = f"nodes[:, :, {index}]"
