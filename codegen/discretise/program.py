@@ -16,6 +16,7 @@ from sympy import Expr, S, Symbol
 from codegen.discretise.events import EventAtNode, GapAtNode
 from codegen.discretise.interval import STEP, at_nodes
 from codegen.discretise.model.definitions import Integral, Model
+from codegen.discretise.model.guesses import MeasuredGuess
 from codegen.runtime.record import Kind, Meaning, Role
 from codegen.symbolic.zeros import identically_zero
 
@@ -261,8 +262,8 @@ class SampleElement:
     """The contribution of one sample of measurements to its interval: the losses of all values of the sample.
 
     `observed` are the values of the motion at the `fraction` of the interval, and `values` are the measured values.
-    `weights` are the inverses of their standard deviations, zero for missing values. `guess` are pairs (index of an
-    unknown of a node, index of the value that measures it).
+    `weights` are the inverses of their standard deviations, zero for missing values. `guess` has the unknowns of a node
+    that are guessed from measurements.
     """
 
     element: Expr
@@ -270,7 +271,7 @@ class SampleElement:
     fraction: Symbol
     values: tuple[Symbol, ...]
     weights: tuple[Symbol, ...]
-    guess: tuple[tuple[int, int], ...]
+    guess: tuple[MeasuredGuess, ...]
 
     @property
     def symbols(self) -> tuple[Symbol, ...]:

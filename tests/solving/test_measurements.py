@@ -218,6 +218,44 @@ def test_coordinates_start_where_they_were_measured(folder):
     assert (module.unpack(grid, module.initial_guess(grid))[1] == 5.0).all(), "authors know better"
 
 
+def test_what_is_affine_in_a_coordinate_starts_where_it_was_measured(folder):
+    """The column has 2 + 3 k x; the guess of k is 1."""
+    text = write_decay(folder).read_text()
+    (folder / "decay.py").write_text(text.replace('{x: "z"}', '{2 + 3 * k * x: "z"}'))
+    module = interpreted(folder / "decay.py")
+    grid = module.make_grid(12)
+    _, q, *_ = module.unpack(grid, module.initial_guess(grid))
+    at = np.unique(TIMES)
+    means = np.interp(np.linspace(0, 3, 13), at, [VALUES[t == TIMES].mean() for t in at])
+    assert q[:, 0] == pytest.approx((means - 2) / 3, rel=1e-12)
+
+
+def test_a_unit_vector_is_fitted_to_the_positions_of_a_bob(folder):
+    """The positions are l n with the unknown length l; from zero, no direction of the vector would be known."""
+    times, length = np.linspace(0, 4, 81), 0.9
+
+    def field(_, state):
+        place, speed = state[:3], state[3:]
+        force = np.array([0, 0, -9.81 / length])
+        return np.concatenate([speed, force - (force @ place + speed @ speed) * place])
+
+    motion = solve_ivp(field, (0, 4), [0.6, 0, -0.8, 0, 1.5, 0], "DOP853", t_eval=times, rtol=1e-11, atol=1e-12).y[:3]
+    write(folder, "bob.csv", t=times, x=length * motion[0], y=length * motion[1], z=length * motion[2])
+    n, dn = codegen.direction("n")
+    size = codegen.free_parameter("l", 1, lower=0.1)
+    values = {size * n[0]: "x", size * n[1]: "y", size * n[2]: "z"}
+    problem = codegen.Control(
+        lagrangian=size**2 * dn.dot(dn) / 2 - 9.81 * size * n[2],
+        observations=codegen.Measurements(folder / "bob.csv", values=values),
+        duration=4,
+        steps=160,
+    )
+    result = codegen.solve(problem)
+    assert result.status == "solved"
+    assert result.summary["l"] == pytest.approx(length, rel=2e-3)  # the error of the scheme
+    assert result["n"] == pytest.approx(result.q, abs=0)
+
+
 def test_what_is_called_like_a_stage_does_not_start_like_one(folder):
     """y_1 is the multiplier of the first path condition, and not y at some stage."""
     text = write_decay(folder).read_text()

@@ -11,7 +11,7 @@ constant.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import sympy
 from sympy import Add, Expr, S, Symbol
@@ -112,15 +112,37 @@ def inner_guess(model: Model) -> tuple[tuple[int, tuple[tuple[int, Expr], ...]],
     return tuple(guesses)
 
 
-def measured_guess(model: Model) -> tuple[tuple[int, int], ...]:
-    """Return pairs (index of a coordinate, index of the column of measurements that measures it).
+@dataclass(frozen=True)
+class MeasuredGuess:
+    """The guess of the unknown `index` of a node, as `column` of the measurements is `offset` plus `slope` times it.
+
+    The offset and the slope depend on parameters at most.
+    """
+
+    index: int
+    column: int
+    offset: Expr
+    slope: Expr
+
+
+def measured_guess(model: Model) -> tuple[MeasuredGuess, ...]:
+    """Return the guesses of coordinates from measured expressions that are affine in one coordinate, such as 180 q/pi.
 
     Coordinates with the author's guess are left out. For a motion near the measurements, the fit of the parameters is
     nearly a linear problem. Source: Bock (1983), Recent advances in parameter identification techniques for O.D.E.
     """
-    guess, columns = dict(model.guess), [observed.expression for observed in model.observed]
-    measured = [(i, q) for i, q in enumerate(model.coordinates) if q in columns and q not in guess]
-    return tuple((i, columns.index(q)) for i, q in measured)
+    guess, found = dict(model.guess), dict[int, MeasuredGuess]()
+    moving_symbols = {*model.coordinates, *model.rates, *model.controls, model.time}
+    for column, observed in enumerate(model.observed):
+        (*present,) = observed.expression.free_symbols & moving_symbols
+        if len(present) != 1 or present[0] not in model.coordinates or present[0] in guess:
+            continue
+        index, slope = model.coordinates.index(present[0]), at_guess(model, sympy.diff(observed.expression, present[0]))
+        offset = at_guess(model, observed.expression.subs(present[0], 0))
+        is_affine = slope != 0 and {*slope.free_symbols, *offset.free_symbols} <= {*model.parameters}
+        if is_affine and (index not in found or (offset, slope) == (0, 1)):
+            found[index] = MeasuredGuess(index, column, offset, slope)
+    return tuple(found.values())
 
 
 def with_guesses(model: Model) -> Model:

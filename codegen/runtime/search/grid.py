@@ -395,14 +395,15 @@ def samples_of(grid, rows):
     )
 
 
-def through_samples(grid, values, column, at_start, at_end):
+def through_samples(grid, values, column, at_start, at_end, offset=0.0, slope=1.0):
     """Return `values` (bodies, N + 1) of a quantity at nodes, replaced by linear interpolation of its measurements.
 
-    `column` is the column of the quantity among the measured values. The mean represents several measurements at the
-    same time. If `at_start` or `at_end` is True, the value at this end stays the same. Values of bodies without
-    measurements stay the same, too.
+    The measured values of `column` are `offset` plus `slope` times the quantity; both are numbers, or (bodies, 1). The
+    mean represents several measurements at the same time. If `at_start` or `at_end` is True, the value at this end
+    stays the same. Values of bodies without measurements stay the same, too.
     """
     times, interpolated, s = grid.nodes * grid.h, values.copy(), grid.problem.structure
+    offsets, slopes = (np.broadcast_to(numbers, (s.bodies, 1))[:, 0] for numbers in (offset, slope))
     for body in range(s.bodies):
         samples = grid.parameters[body, s.first_sample :].reshape(-1, s.sample)
         samples = samples[samples[:, 2 + column + (s.sample - 2) // 2] > 0.0]  # without missing values
@@ -411,7 +412,7 @@ def through_samples(grid, values, column, at_start, at_end):
             k = np.searchsorted(times, samples[:, 0]) - 1
             at, index = np.unique(times[k] + samples[:, 1] * (times[k + 1] - times[k]), return_inverse=True)
             measured = np.bincount(index, samples[:, 2 + column]) / np.bincount(index)
-            interpolated[body] = np.interp(times, at, measured)
+            interpolated[body] = (np.interp(times, at, measured) - offsets[body]) / slopes[body]
         if at_start:
             interpolated[body, 0] = values[body, 0]
         if at_end:

@@ -1,4 +1,4 @@
-"""Attitudes of a result as matrices, and angular velocities in the frames of the bodies.
+"""Attitudes of a result as matrices, angular velocities in the frames of the bodies, and vectors.
 
 The columns of an attitude are a unit quaternion q = (w, x, y, z). A simulation has the energy H(q, p) as a function of
 momenta, and the momentum p = 2 q pi of the quaternion contains the angular momentum pi in the frame of the body. So the
@@ -57,6 +57,15 @@ def angular_velocity(result: Any, name: str) -> Array:
     """Return the angular velocity of the attitude `name` at the nodes (M + 1, 3), in the frame of the body."""
     columns = columns_of(result)[name]
     return _of_energy(result, columns) if result.task == Task.SIMULATE else _of_increments(result, columns)
+
+
+def vector(result: Any, name: str) -> Array | None:
+    """Return the vector (M + 1, 3) whose components are called `name` and _x, _y and _z; None if there are none."""
+    parts = [f"{name}_{part}" for part in _PARTS[1:]]
+    for key, names in result.names.items():
+        if {*parts} <= {*names}:
+            return np.asarray(getattr(result, key)[:, [names.index(part) for part in parts]])
+    return None
 
 
 def _of_energy(result: Any, columns: list[int]) -> Array:

@@ -52,13 +52,14 @@ class Display:
         ----------
         name : str
             Name of a coordinate, state, momentum or control; name of an attitude; "omega", or "omega_<attitude>" if the
-            problem has several attitudes, for the angular velocity of a rotation in the frame of the body.
+            problem has several attitudes, for the angular velocity of a rotation in the frame of the body; name of a
+            vector with the components `<name>_x`, `<name>_y` and `<name>_z`, such as a unit vector.
 
         Returns
         -------
         ndarray, shape (M + 1,), or (control_times.size,) for a control
             Values at the nodes, or at `control_times`, in the units of the problem. The shape of an attitude is
-            (M + 1, 3, 3), and that of an angular velocity (M + 1, 3).
+            (M + 1, 3, 3), and that of an angular velocity or a vector (M + 1, 3).
 
         Raises
         ------
@@ -78,6 +79,8 @@ class Display:
             return attitudes.matrices(result, name)
         if name in (spins := attitudes.angular_velocity_names(result)):
             return attitudes.angular_velocity(result, spins[name])
+        if (vector := attitudes.vector(result, name)) is not None:
+            return vector
         columns = [*attitudes.columns_of(result), *spins]
         columns += [column for names in result.names.values() for column in names]
         metadata = None if result.background is None else result.background.loaded(result.parameters).metadata

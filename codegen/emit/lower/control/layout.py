@@ -464,9 +464,12 @@ def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
     # Guesses interpolate the samples at nodes, and the mean of both nodes at stages inside intervals.
     prescribed = [{index for index, *_ in (*end.pins, *end.shared)} for end in (program.start, program.end)]
     straight = []
-    for index, column in program.sample.guess if program.sample else ():
-        name, target = program.node[index].name, f"nodes[:, :, {index}]"
-        call = f"through_samples(grid, {target}, {column}, {index in prescribed[0]}, {index in prescribed[1]})"
+    for guess in program.sample.guess if program.sample else ():
+        index, name, target = guess.index, program.node[guess.index].name, f"nodes[:, :, {guess.index}]"
+        arguments = [target, guess.column, index in prescribed[0], index in prescribed[1]]
+        if (guess.offset, guess.slope) != (0, 1):
+            arguments += map(array_code, (guess.offset, guess.slope))
+        call = f"through_samples(grid, {', '.join(map(str, arguments))})"
         node_lines.append(Line(target, call, f"{name}, as measured"))
         mean = f"0.5 * (nodes[:, :-1, {index}] + nodes[:, 1:, {index}])"
         for j, stage in enumerate(program.interval[: len(program.guess.stages)]):
@@ -474,6 +477,9 @@ def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
                 straight.append(Line(f"intervals[:, :, {j}]", mean, stage.name))
     read = [*program.guess.node, *program.guess.stages, *program.guess.controls]
     read += [value for holding in program.guess.holding for value in holding.expressions]
+    read += [
+        value for guess in (program.sample.guess if program.sample else ()) for value in (guess.offset, guess.slope)
+    ]
     for index, values, at_start, at_end in program.inner.guess:
         numbers, codes = [number for number, _ in values], ", ".join(array_code(value) for _, value in values)
         target = f"nodes[:, :, {index}]"
