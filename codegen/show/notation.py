@@ -17,6 +17,8 @@ from codegen.discretise.model.definitions import Model
 
 WIDTH = 100
 _LATEX_WIDTH = 90
+_DIGITS, _LONGEST_FRACTION = 7, 14
+"""Significant digits of decimals, and the largest number of characters of a fraction that is shown as such."""
 _INDEX = re.compile(r"^(?P<base>.+?)(?:_stage(?P<stage>\d+))?(?:_k(?P<shift>1|-1)?|@(?P<end>[0T])|@(?P<side>[+-]))?$")
 _WORD = re.compile(r"[^\W\d]\w*")
 _INVISIBLE = re.compile(r"\\(left|right|frac|mathrm|operatorname)|[{}^_\s]")
@@ -72,11 +74,18 @@ class Notation:
         return cls({v: q for v, q in named if v == f"d{q}"}, latex)
 
     def translated(self, expression: Expr) -> Expr:
-        """Return the expression with printed names as symbols; a prime distinguishes symbols that print alike."""
+        """Return the expression with printed names as symbols; a prime distinguishes symbols that print alike.
+
+        Long fractions, which measured numbers have, become decimals with `_DIGITS` digits.
+        """
         names = {symbol: self.name(symbol) for symbol in expression.free_symbols}
         unmarked = {name for symbol, name in names.items() if identifiers.MARK not in symbol.name}
         primed = {s for s, name in names.items() if identifiers.MARK in s.name and name in unmarked}
-        return expression.xreplace({s: Symbol(n + "'" * (s in primed), real=True) for s, n in names.items()})
+        shown: dict[Expr, Expr] = {s: Symbol(n + "'" * (s in primed), real=True) for s, n in names.items()}
+        shown |= {
+            r: sympy.Float(r, _DIGITS) for r in expression.atoms(sympy.Rational) if len(str(r)) > _LONGEST_FRACTION
+        }
+        return expression.xreplace(shown)
 
     def name(self, symbol: Symbol) -> str:
         """Return the printed form of one symbol."""

@@ -175,3 +175,16 @@ def test_rotations_are_shown_as_an_author_writes_them():
     ):
         assert balance in rows
     assert "|h ω| = 4 tan(angle/4)" in text
+
+
+@pytest.mark.parametrize("latex", [False, True])
+def test_measured_numbers_are_decimals_and_short_fractions_remain(latex):
+    """Of 0.000203497084305382 seven digits are shown, and 3/8 stays a fraction."""
+    x, dx = codegen.coordinate("x")
+    mass, stiffness = 0.000203497084305382, 0.375
+    problem = Simulate(lagrangian=mass * dx**2 / 2 - stiffness * x**2 / 2, duration=1, start={x: 1, dx: 0}, steps=10)
+    text = equations(source_of(problem), {}, latex=latex)
+    assert re.search(r"0\.000203497|2\.03497\d* \\cdot 10\^\{-4\}|0\.0001017485", text)
+    assert "101748542152691" not in text
+    assert not re.search(r"\d{12}", text)
+    assert re.search(r"\{3 x\}\{8\}|\b8\b", text)
