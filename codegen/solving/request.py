@@ -38,7 +38,6 @@ from codegen.symbolic.tables import Layout, given_measurements, read_measurement
 
 if TYPE_CHECKING:
     from codegen.problem.points import PointSet
-    from codegen.solver import Solver
     from codegen.solving.results.result import Result, Watch
 
 SCALINGS = ("auto", "none")
@@ -105,7 +104,7 @@ class Request:
     scaling: str = "auto"
     log: bool = False
     watch: Watch | None = None
-    _solver: ClassVar[Solver | None] = None
+    _solver: ClassVar[Any] = None
 
     def __post_init__(self) -> None:
         """Raise an error for options that no problem can have; replace a compiled problem by its source and options."""
@@ -184,13 +183,14 @@ class Request:
 
     @property
     def compiled(self) -> GeneratedModule | None:
-        """The module of a compiled problem; None for other problems, and if the request needs another module."""
+        """The module of a compiled problem, a Solver; None for other problems, and if another module is needed."""
         solver = self._solver
         if solver is None or self.sensitivities != solver.choices.sensitivities:
             return None
         if self.accuracy is not None and self.scheme is None:
             return None
-        return solver.module if solver.build.path.exists() else None
+        module: GeneratedModule | None = solver.module if solver.build.path.exists() else None
+        return module
 
     @cached_property
     def settings(self) -> Settings:

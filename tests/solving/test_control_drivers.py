@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from codegen.errors import ArgumentError, NumericsError
 from codegen.runtime.search.nlp import NonlinearProgram
 from codegen.solving import api, drivers
-from codegen.solving.drivers import shared
+from codegen.solving.drivers import quiet
 from codegen.solving.drivers.newton import control as newton
 from codegen.solving.drivers.quiet import quiet_single_thread
 from codegen.solving.drivers.shared import ScaledProblem
@@ -196,7 +196,7 @@ def test_threads_that_use_scipy_at_once_leave_warnings_and_blas_as_they_were(mon
             yield
             threads[0] = before
 
-    monkeypatch.setattr(shared, "_blas", Libraries)
+    monkeypatch.setattr(quiet, "_blas", Libraries)
     filters = list(warnings.filters)
     first, second = quiet_single_thread(), quiet_single_thread()
     first.__enter__()
