@@ -78,7 +78,14 @@ OF_PROBLEMS = {
 """Commands that take a problem: what else they are given here, and what a terminal shows."""
 UNCACHED = {"show", "analyse", "stress"}
 """Commands that keep nothing for the next time."""
-REFUSED = {("analyse", "particles"), ("analyse", "connect")}
+TRIED = [
+    *((command, kind) for command in OF_PROBLEMS for kind in ("simulate", "control")),
+    *(("solve", kind) for kind in ("particles", "bounds", "connect")),
+    ("sweep", "connect"),
+    ("analyse", "particles"),
+]
+"""Every command with both common tasks, and every kind with `solve`, which shows iterates; the others print alike."""
+REFUSED = {("analyse", "particles")}
 """Modified equations are not derived for pairs."""
 OTHERS = {
     "new": ("pendulum",),
@@ -133,8 +140,7 @@ def test_a_problem_is_copied(folder):
     assert (folder / "pendulum.py").read_bytes() == (PROBLEMS / "pendulum.py").read_bytes()
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("command", OF_PROBLEMS)
+@pytest.mark.parametrize(("command", "kind"), TRIED)
 def test_commands_about_problems(folder, command, kind):
     words, shown = OF_PROBLEMS[command]
     for run in ("cold", "warm")[: 1 if command in UNCACHED else 2]:
