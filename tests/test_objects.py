@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typed_use
 from conftest import PROBLEMS
@@ -117,6 +118,15 @@ def test_a_compiled_problem_is_solved_as_it_was_compiled(pushed):
     solver, file, cost = pushed
     assert [solver.solve().cost for _ in range(2)] == pytest.approx([cost, cost], rel=1e-12)
     assert codegen.solve(file).cost == pytest.approx(4.0 * cost, rel=1e-12)
+
+
+def test_sweeps_batches_and_controllers_take_a_problem_as_it_was_compiled(pushed):
+    """The effort is inverse to the third power of the duration."""
+    solver, _, cost = pushed
+    durations = np.array([1.0, 2.0])
+    assert codegen.solve_many(solver, {"duration": durations}).cost == pytest.approx(cost / durations**3, rel=1e-9)
+    assert solver.sweep({"duration": durations}).cost.values == pytest.approx(cost / durations**3, rel=1e-9)
+    assert solver.controller().step({"x": 0.0, "v": 0.0}) == pytest.approx(solver.solve().u[0], rel=1e-9)
 
 
 def test_a_compiled_problem_can_be_pickled(pushed):

@@ -26,7 +26,6 @@ from codegen.solving.loading import Vector, is_control, is_simulation
 from codegen.solving.machine_code import processes
 from codegen.solving.progress import building, shown_from_call
 from codegen.solving.request import Request, require_options, with_values
-from codegen.solving.results.display import Background
 from codegen.solving.results.segments import segments_of
 from codegen.solving.results.sensitivities import require_sensitive
 
@@ -139,11 +138,7 @@ def solve_many(
         except ValueError as error:
             raise NumericsError(f"{module.metadata.problem}: {error}", "give other values") from error
         found = empty_solutions(module, varied, count, limits, number, _guesses(unknowns, guess, warm, number))
-    file = getattr(module, "__file__", None)
-    background = Background(module, None if file is None else Path(file))
-    if not request.is_built:
-        background = replace(background, source=request.source, arguments=request.settings)
-    found = replace(found, background=background)
+    found = replace(found, background=request.background(module))
     if not found.is_ready:
         with building("Compiling what solves many cases, once"):
             found.fill(slice(0, 1), lambda: True)
@@ -157,12 +152,13 @@ def solve_many(
 
 def _module(request: Request, working: Callable[[str], Any]) -> tuple[Any, compiler.Build | None]:
     """Return the module of a request, and the build if there is one; or raise ArgumentError."""
-    build = None
+    build: compiler.Build | None = None
+    module: Any = request.compiled
     if request.is_built:
-        module: Any = request.problem
+        module = request.problem
         if isinstance(module, str | Path):
             module = loading.load(module)
-    else:
+    elif module is None:
         with shown_from_call(working, "Deriving") as deriving:
             build = compiler.build(
                 request.source, request.settings, scheme=request.scheme, method=request.method,

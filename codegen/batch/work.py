@@ -108,6 +108,10 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
         names, combinations = _combinations(request, cases)
         for number, key in enumerate(combinations, start=1):
             count = f" (module {number} of {len(combinations)})" if len(combinations) > 1 else ""
+            if not names and request.compiled is not None:
+                derived[key] = request.compiled, None
+                varied = _checked_quantities(request, cases, request.compiled, names)
+                continue
             try:
                 with shown_from_call(working, f"Deriving{count}") as deriving:
                     arguments = {**request.arguments, **dict(zip(names, key, strict=True))}

@@ -152,6 +152,8 @@ def module_of(problem: Any, arguments: Mapping[str, object], scheme: str | None,
     Raises the errors of `codegen.solve` for a problem that cannot be read, derived or stored.
     """
     request = Request(problem, arguments=arguments, scheme=scheme, method=method)
+    if request.compiled is not None:
+        return request.compiled  # type: ignore[return-value]
     if request.is_built and not isinstance(problem, Path | str):
         return problem  # type: ignore[no-any-return]
     if request.is_built:

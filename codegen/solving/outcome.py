@@ -34,7 +34,6 @@ from codegen.solving.progress import shown_from_call
 from codegen.solving.request import Option, Request, with_observations, with_tables, with_values
 from codegen.solving.results import output
 from codegen.solving.results.between_nodes import excursions, poles, stages_beyond
-from codegen.solving.results.display import Background
 from codegen.solving.results.result import UNKNOWN_ERROR, Result, Run, Watch
 from codegen.solving.results.segments import put_together, segments_of
 from codegen.solving.results.sensitivities import require_sensitive, with_sensitivities
@@ -164,11 +163,8 @@ def outcome_of(
         result = _with_notes(request, module, _with_error(request, module, driver, result))
         if request.sensitivities:
             result = with_sensitivities(result, module)
-        file = getattr(module, "__file__", None)
-        background = Background(module, None if file is None else Path(file))
-        if not request.is_built:
-            background = replace(background, source=request.source, arguments=request.settings)
-        result = replace(put_together(result, module.metadata), parameters=values, background=background)
+        whole = put_together(result, module.metadata)
+        result = replace(whole, parameters=values, background=request.background(module))
         untried = _untried(request, module, result)
         if result.compiled:
             return Outcome(module, result, build_seconds + result.seconds_code, load_seconds, notices, untried)

@@ -32,6 +32,7 @@ from codegen.solving.loading import (
     is_of_particles,
     is_simulation,
 )
+from codegen.solving.results.display import Background
 from codegen.solving.results.segments import segments_of
 from codegen.solving.tasks import TASKS, task_of
 from codegen.symbolic.tables import Layout, given_measurements, read_measurements, read_table
@@ -207,6 +208,12 @@ class Request:
                 return file.read(len(_GENERATED)) == _GENERATED
         except OSError:  # an error is raised later, when the file is read
             return False
+
+    def background(self, module: Any) -> Background:
+        """Return the module and the problem, which figures of a result need."""
+        file = getattr(module, "__file__", None)
+        path = None if file is None else Path(file)
+        return Background(module, path) if self.is_built else Background(module, path, self.source, self.settings)
 
     def driver_for(self, module: GeneratedModule) -> Driver:
         """Return the requested driver.
