@@ -137,12 +137,13 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
 
 
 def _free_durations(program: ControlProgram) -> list[int]:
-    """Return the indices of the linking variables that are durations, and therefore positive.
+    """Return the indices of the linking variables that are durations with a lower bound of at least zero.
 
-    The duration of a periodic motion has no lower bound.
+    The duration of a periodic motion has none, and an author may give a negative one.
     """
     lengths = {phase.duration for phase in program.phases or (program.model,)}
-    positive = {free.symbol for free in program.model.free_parameters if free.lower is not None}
+    free = program.model.free_parameters
+    positive = {each.symbol for each in free if each.lower is not None and not each.lower.is_negative}
     return [i for i, symbol in enumerate(program.linking.symbols) if symbol in lengths & positive]
 
 
