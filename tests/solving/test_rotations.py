@@ -391,39 +391,32 @@ def test_slew_of_a_sphere_converges_with_order_two():
     assert slopes(errors, steps) == pytest.approx(2, abs=0.1)
 
 
-def test_opposite_directions_are_joined():
-    """A point on a sphere moves to the opposite point: half a great circle, cost 6 pi^2/T^3."""
+def moved_point(start, velocity, duration, steps, **ends) -> Control:
+    """Move a point on a sphere to rest with the least force; `ends` are the end as n, and a guess of n."""
     n, dn = direction("n")
     u = Matrix(controls("u1 u2 u3"))
-    problem = Control(
+    return Control(
         lagrangian=dn.dot(dn) / 2,
         force={n: u},
         cost=u.dot(u) / 2,
-        duration=2,
-        start={n: (0, 0, 1), dn: (0, 0, 0)},
-        end={n: (0, 0, -1), dn: (0, 0, 0)},
-        steps=100,
+        duration=duration,
+        start={n: start, dn: velocity},
+        end={dn: (0, 0, 0), **({n: ends["end"]} if "end" in ends else {})},
+        guess={n: ends["guess"]} if "guess" in ends else {},
+        steps=steps,
     )
-    result = codegen.solve(problem)
+
+
+def test_opposite_directions_are_joined():
+    """A point on a sphere moves to the opposite point: half a great circle, cost 6 pi^2/T^3."""
+    result = codegen.solve(moved_point((0, 0, 1), (0, 0, 0), 2, 100, end=(0, 0, -1)))
     assert result.status == "solved"
     assert result.cost == pytest.approx(6 * np.pi**2 / 8, rel=2e-3)
 
 
 def test_detour_of_a_guess_returns_to_a_great_circle():
     """The guess leaves the plane of the optimum, where one coordinate vanishes but for rounding errors."""
-    n, dn = direction("n")
-    push = Matrix(controls("a b c"))
-    problem = Control(
-        lagrangian=dn.dot(dn) / 2,
-        force={n: push},
-        cost=push.dot(push) / 2,
-        duration=2,
-        start={n: (1, 0, 0), dn: (0, 0, 0)},
-        end={n: (0, 1, 0), dn: (0, 0, 0)},
-        guess={n: (1, 0, 1)},
-        steps=100,
-    )
-    result = codegen.solve(problem)
+    result = codegen.solve(moved_point((1, 0, 0), (0, 0, 0), 2, 100, end=(0, 1, 0), guess=(1, 0, 1)))
     assert result.status == "solved"
     assert result.cost == pytest.approx(6 * (np.pi / 2) ** 2 / 2**3, rel=1e-5)
     assert np.abs(result.n_z).max() < 1e-9
@@ -452,18 +445,7 @@ def test_a_tumbling_body_stops_from_a_guess_that_turns(inertia):
 
 def test_a_moving_direction_stops_from_a_guess_that_turns():
     """A point on a sphere brakes evenly along a great circle: cost |v|^2/(2 T), angle |v| T/2 = 4."""
-    n, dn = direction("n")
-    u = Matrix(controls("u1 u2 u3"))
-    problem = Control(
-        lagrangian=dn.dot(dn) / 2,
-        force={n: u},
-        cost=u.dot(u) / 2,
-        duration=4,
-        start={dn: (0, 2, 0), n: (1, 0, 0)},
-        end={dn: (0, 0, 0)},
-        steps=200,
-    )
-    result = codegen.solve(problem)
+    result = codegen.solve(moved_point((1, 0, 0), (0, 2, 0), 4, 200))
     assert result.status == "solved"
     assert result.cost == pytest.approx(0.5, rel=1e-3)
     assert result.q[-1] == pytest.approx([np.cos(4), np.sin(4), 0], abs=2e-3)
