@@ -114,9 +114,10 @@ def inner_guess(model: Model) -> tuple[tuple[int, tuple[tuple[int, Expr], ...]],
 
 @dataclass(frozen=True)
 class MeasuredGuess:
-    """The guess of the unknown `index` of a node, as `column` of the measurements is `offset` plus `slope` times it.
+    """The guess (z - offset)/slope of an unknown of a node from the measured values z of a column.
 
-    The offset and the slope depend on parameters at most.
+    `index` is the index of the unknown, and `column` the index of the measured quantity. The offset and the slope are
+    numbers, or depend on parameters.
     """
 
     index: int
