@@ -33,8 +33,9 @@ from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.runtime.search.point import interval_parts, stationarity
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import corrected_cost
-from codegen.solving.loading import ControlModule, Grid, Indices, Matrix, Vector, time_grid
+from codegen.solving.loading import ControlModule, Grid, Indices, Matrix, SimulateModule, Vector, time_grid
 from codegen.solving.results.control import bound_distances, free_parameters, held_at_bounds
+from codegen.solving.results.motions import ROUNDING
 from codegen.solving.results.result import DiscretisationError, Result
 from codegen.solving.results.segments import segments_of
 
@@ -64,6 +65,8 @@ HELD, LOOSE = 1e8, 1e-12
 """Scaled curvatures that are added to the KKT matrix for unknowns at active bounds, and for other bounded unknowns."""
 BEYOND = 0.01
 """Violation of a bound, relative to the unknown, above which another set of active bounds is assumed."""
+SAME_TIME = 1e-9
+"""Difference of two times, relative to the duration, that is a rounding error."""
 
 
 @dataclass(frozen=True)
@@ -298,7 +301,7 @@ def interval_errors(module: ControlModule, fine: Result, order: int) -> Matrix:
     return errors
 
 
-# The error from double steps
+# The error from other steps
 
 Search = Callable[[int, Vector, Vector | None], Vector | None]
 """A function that returns the unknowns of an optimum, or None if no optimum is found.
@@ -447,3 +450,31 @@ def _error(module: ControlModule, result: Result, grid: Grid, optimum: Vector, r
         time += (segment - 1) * float(result.t[-1] - result.t[0])
     factor = 2.0 ** order_of_optima(module) - 1.0
     return DiscretisationError(states / factor, _relative(cost, result.cost) / factor, quantity, time)
+
+
+def motion_error(module: SimulateModule, result: Result, other: Result) -> DiscretisationError | None:
+    """Return the estimated discretisation error of a simulation, from the simulation on half or twice as many steps.
+
+    Both store the states of every step, or of every k-th step with the same k. Return None if they have no common times
+    other than the start, or if a difference is not finite.
+    """
+    ratio = 2 if other.steps < result.steps else 1
+    every = 3 - ratio
+    times, others = result.t[::ratio], other.t[::every]
+    count = min(times.size, others.size)
+    span = abs(float(result.t[-1] - result.t[0]))
+    common = np.flatnonzero(np.abs(times[:count] - others[:count]) <= SAME_TIME * span)
+    if common.size < 2:
+        return None
+    table, compared = np.column_stack([result.q, result.p]), np.column_stack([other.q, other.p])
+    names = [*result.names["q"], *result.names["p"]]
+    largest = np.abs(table).max(axis=0)
+    is_zero = largest <= ROUNDING * np.sqrt(result.steps) * largest.max()  # but for accumulated rounding errors
+    scales = np.where(is_zero, largest.max() or 1.0, largest)
+    changes = np.abs(compared[::every][common] - table[::ratio][common]) / scales
+    if not np.isfinite(changes).all():
+        return None
+    node, column = np.unravel_index(int(np.argmax(changes)), changes.shape)
+    power = 2.0**module.metadata.order
+    states = float(changes[node, column]) / (power - 1.0) * (1.0 if ratio == 2 else power)
+    return DiscretisationError(states, None, names[column], float(times[common[node]]))

@@ -23,10 +23,10 @@ from codegen.problem.points import PointSet, read_points
 from codegen.runtime.record import Kind, Role
 from codegen.solving import compiler, loading
 from codegen.solving.accuracy import refine, to_accuracy
-from codegen.solving.arcs import discretisation_error
+from codegen.solving.arcs import discretisation_error, motion_error
 from codegen.solving.drivers import DRIVERS, Driver
 from codegen.solving.drivers.quiet import quiet_single_thread
-from codegen.solving.loading import GeneratedModule, Vector, is_control
+from codegen.solving.loading import GeneratedModule, SimulateModule, Vector, is_control, is_simulation
 from codegen.solving.machine_code import processes
 from codegen.solving.machine_code.compilation import seconds_of_machine_code
 from codegen.solving.machine_code.processes import Compilers
@@ -34,7 +34,7 @@ from codegen.solving.progress import shown_from_call
 from codegen.solving.request import Option, Request, with_observations, with_tables, with_values
 from codegen.solving.results import output
 from codegen.solving.results.between_nodes import excursions, poles, stages_beyond
-from codegen.solving.results.result import UNKNOWN_ERROR, Result, Run, Watch
+from codegen.solving.results.result import UNKNOWN_ERROR, DiscretisationError, Result, Run, Watch
 from codegen.solving.results.segments import put_together, segments_of
 from codegen.solving.results.sensitivities import require_sensitive, with_sensitivities
 from codegen.solving.tasks import task_of
@@ -50,6 +50,8 @@ may alternate there.
 """
 LEAST_TOLERANCE, LARGEST_TOLERANCE, NEGLIGIBLE_PART = 1e-15, 1e-10, 1e-4
 """Limits of the tolerance if an accuracy is requested, and the ratio of tolerance to requested error between them."""
+LONGEST_ESTIMATED = 10.0
+"""Largest time in seconds of a simulation whose discretisation error is estimated."""
 LEAST_ITERATIONS = 50
 """Least iteration limit of a search for the optimum on double steps."""
 _TOO_TIGHT = ("inaccurate", "stalled")
@@ -337,9 +339,11 @@ def _with_error(request: Request, module: GeneratedModule, driver: Driver, resul
     If an accuracy was requested, the result has an estimate already. Other drivers than the generated solver get no
     estimate, which would take long; they serve for comparisons.
     """
-    if not (is_control(module) and result.solved and result.unknowns is not None):
+    if not result.solved or result.accuracy or not driver.generated:
         return result
-    if result.accuracy or not driver.generated:
+    if is_simulation(module):
+        return _with_motion_error(request, module, driver, result)
+    if not is_control(module) or result.unknowns is None:
         return result
     remaining = math.inf if request.time_limit is None else request.time_limit - result.seconds_solve
 
@@ -354,6 +358,28 @@ def _with_error(request: Request, module: GeneratedModule, driver: Driver, resul
     error = discretisation_error(module, result, search)
     if error is None:
         return replace(result, notes=(*result.notes, UNKNOWN_ERROR))
-    summary = {**result.summary, "state_error": error.states, "cost_error": error.cost}
+    return _with_estimate(result, error)
+
+
+def _with_motion_error(request: Request, module: SimulateModule, driver: Driver, result: Result) -> Result:
+    """Return a simulation with its error, from half as many steps; from twice as many if this fails or N is odd.
+
+    Long simulations, and those of an integrator that chooses its steps, get no estimate.
+    """
+    if result.seconds_solve > LONGEST_ESTIMATED or getattr(module.metadata, "adaptive", False):
+        return result
+    for steps in (*(() if result.steps % 2 else (result.steps // 2,)), 2 * result.steps):
+        other = run_and_verify(module, driver, Run(steps, request.every, tolerance=request.tolerance), 1)
+        error = motion_error(module, result, other) if other.solved else None
+        if error is not None:
+            return _with_estimate(result, error)
+    return result
+
+
+def _with_estimate(result: Result, error: DiscretisationError) -> Result:
+    """Return the result with an estimate, which is noted if it is large."""
+    summary = {**result.summary, "state_error": error.states}
+    if error.cost is not None:
+        summary["cost_error"] = error.cost
     notes = (*result.notes, *([error.note] if error.is_large else []))
     return replace(result, error=error, summary=summary, notes=notes, labels={**result.labels, **_ERROR_LABELS})

@@ -163,3 +163,17 @@ def test_the_interpreter_finds_the_same_optima_without_machine_code():
     done = subprocess.run(words, env=interpreted, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert [float(word) for word in done.stdout.split()] == pytest.approx([12.8, 51.2], rel=1e-12)
+
+
+def test_bounds_do_not_change_by_how_much_a_periodic_state_advances():
+    """A state that advances by c in unit time at the least integral of its squared rate costs c^2."""
+    (x,), u, c = codegen.states("x"), codegen.control("u"), codegen.parameter("c", 2)
+    problem = codegen.Control(
+        dynamics={x: u}, cost=u**2, duration=1, periodic={x: c}, bounds={x: (-1.5, 1.5)}, guess={x: c / 2}, steps=10
+    )
+    solver = codegen.compile(problem)
+    assert solver.solve().cost == pytest.approx(4.0, rel=1e-9)
+    found = codegen.solve_many(solver, {"c": [1.0, 2.0, 2.5]})
+    assert list(found.status) == ["solved"] * 3
+    np.testing.assert_allclose(found.cost, [1.0, 4.0, 6.25], rtol=1e-9)
+    np.testing.assert_allclose(found.q[:, -1] - found.q[:, 0], [[1.0], [2.0], [2.5]], rtol=1e-12)

@@ -10,12 +10,13 @@ from compiled_modules import compiled
 from conftest import PROBLEMS
 from interpreted import of_problem
 
-from codegen import Control, control, coordinates, free_parameter, states
+from codegen import Control, Simulate, control, coordinates, free_parameter, states
+from codegen.discretise import schemes
 from codegen.solving import api
 from codegen.solving.arcs import discretisation_error
 from codegen.solving.compiler import build
 from codegen.solving.results import output
-from codegen.solving.results.result import UNKNOWN_ERROR
+from codegen.solving.results.result import UNKNOWN_ERROR, Result
 
 FACTOR = 3.0
 EFFORT, PENDULUM = 12.0, 4.530760981081599
@@ -151,3 +152,26 @@ def test_active_slacks_that_are_small_stay_active_on_double_steps(steps):
     result = api.solve(of_problem(carts))
     limit = 1.995451  # on 1600 intervals
     assert result.error.cost < 5.0 * abs(result.cost - limit) / limit
+
+
+SIMULATED = [scheme.name for scheme in schemes.of_method(schemes.FIRST_ORDER) if not scheme.adaptive]
+
+
+def turning(steps: int, **choices) -> Result:
+    """Return the motion of x'' = -x from rest at x = 1, which is the cosine."""
+    x, v = states("x v")
+    problem = Simulate(dynamics={x: v, v: -x}, start={x: 1, v: 0}, duration=6, steps=40)
+    return api.solve(of_problem(problem, **choices), steps=steps)
+
+
+@pytest.mark.parametrize("steps", [60, 61])
+@pytest.mark.parametrize("scheme", SIMULATED)
+def test_simulations(scheme, steps):
+    """An even number of steps is compared with half as many, and an odd number with twice as many."""
+    result = turning(steps, scheme=scheme)
+    exact = np.stack([np.cos(result.t), -np.sin(result.t)], axis=1)
+    truth = (np.abs(result.q - exact) / np.abs(result.q).max(axis=0)).max()
+    assert within(result.error.states, truth) or truth < 1e-12
+    assert result.error.cost is None
+    assert "cost_error" not in result.summary
+    assert bool(result.notes) == (result.error.states > 0.01)

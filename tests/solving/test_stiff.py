@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from interpreted import of_problem
 from scipy.integrate import solve_ivp
-from sympy import exp
+from sympy import exp, sqrt
 
 from codegen import Simulate, parameter, solve, states, time
 from codegen import compile as compile_problem
@@ -178,3 +178,21 @@ def test_all_checks_hold_and_sweeps_store_states() -> None:
     assert (data["status"] == "solved").all()
     exact = solve_ivp(lambda _, x: [x[1], 20 * ((1 - x[0] ** 2) * x[1] - x[0])], (0, 2), [2, 0], rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(data["q"].sel(mu=20.0)[-1], exact.y[:, -1], rtol=1e-3)
+
+
+def test_stiff_rod_is_solved():
+    """A rounding error of the length changes the force by a factor of 1e8; the reference is scipy's Radau at 1e-10."""
+    x, y, v, w = states("x y v w")
+    length = sqrt(x**2 + y**2)
+    pull = -1e8 * (length - 1) / length - 1e5 * (x * v + y * w) / length**2
+    dynamics = {x: v, y: w, v: pull * x, w: pull * y - 9.81}
+    result = solve(Simulate(dynamics=dynamics, start={x: 1, y: 0, v: 0, w: 0}, duration=3, steps=300))
+
+    def rates(_, z):
+        size = np.hypot(z[0], z[1])
+        force = -1e8 * (size - 1) / size - 1e5 * (z[0] * z[2] + z[1] * z[3]) / size**2
+        return z[2], z[3], force * z[0], force * z[1] - 9.81
+
+    exact = solve_ivp(rates, (0, 3), (1, 0, 0, 0), method="Radau", rtol=1e-10, atol=1e-12).y[:, -1]
+    assert result.status == "solved", result.message
+    np.testing.assert_allclose(result.q[-1, :2], exact[:2], atol=5e-3)

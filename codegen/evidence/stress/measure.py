@@ -71,7 +71,7 @@ def measure(module: ModuleType, case: Case) -> Measurement:
     elif case.reference == "refined" and result.solved:
         finer = solve(varied, FINER * case.steps, every=FINER * case.every)
         error = refined(result, finer)
-        if result.error is not None:
+        if result.error is not None and result.error.cost is not None:
             announced = result.error.cost
         elif result.task != "control":  # the change from half as many steps exceeds the error from first order on
             announced = refined(solve(varied, max(1, case.steps // 2)), solve(varied, case.steps, every=2 * case.every))

@@ -296,7 +296,8 @@ def is_case_solved(case, calls, common, numbers, tolerance, limit, is_warm, spac
         if not common.is_free[i]:
             solution[i] = guess[i]
     for j in range(common.ties.shape[0]):
-        solution[common.ties[j, 0]] = solution[common.ties[j, 1]]
+        i, other = common.ties[j, 0], common.ties[j, 1]
+        solution[i] += solution[other] - guess[other]
     if is_scaled and are_other_factors(
         calls, common, h, parameters, solution, lower, upper, weight, space
     ):  # fmt: skip

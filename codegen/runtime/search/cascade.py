@@ -329,12 +329,13 @@ def clip(problem, grid, bounds, known, distance, duals, vectors, unknowns, gradi
     gradient, before the move.
     """
     indices, lower, upper, moves, measures = bounds[0], bounds[4], bounds[5], False, known
+    descent.add_linking(grid, -1.0, unknowns)
     for i in indices:
         clipped = min(max(unknowns[i], lower[i]), upper[i])
         moves = moves or clipped != unknowns[i]
         unknowns[i] = clipped
+    descent.add_linking(grid, 1.0, unknowns)
     if moves:
-        descent.tie(grid, unknowns)
         measures, _ = descent.evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vectors)
     else:
         measures, _ = descent.measured_again(bounds, grid[4], known, unknowns, gradient, distance, duals, vectors)

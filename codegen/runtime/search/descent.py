@@ -757,12 +757,16 @@ def has_multipliers(unknowns, is_multiplier):
 
 
 @njit(error_model="numpy")
-def tie(grid, x):
-    """Copy the values of linking variables to the unknowns `x` of end nodes that equal them."""
+def add_linking(grid, factor, x):
+    """Add `factor` times the linking variables to the unknowns of `x` (n,) at ends that follow them.
+
+    An unknown at an end is its linking variable plus a constant, such as a full turn. With the factor -1 only the
+    constant remains. Between this call and a call with the factor 1 linking variables may move.
+    """
     sizes, ties = grid[5], grid[8]
     for j in range(ties.shape[0]):
         i, other = ties[j, 0], ties[j, 1]
-        x[i] = x[other] * sizes[other] / sizes[i] if sizes.size else x[other]
+        x[i] += factor * (x[other] * sizes[other] / sizes[i] if sizes.size else x[other])
 
 
 @njit(cache=True, error_model="numpy")
@@ -772,13 +776,14 @@ def push_inside(grid, bounds, push, x):
     Between two bounds, the distance is at most `push` times the distance between the bounds.
     """
     indices, lower, upper = bounds[0], bounds[4], bounds[5]
+    add_linking(grid, -1.0, x)
     for i in indices:
         width = push * (upper[i] - lower[i])
         if lower[i] > -np.inf:
             x[i] = max(x[i], lower[i] + min(push * max(1.0, abs(lower[i])), width))
         if upper[i] < np.inf:
             x[i] = min(x[i], upper[i] - min(push * max(1.0, abs(upper[i])), width))
-    tie(grid, x)
+    add_linking(grid, 1.0, x)
 
 
 @njit(cache=True, error_model="numpy")

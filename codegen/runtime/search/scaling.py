@@ -249,7 +249,7 @@ def fill_scaling_factors(
         if lower.size:
             inside[i] = min(max(primal[i], lower[i]), upper[i])
     for j in range(ties.shape[0] if lower.size else 0):
-        inside[ties[j, 0]] = inside[ties[j, 1]]
+        inside[ties[j, 0]] += inside[ties[j, 1]] - primal[ties[j, 1]]
     fill(gradient, primal, steps, h, nodes, parameters, slopes)
     for i in range(kinds.size if q.slacks.size else 0):
         room.of_unknowns[3, i] = slopes[i]

@@ -419,7 +419,10 @@ class Structure:
 
     @last_results
     def ties(self, steps):
-        """Return pairs (k, 2) of indices: an unknown of an end node, and the linking variable that it equals."""
+        """Return pairs (k, 2) of indices: an unknown of an end node, and the linking variable that it follows.
+
+        The unknown equals the linking variable, or it differs from it by a constant such as a full turn.
+        """
         chain, pairs = steps * self.stride + self.node, []
         if self.is_tied:
             for body, indices in enumerate(self.size(steps) - self.root + self.root_indices()):

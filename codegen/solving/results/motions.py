@@ -172,7 +172,8 @@ def rounding_level(module: SimulateModule, steps: int, q: Matrix, p: Matrix) -> 
     perturbations is subtracted, so that a wrong state does not raise the level. The level is zero if it is not finite.
     """
     path, grid = np.hstack([q, p]), module.make_grid(steps)
-    signs = np.where(np.add.outer(np.arange(path.shape[0]), np.arange(path.shape[1])) % 2, 1.0, -1.0)
+    # Signs that alternate from node to node would cancel at midpoints, and equal signs would cancel in differences.
+    signs = np.random.default_rng(0).choice((-1.0, 1.0), path.shape)
     moved = path + 2.0 * UNITS * signs * np.spacing(np.abs(path).max(axis=0))
     level = (float(module.path_residual(grid, moved)) - float(module.path_residual(grid, path))) / UNITS
     return max(0.0, level) if np.isfinite(level) else 0.0

@@ -29,7 +29,7 @@ UNKNOWN_ERROR = (
     "the error of the discretisation could not be estimated: no optimum was found on half as many intervals; compare "
     "with more --steps, or take --accuracy"
 )
-"""The note of a solution without an estimate of its discretisation error."""
+"""The note of an optimum without an estimate of its discretisation error."""
 
 STATUSES = {
     "solved": "the equations hold to the driver's tolerance, or to rounding",
@@ -343,26 +343,30 @@ class DiscretisationError:
     """The estimated distance of a solution from the solution of the continuous problem.
 
     `states` is the largest error of a state or free parameter, relative to the largest value of the same quantity.
-    This error occurs for `quantity` at `time`. `cost` is the error of the cost relative to the cost.
+    This error occurs for `quantity` at `time`. `cost` is the error of the cost relative to the cost, None for a
+    simulation.
     """
 
     states: float
-    cost: float
+    cost: float | None
     quantity: str
     time: float
 
     @property
     def is_large(self) -> bool:
         """True if the error is so large that the user is warned."""
-        return max(self.states, self.cost) > LARGE_ERROR
+        return max(self.states, self.cost or 0.0) > LARGE_ERROR
 
     @property
     def note(self) -> str:
         """The warning for the user, with the remedy."""
-        return (
+        states = (
             f"the estimated error of the discretisation is {100.0 * self.states:.2g} % of {self.quantity} at t = "
-            f"{self.time:.4g}, and {100.0 * self.cost:.2g} % of the cost: take more --steps, or --accuracy"
+            f"{self.time:.4g}"
         )
+        if self.cost is None:
+            return f"{states}: take more --steps, or a --scheme of higher order"
+        return f"{states}, and {100.0 * self.cost:.2g} % of the cost: take more --steps, or --accuracy"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
