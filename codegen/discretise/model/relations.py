@@ -57,6 +57,11 @@ def require_declared(what: str, has: str, symbol: Expression) -> None:
     """Raise SymbolError for an undeclared symbol in the argument `what`; `has` is the verb of the message."""
     if isinstance(symbol, Quantity):
         return
+    if isinstance(symbol, tuple) and symbol and all(isinstance(one, Quantity) for one in symbol):
+        raise SymbolError(
+            f"{what} {has} {symbol}, which is a tuple of symbols",
+            'unpack it, as in x, y = states("x y"), or declare a single one, as in x = state("x")',
+        )
     quantities = symbol.atoms(Quantity) if isinstance(symbol, sympy.Expr) else set()
     if what == "bounds" and quantities and symbol.free_symbols <= quantities:
         raise SymbolError(f"bounds has the key {symbol}, which is no symbol", f"write path=[{symbol} <= ...]")
