@@ -82,7 +82,7 @@ _NAMES = [
     Malformed("undeclared-in-force", simulation(force='{q: -Symbol("c")*dq}'), SymbolError, "c in force of q"),
     Malformed("undeclared-in-duration", simulation(duration='Symbol("T")'), SymbolError, "T in duration"),
     Malformed("undeclared-key", simulation(start='{Symbol("q"): 0, dq: 0}'), SymbolError, "start has the key q"),
-    Malformed("tuple-key", simulation(start="{(q,): 0, dq: 0}"), SymbolError, "start has the key (q,), which is a tuple"),
+    Malformed("tuple-key", simulation(start="{(q,): 0, dq: 0}"), SymbolError, "key (q,), which is a tuple"),
     Malformed("text-as-key", simulation(start='{"q": 0, "dq": 1}'), SymbolError, "'q'"),
     Malformed("control-without-force", optimal('g = control("g")', cost="f**2 + g**2"), SymbolError, "control g"),
     Malformed("control-in-lagrangian", optimal(lagrangian="dq**2/2 + f*q"), SymbolError, "control f"),
