@@ -500,13 +500,18 @@ class Attitudes:
     indices: Mapping[str, tuple[list[int], list[int]]]
 
     def by_state(self, values: object) -> object:
-        """Return a measurement with the keys `R` and `omega` replaced by those of the states.
+        """Return a measurement with the keys `R`, `omega` and `n` replaced by those of the states.
 
-        The values of these keys are a rotation matrix (3, 3), and the angular velocity (3,) in the frame of the body.
+        The values of these keys are a rotation matrix (3, 3), the angular velocity (3,) in the frame of the body, and a
+        vector (3,) with the components n_x, n_y and n_z, such as a unit vector or its velocity.
         """
-        if not isinstance(values, Mapping) or not self.indices:
+        if not isinstance(values, Mapping):
             return values
         measured = dict(values)
+        for name in [name for name in measured if name not in self.states]:
+            parts = [f"{name}_{part}" for part in _PARTS[1:]]
+            if name not in self.indices and {*parts} <= {*self.states}:
+                measured |= dict(zip(parts, _vector(measured.pop(name), name), strict=True))
         for name, (quaternion, rates) in self.indices.items():
             if name not in measured:
                 continue
@@ -514,9 +519,7 @@ class Attitudes:
             measured |= dict(zip((self.states[i] for i in quaternion), q, strict=True))
             spin = "omega" if len(self.indices) == 1 else f"omega_{name}"
             if rates and spin in measured:
-                w = np.array(measured.pop(spin), dtype=float)
-                if w.shape != (3,):
-                    raise NumericsError(f"{spin} has shape {w.shape}, expected (3,)", "give the angular velocity")
+                w = _vector(measured.pop(spin), spin)
                 dq = np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))]) / 2
                 measured |= dict(zip((self.states[i] for i in rates), dq, strict=True))
         return measured
@@ -550,6 +553,13 @@ def attitudes_of(names: tuple[str, ...], states: tuple[str, ...]) -> Attitudes:
             has_rates = {*rates} <= {*states}
             indices[name] = [*map(states.index, parts)], [*map(states.index, rates)] if has_rates else []
     return Attitudes(states, indices)
+
+
+def _vector(value: object, name: str) -> Vector:
+    w = np.array(value, dtype=float)
+    if w.shape != (3,):
+        raise NumericsError(f"{name} has shape {w.shape}, expected (3,)", "give three numbers")
+    return w
 
 
 def _of_matrix(value: object, name: str) -> Vector:

@@ -7,6 +7,7 @@ from sympy import Matrix, diag, eye
 
 from codegen import Control, Controller, controls, rotation
 from codegen.errors import NumericsError
+from codegen.mpc.controller import attitudes_of
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +64,12 @@ def test_a_matrix_is_measured_as_a_quaternion(problem):
     ):
         with pytest.raises(NumericsError, match=text):
             controller.step(state)
+
+
+def test_vectors_are_measured_by_their_names():
+    states = tuple(f"{name}_{part}" for name in ("n", "dn") for part in "xyz")
+    measured = attitudes_of((), states)
+    assert measured.by_state({"n": [0, 0, 1], "dn": [2, 3, 0]}) == dict(zip(states, (0, 0, 1, 2, 3, 0), strict=True))
+    assert measured.by_state({"m": 1}) == {"m": 1}  # what is no state is refused later
+    with pytest.raises(NumericsError, match="n has shape"):
+        measured.by_state({"n": [0, 1]})

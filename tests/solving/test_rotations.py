@@ -7,6 +7,7 @@ import pytest
 from conftest import PROBLEMS
 from hypothesis import given
 from hypothesis import strategies as st
+from interpreted import of_problem
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, ellipk
@@ -31,6 +32,7 @@ from codegen import (
 from codegen.errors import BoundaryError, CodegenError, DegenerateError, ExpressionError, SymbolError
 from codegen.evidence import checks
 from codegen.problem.rotations import quaternion_of
+from codegen.solving import api
 
 INERTIA = np.array([1.0, 2.0, 3.0])
 J = diag(1, 2, 3)
@@ -888,3 +890,22 @@ def test_a_long_pendulum_in_a_slowly_rotating_frame():
         errors.append(np.abs(result.q - exact[:, :3]).max())
     assert errors[0] < 0.05
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
+
+
+def test_an_attitude_without_any_value_begins_at_the_identity():
+    """The axis of a free body follows a circle without a torque, which costs nothing."""
+    R, omega = rotation("R")
+    torque, t = Matrix(controls("u1 u2 u3")), time()
+    miss = R @ Matrix([0, 0, 1]) - Matrix([sin(t), 0, cos(t)])
+    problem = Control(
+        lagrangian=omega.dot(omega) / 2,
+        force={R: torque},
+        cost=torque.dot(torque) / 100 + miss.dot(miss),
+        duration=2,
+        steps=20,
+    )
+    result = api.solve(of_problem(problem))
+    assert result.status == "solved", result.message
+    assert result.cost < 1e-20
+    assert result.iterations < 20  # 42 and the status `inaccurate` if the cost is scaled by its rounding errors
+    np.testing.assert_allclose(result["omega"][1:-1], np.tile([0, 1, 0], (19, 1)), atol=1e-3)

@@ -5,7 +5,7 @@ ends. A coordinate of a Lagrangian with a value at one end only, and with veloci
 velocities on the line between these. In a problem of several phases, the quantity also has a value at each switch where
 the end of a phase prescribes one. In every phase a line runs from the value after the last jump to the next prescribed
 value, which may be several phases later. If no value is prescribed before the next jump of the quantity, the guess is
-constant.
+constant. A quantity without any value is zero, and an attitude without any value is the identity.
 """
 
 from __future__ import annotations
@@ -46,7 +46,12 @@ def guessed(model: Model, quantities: Sequence[Symbol], duration: Expr) -> tuple
     lines = last | first | {x: first[x] + (last[x] - first[x]) * model.time / duration for x in first if x in last}
     lines |= moving(model, first, last, duration)
     guess = lines | dict(model.guess)
-    return tuple(at_guess(model, guess.get(x, S.Zero)) for x in quantities)
+    return tuple(at_guess(model, guess.get(x, without_value(model, x))) for x in quantities)
+
+
+def without_value(model: Model, quantity: Symbol) -> Expr:
+    """Return the guess of a quantity that has no value: zero, but one for the real part of a quaternion."""
+    return S.One if quantity.name in {f"{name}_w" for name in model.attitudes} else S.Zero
 
 
 def moving(model: Model, first: dict[Symbol, Expr], last: dict[Symbol, Expr], duration: Expr) -> dict[Symbol, Expr]:
@@ -180,4 +185,4 @@ def _line(model: Model, quantity: Symbol, index: int, left: Expr | None, times: 
             return left + (right - left) * (model.time - times[index]) / (times[last + 1] - times[index])
         if last < len(model.jumps) and quantity in dict(model.jumps[last]):
             break
-    return S.Zero if left is None else left
+    return without_value(model, quantity) if left is None else left

@@ -301,6 +301,9 @@ def fill_scaling_factors(
             if size[i] == 0.0:
                 size[i] = rest[i]
     equate_tied(q.tied, size)
+    for j in range(count):
+        if size[j] == 0.0 and not q.is_equation[j]:
+            size[j] = 1.0  # by rule 2; the cost may depend on this unknown alone
     digits = digits_of(q, size)
     slope, curved = change_of_cost(q, slopes, kinds, size, curvature, room.of_kinds[3, :count])
     is_steep = slope >= curved  # then the first steps follow the slope, and could end on bounds
