@@ -13,9 +13,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from codegen.solving.arcs import FAR, Estimate, Gap, around, compared, gaps, interval_errors, order_of_optima
-from codegen.solving.loading import ControlModule, Matrix, Vector, few_steps, inner_places
-from codegen.solving.results.result import Accuracy, GridLevel, Result
+from codegen.solving.arcs import (
+    FAR,
+    Estimate,
+    Gap,
+    around,
+    compared,
+    gaps,
+    interval_errors,
+    motion_error,
+    order_of_optima,
+)
+from codegen.solving.loading import ControlModule, Matrix, SimulateModule, Vector, few_steps, inner_places
+from codegen.solving.results.result import Accuracy, DiscretisationError, GridLevel, Result
 from codegen.solving.warm_start import transferred
 
 LEAST_DENSITY = 0.1
@@ -48,6 +58,10 @@ NARROW = 2e-3
 """Four times the least length of the intervals of a gap, relative to the duration of its phase."""
 STAGNANT, PATIENCE = 0.8, 3
 """Ratio of successive differences above which a grid is no progress; number of such grids that ends the refinement."""
+MOST_STEPS = 20_000_000
+"""Largest number of steps of a simulation whose accuracy is requested."""
+FASTEST_GROWTH = 16
+"""Largest ratio of successive numbers of steps of such a simulation."""
 
 Solve = Callable[[int, Vector | None, Matrix | None], Result]
 """A function that solves the problem for a number of intervals per phase, an initial guess (n,) and a grid."""
@@ -90,10 +104,53 @@ def to_accuracy(solve: Solve, module: ControlModule, steps: int, request: float,
         elif len(search.levels) >= MOST_GRIDS:
             reason = f"after {MOST_GRIDS} grids"
     reason = "" if best.error <= request else reason
-    result = replace(best.fine, accuracy=search.accuracy(best.error, best.estimate, reason))
-    if not reason:
+    return _with_accuracy(best.fine, search.accuracy(best.error, best.estimate, reason))
+
+
+def simulated_to_accuracy(
+    simulate: Callable[[int], Result], module: SimulateModule, steps: int, request: float
+) -> Result:
+    """Simulate with more and more steps until the estimated relative error is below `request`.
+
+    The first number of steps is `steps`, or one more if it is odd. The error follows from the motion with half as many
+    steps, and the next number of steps from the error and the order of the scheme. If the accuracy is not reached, the
+    motion with the least error is returned. Its status is "accuracy not reached", and the reason is in `accuracy`.
+    """
+    levels, failures, stagnant, reason = list[GridLevel](), 0, 0, ""
+    best, least = None, DiscretisationError(math.inf, None, "", 0.0)
+    count = steps + steps % 2
+    while True:
+        coarse, fine = simulate(count // 2), simulate(count)
+        error = motion_error(module, fine, coarse) if coarse.solved and fine.solved else None
+        reached = math.inf if error is None else error.states
+        levels.append(GridLevel(count, fine.status, reached, fine.iterations, fine.seconds_solve))
+        failures = failures + 1 if error is None else 0
+        stagnant = stagnant + 1 if error is not None and reached > STAGNANT * least.states else 0
+        if best is None or (error is not None and reached < least.states):
+            best, least = fine, error or least
+        if reached <= request:
+            break
+        growth = 2.0 if error is None else (reached / (AIM * request)) ** (1.0 / module.metadata.order)
+        following = 2 * math.ceil(0.5 * count * min(max(growth, 2.0), FASTEST_GROWTH))
+        if failures == FIRST_GRIDS:
+            reason = f"no error can be estimated with {count} steps: {fine.message}"
+        elif stagnant == PATIENCE:
+            reason = f"more steps change the motion no less, with a residual of {fine.residual:.1e}"
+        elif following > MOST_STEPS:
+            reason = f"it would take more than {MOST_STEPS} steps"
+        if reason:
+            break
+        count = following
+    accuracy = Accuracy(request, least.states, least.quantity, least.time, reason, tuple(levels))
+    return _with_accuracy(best, accuracy)
+
+
+def _with_accuracy(result: Result, accuracy: Accuracy) -> Result:
+    """Return a result with the outcome of its refinement; a solution that is too inaccurate gets another status."""
+    result = replace(result, accuracy=accuracy)
+    if not (accuracy.reason and result.solved):
         return result
-    message = f"accuracy {request:g} not reached, but {best.error:.2g}: {reason}"
+    message = f"accuracy {accuracy.request:g} not reached, but {accuracy.estimate:.2g}: {accuracy.reason}"
     return replace(result, status="accuracy not reached", message=message)
 
 

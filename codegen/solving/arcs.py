@@ -477,4 +477,5 @@ def motion_error(module: SimulateModule, result: Result, other: Result) -> Discr
     node, column = np.unravel_index(int(np.argmax(changes)), changes.shape)
     power = 2.0**module.metadata.order
     states = float(changes[node, column]) / (power - 1.0) * (1.0 if ratio == 2 else power)
+    states = max(states, float(np.finfo(float).eps))  # the states are rounded
     return DiscretisationError(states, None, names[column], float(times[common[node]]))

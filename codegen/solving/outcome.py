@@ -22,7 +22,7 @@ from codegen.errors import NumericsError, SchemeError
 from codegen.problem.points import PointSet, read_points
 from codegen.runtime.record import Kind, Role
 from codegen.solving import compiler, loading
-from codegen.solving.accuracy import refine, to_accuracy
+from codegen.solving.accuracy import refine, simulated_to_accuracy, to_accuracy
 from codegen.solving.arcs import discretisation_error, motion_error
 from codegen.solving.drivers import DRIVERS, Driver
 from codegen.solving.drivers.quiet import quiet_single_thread
@@ -250,6 +250,13 @@ def _solved(
             return best_of(lambda guess: solve_from(count, guess, False, grid), module, count, request.guesses)
         return solve_from(count, start, True, grid)
 
+    if request.accuracy is not None and is_simulation(module):
+        return simulated_to_accuracy(
+            lambda count: run_and_verify(
+                module, driver, Run(count, request.every, tolerance=request.tolerance, watch=watch), request.repeat
+            ),
+            module, steps, request.accuracy,
+        )  # fmt: skip
     if request.accuracy is not None:
         return to_accuracy(solve_on, module, steps, request.accuracy, warm)
     if request.doublings:

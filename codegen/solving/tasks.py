@@ -59,7 +59,7 @@ def _task(name: str, noun: str, options: str, functions: str) -> Task:
 TASKS = {
     task.name: task
     for task in (
-        _task("simulate", "simulations", "every tables", "solve make_grid path_residual step"),
+        _task("simulate", "simulations", "every tables accuracy", "solve make_grid path_residual step"),
         _task(
             "control",
             "optimisation",

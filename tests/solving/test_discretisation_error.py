@@ -157,11 +157,11 @@ def test_active_slacks_that_are_small_stay_active_on_double_steps(steps):
 SIMULATED = [scheme.name for scheme in schemes.of_method(schemes.FIRST_ORDER) if not scheme.adaptive]
 
 
-def turning(steps: int, **choices) -> Result:
+def turning(steps: int | None, accuracy: float | None = None, **choices) -> Result:
     """Return the motion of x'' = -x from rest at x = 1, which is the cosine."""
     x, v = states("x v")
     problem = Simulate(dynamics={x: v, v: -x}, start={x: 1, v: 0}, duration=6, steps=40)
-    return api.solve(of_problem(problem, **choices), steps=steps)
+    return api.solve(of_problem(problem, **choices), steps=steps, accuracy=accuracy)
 
 
 @pytest.mark.parametrize("steps", [60, 61])
@@ -175,3 +175,20 @@ def test_simulations(scheme, steps):
     assert result.error.cost is None
     assert "cost_error" not in result.summary
     assert bool(result.notes) == (result.error.states > 0.01)
+
+
+@pytest.mark.parametrize(("scheme", "request_"), [("midpoint", 1e-4), ("rk4", 1e-7), ("gauss-4", 1e-9)])
+def test_simulations_reach_an_accuracy(scheme, request_):
+    result = turning(None, accuracy=request_, scheme=scheme)
+    exact = np.stack([np.cos(result.t), -np.sin(result.t)], axis=1)
+    assert result.status == "solved", result.message
+    assert np.abs(result.q - exact).max() <= FACTOR * request_
+    assert result.accuracy.estimate <= request_
+    assert [level.intervals for level in result.accuracy.levels] == sorted({40, result.steps})
+
+
+def test_an_accuracy_below_rounding_errors_is_not_reached():
+    result = turning(None, accuracy=1e-16, scheme="gauss-6")
+    assert result.status == "accuracy not reached"
+    assert "more steps change the motion no less" in result.message
+    assert result.accuracy.estimate == min(level.error for level in result.accuracy.levels) < 1e-12
