@@ -54,8 +54,9 @@ def solve(*positional: Any, **options: Any) -> Result:  # noqa: D417  the argume
     doublings : int
         Number of further solves, on 2 N, 4 N, ... intervals, each from the solution before.
     accuracy : float
-        Relative error of states and cost; grids are refined until the estimated error is smaller. Without the option
-        `scheme` the scheme is gauss-4, or the scheme of the problem if it has path inequalities.
+        Relative error of states and cost; grids are refined, or a simulation takes more steps, until the estimated
+        error is smaller. Without the option `scheme` the scheme is gauss-4, or the scheme of the problem if it has path
+        inequalities.
     guesses : int
         Number of initial guesses: the guess of the problem, then random variations. The best solution is returned.
     sensitivities : bool
