@@ -453,14 +453,13 @@ def _error(module: ControlModule, result: Result, grid: Grid, optimum: Vector, r
 
 
 def motion_error(module: SimulateModule, result: Result, other: Result) -> DiscretisationError | None:
-    """Return the estimated discretisation error of a simulation, from the simulation on half or twice as many steps.
+    """Return the estimated discretisation error of a simulation, from one with a part or a multiple of its steps.
 
     Both store the states of every step, or of every k-th step with the same k. Return None if they have no common times
     other than the start, or if a difference is not finite.
     """
-    ratio = 2 if other.steps < result.steps else 1
-    every = 3 - ratio
-    times, others = result.t[::ratio], other.t[::every]
+    ratio, multiple = max(1, result.steps // other.steps), max(1, other.steps // result.steps)
+    times, others = result.t[::ratio], other.t[::multiple]
     count = min(times.size, others.size)
     span = abs(float(result.t[-1] - result.t[0]))
     common = np.flatnonzero(np.abs(times[:count] - others[:count]) <= SAME_TIME * span)
@@ -471,11 +470,11 @@ def motion_error(module: SimulateModule, result: Result, other: Result) -> Discr
     largest = np.abs(table).max(axis=0)
     is_zero = largest <= ROUNDING * np.sqrt(result.steps) * largest.max()  # but for accumulated rounding errors
     scales = np.where(is_zero, largest.max() or 1.0, largest)
-    changes = np.abs(compared[::every][common] - table[::ratio][common]) / scales
+    changes = np.abs(compared[::multiple][common] - table[::ratio][common]) / scales
     if not np.isfinite(changes).all():
         return None
     node, column = np.unravel_index(int(np.argmax(changes)), changes.shape)
-    power = 2.0**module.metadata.order
-    states = float(changes[node, column]) / (power - 1.0) * (1.0 if ratio == 2 else power)
-    states = max(states, float(np.finfo(float).eps))  # the states are rounded
+    order = float(module.metadata.order)
+    part = 1.0 / (ratio**order - 1.0) if ratio > 1 else 1.0 / (1.0 - multiple**-order)
+    states = max(part * float(changes[node, column]), float(np.finfo(float).eps))  # the states are rounded
     return DiscretisationError(states, None, names[column], float(times[common[node]]))

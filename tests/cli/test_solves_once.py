@@ -42,10 +42,10 @@ def counted(cache, *words):
 
 
 def test_a_solve_runs_once_cold_and_warm(tmp_path):
-    """With an empty cache, and again in another process, which reads the machine code."""
+    """With an empty cache, and again in another process, which reads the machine code; other steps show the error."""
     for _ in ("cold", "warm"):
-        record, runs = counted(tmp_path, PENDULUM, "--steps", 7)
-        assert (record["status"], runs) == ("solved", ["7"])
+        record, runs = counted(tmp_path, PENDULUM, "--steps", 9)
+        assert (record["status"], runs) == ("solved", ["9", "3"])
 
 
 def test_as_many_runs_as_are_asked_for(cache_folder, orbital_transfer):
@@ -86,6 +86,6 @@ def test_long_solves_are_not_run_twice(pendulum, monkeypatch):
     from codegen.solving.drivers import newton
 
     original, calls = newton.simulate, []
-    monkeypatch.setattr(newton, "simulate", lambda module, run: calls.append(run) or original(module, run))
-    api.solve(pendulum, steps=5)
-    assert len(calls) == 1
+    monkeypatch.setattr(newton, "simulate", lambda module, run: calls.append(run.steps) or original(module, run))
+    api.solve(pendulum, steps=10)
+    assert calls == [10, 5]  # the error is estimated from half as many steps

@@ -164,10 +164,10 @@ def turning(steps: int | None, accuracy: float | None = None, **choices) -> Resu
     return api.solve(of_problem(problem, **choices), steps=steps, accuracy=accuracy)
 
 
-@pytest.mark.parametrize("steps", [60, 61])
+@pytest.mark.parametrize("steps", [60, 61, 63])
 @pytest.mark.parametrize("scheme", SIMULATED)
 def test_simulations(scheme, steps):
-    """An even number of steps is compared with half as many, and an odd number with twice as many."""
+    """These are compared with a half, the double and a third of their steps."""
     result = turning(steps, scheme=scheme)
     exact = np.stack([np.cos(result.t), -np.sin(result.t)], axis=1)
     truth = (np.abs(result.q - exact) / np.abs(result.q).max(axis=0)).max()
