@@ -126,9 +126,8 @@ def solve(
         console(stderr=json).print(output.log_table(result))
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
-    notes = [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]
     of_result = result.notes if json and result.solved else ()  # the table has these notes
-    for note in (*output.notes(outcome.module.metadata), *notes, *of_result):
+    for note in (*output.notes(outcome.module.metadata), *output.notes_of_parts(result), *of_result):
         typer.echo(f"codegen: note: {note}", err=True)
     if json:
         typer.echo(output.as_json(record))

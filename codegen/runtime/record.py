@@ -439,7 +439,8 @@ class ControlRecord(Record):
     history_jumps : tuple
         Triples (quantity, value at the start, last value of its history) of quantities whose two values differ.
     kinks, discontinuities : tuple of str
-        Terms of the cost whose slope jumps, and borders at which a function of the problem jumps.
+        Terms of the cost, and terms of controls in the equations of motion, whose slope jumps. Borders at which a
+        function of the problem jumps.
     singular_at_guess : tuple
         Triples of texts (function, first derivative of the function that is not finite at the guess, point).
     coupling_conditions : int

@@ -93,12 +93,14 @@ class Outcome:
 
     @property
     def for_python(self) -> Result:
-        """The result with a note that names the untried options as arguments.
+        """The result with all notes, which name the untried options as arguments.
 
-        Without a solution, the first notes are the warnings about the problem, which the command line prints itself.
+        Warnings about the problem are part of a result without a solution only. The command line prints them, and the
+        notes on estimates and sensitivities, by itself.
         """
         result = self._advised([option.in_python for option in self.untried])
-        return result if result.solved else replace(result, notes=(*output.notes(self.module.metadata), *result.notes))
+        of_problem = [] if result.solved else output.notes(self.module.metadata)
+        return replace(result, notes=(*of_problem, *output.notes_of_parts(result), *result.notes))
 
     @property
     def for_command_line(self) -> Outcome:

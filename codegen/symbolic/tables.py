@@ -155,7 +155,8 @@ def read_columns(path: Path, names: Sequence[str] = (), optional: Collection[str
     same error is raised if a cell of a returned column is not a finite number.
     """
     if not path.is_file():
-        raise TableError(f"{path}: {'is a directory' if path.is_dir() else 'no such file'}", "give a table as text")
+        finding = "is a directory" if path.is_dir() else "no such file"
+        raise TableError(f"{path}: {finding}", "give the path of a file of numbers")
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             lines = csv.reader(line.partition("#")[0] for line in file)
@@ -172,6 +173,9 @@ def read_columns(path: Path, names: Sequence[str] = (), optional: Collection[str
             raise TableError(f"{path}:{first}: two columns are called {name!r}", "give each another name")
     for name in names:
         if name not in header:
+            if len(header) == 1 and (separator := next((sign for sign in ";\t|" if sign in header[0]), "")):
+                finding = f"{path}:{first}: {separator!r} separates the columns"
+                raise TableError(finding, "separate columns by commas, and write decimals with points")
             raise TableError(f"{path}:{first}: there is no column {name!r}", f"name one of {listed}, or add it")
     chosen = {name: header.index(name) for name in names or header}
     if len(body) > MOST:

@@ -264,11 +264,22 @@ class Invariants:
         same = {value: Symbol(f"m{k}", positive=True) for k, value in enumerate(dict.fromkeys(values.values()))}
         positive = {s: same[values[s]] for s in self.symbols}
         distance, outer = positive[self.symbols[indices[0]]], self.outer.xreplace(positive)
-        limit = sympy.limit(outer, distance, 0, "+")
+        limit = _limit(outer, distance)
         if limit.has(*_SINGULAR):
             return None, False
-        pull = sympy.limit(sympy.diff(outer, distance) * sympy.sqrt(distance), distance, 0, "+")
+        pull = _limit(sympy.diff(outer, distance) * sympy.sqrt(distance), distance)
         return limit.xreplace({symbol: value for value, symbol in same.items()}), bool(pull == 0)
+
+
+def _limit(expression: Expr, distance: Symbol) -> Expr:
+    """Return the limit of an expression for a distance that tends to zero from above.
+
+    sympy has no series of Max and Min. Such an expression has its value at zero, which may be singular.
+    """
+    try:
+        return sympy.limit(expression, distance, 0, "+")
+    except NotImplementedError:
+        return expression.subs(distance, 0)
 
 
 def _is_quadratic(term: Expr, moving: set[Symbol]) -> bool:

@@ -33,5 +33,5 @@ def test_kinks(cost, expected):
 
 def test_note():
     (note,) = notes(control_record(kinks=("Abs(u)",)))
-    assert "the cost has a kink in Abs(u)" in note
+    assert "Abs(u) has a kink" in note
     assert "a + b" in note

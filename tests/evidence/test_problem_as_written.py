@@ -70,6 +70,42 @@ def test_modules_agree_with_their_authors(prepared, texts, problem, arguments, c
     assert {finding.subject for finding in findings} == subjects
 
 
+def test_the_cost_of_measurements_between_nodes(prepared, tmp_path):
+    """The interpolation has an error that is no smooth function of the number of intervals."""
+    times = 0.0123, 0.0306, 0.0492, 0.078, 0.1068, 0.1503, 0.2262, 0.3642
+    rows = "\n".join(f"{t},{100 - 300 * t}" for t in times)
+    (tmp_path / "decay.csv").write_text(f"t,z\n{rows}\n")
+    (tmp_path / "decay.py").write_text(
+        '''"""A decay."""\nfrom codegen import Control, Measurements, free_parameter, state\n\n\ndef problem():
+    x, k = state("x"), free_parameter("k", 10)
+    observations = Measurements("decay.csv", values={x: "z"})
+    return Control(dynamics={x: -k * x}, observations=observations, duration=0.3642, start={x: 100})\n'''
+    )
+    findings = checks.apply(NAME, prepared(tmp_path / "decay.py"))
+    assert [finding.subject for finding in findings if finding.outcome != "passed"] == []
+    assert "cost" in {finding.subject for finding in findings}
+
+
+def test_lengths_of_micrometres(prepared, tmp_path):
+    """Boundary values of zero are moved by small parts of the other values, so that no motion passes the pole."""
+    (tmp_path / "switch.py").write_text(
+        '''"""Pull a plate to half of the gap."""\nfrom codegen import Control, control, coordinate\n\n\ndef problem():
+    (x, v), u = coordinate("x", "v"), control("u")
+    return Control(
+        lagrangian=1e-9 * v**2 / 2 - x**2,
+        force={x: 4.4e-20 * u**2 / (2e-6 - x) ** 2 - 5e-6 * v},
+        cost=u**2,
+        duration=2e-4,
+        start={x: 0, v: 0},
+        end={x: 0.8e-6, v: 0},
+        guess={u: 5},
+    )\n'''
+    )
+    findings = checks.apply(NAME, prepared(tmp_path / "switch.py"))
+    assert [finding.subject for finding in findings if finding.outcome != "passed"] == []
+    assert "velocities at the ends" in {finding.subject for finding in findings}
+
+
 @pytest.mark.parametrize(
     ("problem", "old", "new", "subject", "text"),
     [

@@ -81,8 +81,8 @@ _ARGUMENTS = (
         start="{q: each_body(0, 1), dq: 0}",
         error=ExpressionError,
     ),
-    _measured("bodies", "there are 1 measurements and 2 bodies", bodies="2"),
-    _measured("two", "there are 2 measurements and 1 bodies", call='[Measurements("m.csv", values={q: "z"})] * 2'),
+    _measured("bodies", "there are 1 measurements for bodies=2", bodies="2"),
+    _measured("two", "there are 2 measurements for bodies=1", call='[Measurements("m.csv", values={q: "z"})] * 2'),
     _measured(
         "unlike",
         "have other columns",

@@ -43,6 +43,7 @@ _FILES = (
     _curve("too-few-rows", "has 3 values of q; a cubic table needs 4", "q,f\n0,0\n1,1\n2,3\n"),
     _curve("binary", "cannot be read", "q,f\n\udcff\n"),
     _curve("missing-column", "t.csv:1: there is no column 'g'; name one of q, f", call='Table("t.csv", "q", "g")'),
+    _curve("semicolons", "t.csv:1: ';' separates the columns; separate columns by commas", "q;f\n0;0\n1;1\n"),
     _curve("column-twice", "t.csv:1: two columns are called 'f'", "q,f,f\n0,1,2\n"),
     _curve("unsorted", "t.csv:4: q is 1 after 2", "q,f\n0,0\n2,1\n1,3\n3,2\n"),
     _curve("duplicate", "t.csv:5: q is 1 twice", "q,f\n0,0\n# here\n1,1\n1,3\n3,2\n"),

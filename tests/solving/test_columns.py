@@ -37,6 +37,8 @@ def test_unknown_columns_are_refused(push):
     result = push.solve(steps=10)
     with pytest.raises(ArgumentError, match=r"the result of push has no column 'p_y'; did you mean p_x\?"):
         result["p_y"]
+    with pytest.raises(ArgumentError, match=r'duration is one number, and no column; write summary\["duration"\]'):
+        result["duration"]
     with pytest.raises(ArgumentError, match="no column 'theta'; use one of x, p_x, f"):
         result["theta"]
     with pytest.raises(ArgumentError, match="no column 'dx', because it has momenta in place of velocities; use p_x"):

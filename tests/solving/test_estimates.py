@@ -86,6 +86,7 @@ def test_what_data_do_not_determine_is_named(folder):
     assert result.status == "solved", result.message
     assert result.estimates.names == ("l", "k", "x_0")
     assert result.estimates.undetermined == ("l", "k")
+    assert result.notes[0].startswith("l, k are not determined by the measurements")
     best, covariance = curve_fit(decay, TIMES, VALUES, [1, 1], xtol=1e-14, ftol=1e-14)
     assert result.summary["k"] + result.summary["l"] == pytest.approx(best[0], rel=1e-6)
     assert np.isnan(result.estimates.standard_errors[:2]).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import golden
 import pytest
+import sympy
 
 import codegen
 from codegen import Control, controls, states
@@ -26,10 +27,18 @@ def test_a_failed_solve_from_python_tells_of_kinks():
     kinked = Control(dynamics={x: v, v: u}, cost=abs(u), bounds={u: (-1, 1)}, **rest)
     failed = codegen.solve(kinked, max_iterations=300)
     assert not failed.solved
-    assert "kink in Abs(u)" in failed.notes[0]
-    assert "write a + b for Abs(u)" in failed.notes[0]
+    assert failed.notes[0].startswith("Abs(u) has a kink")
+    assert "a + b for Abs(u)" in failed.notes[0]
     smooth = Control(dynamics={x: v, v: a - b}, cost=a + b, bounds={a: (0, 1), b: (0, 1)}, **rest)
     found = codegen.solve(smooth)
     assert found.solved
     assert found.cost == pytest.approx(3 - 5**0.5, rel=2e-3)
     assert not any("kink" in note for note in found.notes)
+
+
+def test_a_kink_of_a_control_in_the_equations_of_motion(uncompiled):
+    energy, power = codegen.state("E"), codegen.control("P")
+    losses = {energy: sympy.Max(0, power) - sympy.Min(0, energy) + sympy.Min(0, power) / 2}
+    battery = codegen.Control(dynamics=losses, cost=power**2, duration=1, start={energy: 2}, end={energy: 3})
+    (note,) = [note for note in codegen.solve(battery, steps=4, max_iterations=1).notes if "kink" in note]
+    assert note.startswith("Max(0, P), Min(0, P) has a kink")

@@ -6,9 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import sympy
 from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
 
+from codegen import Pairwise, Simulate, particles
 from codegen.errors import ArgumentError
 from codegen.evidence import checks
 from codegen.solving import api
@@ -30,6 +32,21 @@ def test_argon_has_the_published_energy(argon):
     """Hairer, Lubich and Wanner (2006), section I.4.2: H(0)/k_B = -1260.2 K."""
     grid = argon.make_grid(1)
     assert argon.energy(grid.start.ravel(), 0.0, grid.parameters) / BOLTZMANN == pytest.approx(-1260.2, abs=0.05)
+
+
+def test_a_force_of_finite_range(uncompiled):
+    """Two grains collide by Hertz's law: the momenta are exchanged, and the energy gives the smallest distance."""
+    i, j = particles("x y", "px py")
+    gap = 1 - sympy.sqrt((i.q[0] - j.q[0]) ** 2 + (i.q[1] - j.q[1]) ** 2)
+    kinetic, pair = (i.p[0] ** 2 + i.p[1] ** 2) / 2, 100 * sympy.Max(0, gap) ** sympy.Rational(5, 2)
+    grains = Simulate(
+        hamiltonian=Pairwise((i, j), self_term=kinetic, pair_term=pair),
+        start={i.q[0]: [0, 1.5], i.q[1]: [0, 0], i.p[0]: [0.5, -0.5], i.p[1]: [0, 0]},
+        duration=2,
+    )
+    solution = api.solve(grains, scheme="yoshida-4", steps=1000)
+    assert solution.p[-1, [0, 2]] == pytest.approx([-0.5, 0.5], abs=1e-7)
+    assert (solution.q[:, 2] - solution.q[:, 0]).min() == pytest.approx(1 - (0.25 / 100) ** 0.4, abs=1e-5)
 
 
 def test_checks_take_a_step_that_can_be_made(monkeypatch, uncompiled):

@@ -109,8 +109,8 @@ def measurements_of(control: Control) -> tuple[Measurements, ...]:
         )
     if listed and len(listed) != control.bodies:
         raise TableError(
-            f"there are {len(listed)} measurements and {control.bodies} bodies",
-            "give one for each body, in their order",
+            f"there are {len(listed)} measurements for bodies={control.bodies}",
+            f"write bodies={len(listed)}, and one Measurements(...) for each body in their order",
         )
     for one in listed:
         if (one.values, one.loss, one.data.layout) != (listed[0].values, listed[0].loss, listed[0].data.layout):

@@ -22,6 +22,7 @@ from codegen.identifiers import plain
 from codegen.problem import symbols
 from codegen.problem.description import quantities_in
 from codegen.problem.problem import Control, Phases, Simulate
+from codegen.problem.tables import Measurements
 from codegen.runtime.record import Method
 from codegen.solving.request import parameter_arguments
 from codegen.symbolic.functions import NUMPY
@@ -210,6 +211,13 @@ class Author:
         """The duration of each phase."""
         return [float(value_at(phase.duration, self.constants)) for phase in self.phases]
 
+    @cached_property
+    def measured_times(self) -> Array:
+        """The times of all measurements of all bodies; empty without measurements."""
+        observations = getattr(self.first, "observations", ())
+        listed = [observations] if isinstance(observations, Measurements) else observations
+        return np.unique([time for one in listed for time in one.data.array[:, 0]])
+
     def numbers_of(self, body: int) -> dict[sympy.Symbol, Any]:
         """Return the values of constants, and the number of the body."""
         return {**self.constants, self.body: body}
@@ -242,8 +250,20 @@ class Author:
         may_move = {plain(name) for name in getattr(self.record, where, ())} - {symbol.name for symbol in self.shifts}
         for symbol, value in values.items():
             if symbol.name in may_move:
-                values[symbol] = value + generator.uniform(0.02, 0.05) * (abs(value) or 1.0)
+                values[symbol] = value + generator.uniform(0.02, 0.05) * (abs(value) or self._size(symbol, numbers))
         return values
+
+    def _size(self, symbol: sympy.Symbol, numbers: Values) -> float:
+        """Return the largest modulus of a quantity at both ends. If it is zero, return a mean velocity, or 1."""
+        pairs = [*self.prescribed("start").items(), *self.prescribed("end").items()]
+
+        def largest(quantity: sympy.Symbol) -> float:
+            return max((abs(float(value_at(value, numbers))) for name, value in pairs if name == quantity), default=0.0)
+
+        size = largest(symbol)
+        if not size and isinstance(symbol, symbols.Velocity):
+            size = largest(symbol.partner) / sum(self.durations)
+        return size or 1.0
 
     def moved_ends(self) -> dict[str, dict[str, Array]]:
         """Return the arguments `start` and `end` of the module's functions: the values of `ends` for all bodies."""

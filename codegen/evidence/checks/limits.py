@@ -112,15 +112,21 @@ def quadrature(begin: float, length: float) -> tuple[Array, Array]:
 
 
 def grid_of(author: Author, steps: int, as_written: bool = False) -> Any:
-    """Return the module's time grid with random parameters. Inner times are nodes of all grids.
+    """Return the module's time grid with random parameters. Inner times and measured times are nodes of all grids.
+
+    The interpolation of measured values inside an interval has an error that is no smooth function of 1/N.
 
     Prescribed boundary values are those of the random motions, or follow from the parameters `as_written`.
     """
     module, arguments = author.module, author.arguments if as_written else {**author.arguments, **author.moved_ends()}
-    if not author.record.inner_times:
+    measured = author.measured_times
+    if not author.record.inner_times and not measured.size:
         return module.make_grid(steps, **arguments)
-    lengths = np.diff(module.make_grid(author.levels[0], **arguments).nodes) / author.levels[0]
-    while lengths.size < steps:
+    nodes = module.make_grid(author.levels[0], **arguments).nodes / author.levels[0]
+    fractions = measured / author.durations[0]
+    apart = np.abs(fractions[:, None] - nodes).min(axis=1) > ROUNDING
+    lengths = np.diff(np.union1d(nodes, fractions[apart]))
+    for _ in range(int(math.log2(steps // author.levels[0]))):
         lengths = np.repeat(lengths / 2, 2)
     return module.make_grid(grid=lengths, **arguments)
 

@@ -93,6 +93,8 @@ class Display:
                     f"use {momentum}",
                 )
         close = difflib.get_close_matches(str(name), columns, 1)
+        if name in result.summary:
+            raise ArgumentError(f"{name} is one number, and no column", f'write summary["{name}"]')
         remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(columns)}"
         raise ArgumentError(f"the result of {result.problem} has no column {name!r}", remedy)
 

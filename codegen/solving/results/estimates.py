@@ -200,10 +200,11 @@ class Estimates:
         """Notes for the user, one line each."""
         notes = [f"no standard errors: {self.reason}"] if self.reason else []
         if self.undetermined:
-            verb = "is" if len(self.undetermined) == 1 else "are"
+            verb, whose = ("is", "it") if len(self.undetermined) == 1 else ("are", "some of them")
+            value = "a value" if len(self.undetermined) == 1 else "values"
             notes.append(
                 f"{', '.join(self.undetermined)} {verb} not determined by the measurements: other values fit as well; "
-                "give it a value, or measure more"
+                f"give {whose} {value}, or measure more"
             )
         if self.at_bounds:
             notes.append(f"{', '.join(self.at_bounds)}: held at a bound, without a standard error")

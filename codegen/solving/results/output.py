@@ -307,8 +307,9 @@ def notes(record: Record) -> list[str]:
     if kinks := metadata.kinks:
         named = ", ".join(map(shortened, kinks))
         lines.append(
-            f"the cost has a kink in {named}, at which Newton's method stalls: write a + b for Abs(u), with controls "
-            "a, b >= 0 and a - b for u, or a control that is bounded by both sides of a Max"
+            f"{named} has a kink, at which Newton's method stalls: write a - b for u, a + b for Abs(u), a for "
+            "Max(u, 0) and -b for Min(u, 0), with controls a, b >= 0, or a control that is bounded by both sides of a "
+            "Max"
         )
     if borders := metadata.discontinuities:
         named = ", ".join(map(shortened, borders))
@@ -330,6 +331,11 @@ def notes(record: Record) -> list[str]:
             "solution may be no optimum; codegen check explains, and --controls interval has no such mode"
         )
     return lines
+
+
+def notes_of_parts(result: Result) -> list[str]:
+    """Return the warnings about the estimates and the sensitivities of a result."""
+    return [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]
 
 
 def notes_of_file(path: Path) -> list[str]:

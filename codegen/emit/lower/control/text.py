@@ -352,11 +352,14 @@ def record(
     if program.controlled == "stages":
         points = scheme.discrete_lagrangian().points if scheme.variational else scheme.step().points
         abscissae = tuple(float(point.abscissa) for point in points)
-    cost_kinks, discontinuities = dict[str, None](), dict[str, None]()
+    bends, discontinuities = dict[str, None](), dict[str, None]()
     for part in models:
         moving = (*part.coordinates, *part.rates, *part.controls)
         for cost in (part.cost or sympy.S.Zero, part.terminal_cost):
-            cost_kinks |= dict.fromkeys(kinks(cost, moving))
+            bends |= dict.fromkeys(kinks(cost, moving))
+        # A motion crosses the kinks of its states. But the optimal control often lies at a kink of its own.
+        for rate in (*part.force, *part.dynamics):
+            bends |= dict.fromkeys(kinks(rate, part.controls))
         discontinuities |= dict.fromkeys(border for e in expressions_of(part) for border in jumps(e, moving))
     segments = None
     if model.segments and model.segments.number > 1:
@@ -398,7 +401,7 @@ def record(
         inner_times=len(inner.times),
         waypoints=inner.clock is not None,
         inner_conditions=inner.multipliers,
-        kinks=tuple(cost_kinks),
+        kinks=tuple(bends),
         discontinuities=tuple(discontinuities),
         singular_at_guess=tuple(dict.fromkeys(name for part in models for name in singular_at_guess(part))),
         coupling_conditions=len(program.linking.couplings) + len(redundant) if redundant else 0,
