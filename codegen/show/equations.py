@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import sympy
 from sympy import Add, Expr, Matrix, S, Symbol, expand_mul
@@ -650,7 +649,7 @@ def _moment(function: Expr, body: _Body) -> Matrix:
     return Matrix(moments) + half_imaginary(body.quaternion, gradient(function, body.quaternion))
 
 
-def _hat(v: Any) -> Matrix:
+def _hat(v: Sequence[Expr]) -> Matrix:
     return Matrix([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,6 +20,10 @@ from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, DARK, GREY, RED, 
 from codegen.show.figures.quantities import angular_velocities, in_unit, label, set_title, title
 from codegen.solving.loading import ConnectModule
 from codegen.solving.results.result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.typing import HashableList
+
 
 _MOST_COORDINATES = 12
 _MOST_IN_A_COLUMN = 4
@@ -243,7 +247,7 @@ def closed_loop_figure(loop: Any, references: References) -> Figure:
     return figure
 
 
-def _rows(kind: str, count: int, columns: int, parts: int) -> list[Any]:
+def _rows(kind: str, count: int, columns: int, parts: int) -> list[HashableList[str]]:
     """Return rows of panel names for `subplot_mosaic`: `columns` panels in a row of `parts` cells."""
     names = [*(f"{kind} {i}" for i in range(count)), *["."] * (-count % columns)]
     rows = [names[first : first + columns] for first in range(0, count, columns)]
