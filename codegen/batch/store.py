@@ -96,7 +96,7 @@ class Frame:
         return tuple(self.labels.get(dim, dim) for dim in self.cases.dims)
 
     @property
-    def coordinates(self) -> dict[str, tuple[tuple[str, ...], NDArray[Any]]]:
+    def coordinates(self) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic]]]:
         """The dimensions and values of the coordinates: varied quantities and names of columns."""
         dims = self.case_dims
         varied = {

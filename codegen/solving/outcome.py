@@ -68,7 +68,7 @@ _ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relat
 _LOADED: set[str] = set()
 """The import names of generated modules whose machine code this process has loaded."""
 
-Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
+Working: TypeAlias = Callable[[str], AbstractContextManager[object]]
 """A function that returns a context manager, which displays a text while a slow operation runs."""
 Following: TypeAlias = Callable[[], AbstractContextManager[Watch | None]]
 """A function that returns a context manager, whose value displays the iterates of a driver."""

@@ -25,7 +25,7 @@ _MAX_ITERATIONS, _HALVINGS = 60, 10
 """Largest number of Newton steps, and of halvings of each step."""
 
 
-def integrated(module: ConnectModule, case: Case, momenta: Vector, code: str, tolerance: float) -> tuple[Any, int]:
+def integrated(module: ConnectModule, case: Case, momenta: Vector, code: str, tolerance: float) -> tuple[Matrix, int]:
     """Return the states at the nodes (N + 1, 2, n, d), and the number of evaluations of the Hamiltonian field.
 
     `momenta` are the initial momenta, and `code` is the name of an integrator of scipy. The states are NaN if scipy
@@ -152,6 +152,6 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
     )  # fmt: skip
 
 
-def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: Any) -> dict[str, Any]:
+def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: object) -> dict[str, Any]:
     """Return the fields of an attempt that are copied from the return value of `solve` of a module."""
     return {name: getattr(solution, name) for name in _CLAIMED[attempt]}
