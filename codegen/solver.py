@@ -159,7 +159,7 @@ class Solver:
         choices = self.choices
         return derived_equations(self.problem, self._settings, choices.scheme, choices.method, choices.controls)
 
-    def sweep(self, vary: Mapping[str, Any] | None = None, **options: Any) -> Dataset:
+    def sweep(self, vary: Mapping[str, object] | None = None, **options: Any) -> Dataset:
         """Solve the problem for many values of its parameters.
 
         Parameters

@@ -59,6 +59,7 @@ class Grid(Protocol):
     sizes: Vector
     weight: float
     inner: tuple[int, ...]
+    _replace: Callable[..., Grid]
     problem: ControlProblem
 
 

@@ -24,7 +24,7 @@ from codegen.evidence.stress.motions import registered
 from codegen.evidence.stress.own import largest_stable
 from codegen.problem.points import PointSet
 from codegen.solving import api
-from codegen.solving.loading import Grid, Vector
+from codegen.solving.loading import GeneratedModule, Grid, Vector
 from codegen.solving.results.result import Result
 from codegen.solving.tasks import task_of
 
@@ -42,7 +42,7 @@ def measure(module: ModuleType, case: Case) -> Measurement:
         half = table.shape[1] // 2
         points = PointSet(table[:, :half], table[:, half:], np.zeros(len(table)))
 
-    def solve(tried: Any, steps: int, every: int = case.every) -> Result:
+    def solve(tried: GeneratedModule, steps: int, every: int = case.every) -> Result:
         known: dict[str, Any] = {"every": every, "doublings": case.doublings}
         options = {name: value for name, value in known.items() if name in task_of(module).options}
         return api.solve(tried, case.driver, points=points, steps=steps, **options)

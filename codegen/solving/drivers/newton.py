@@ -111,7 +111,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Call `solve` of the module; return the attempt."""
     warm = run.guess is not None and run.near
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
-    options: dict[str, Any] = {"max_iterations": run.max_iterations, "time_limit": run.time_limit}
+    options: dict[str, object] = {"max_iterations": run.max_iterations, "time_limit": run.time_limit}
     options |= {"watch": run.watch, "scaling": run.scaling}
     options = {name: value for name, value in options.items() if value not in (None, math.inf, "auto")}
     if run.grid is not None:
