@@ -166,17 +166,13 @@ def velocities_of(model: Model, body_rates: Sequence[Expr], momenta: Sequence[Sy
     own = dict(zip(model.coordinates, momenta, strict=True))
     for i, quaternion in enumerate(model.rotations):
         omega = body_rates[len(places) + 3 * i : len(places) + 3 * i + 3]
-        along = Add(*(q * own[q] for q in quaternion)) / _radial_inertia(model, quaternion)
+        # The inertia of a change of the length of a quaternion, at the identity and without other velocities.
+        real = dict(zip(model.coordinates, model.rates, strict=True))[quaternion[0]]
+        identity: dict[Expr, Expr] = dict(zip(quaternion, (S.One, S.Zero, S.Zero, S.Zero), strict=True))
+        along = Add(*(q * own[q] for q in quaternion)) / sympy.diff(model.function, real, 2).xreplace(identity)
         for q, part in zip(quaternion, product(quaternion, (S.Zero, *omega)), strict=True):
             velocity[q] = part / 2 + along * q
     return [velocity[q] for q in model.coordinates]
-
-
-def _radial_inertia(model: Model, quaternion: Sequence[Symbol]) -> Expr:
-    """Return the inertia of a change of the length of a quaternion, at the identity and without other velocities."""
-    real = dict(zip(model.coordinates, model.rates, strict=True))[quaternion[0]]
-    identity: dict[Expr, Expr] = dict(zip(quaternion, (S.One, S.Zero, S.Zero, S.Zero), strict=True))
-    return sympy.diff(model.function, real, 2).xreplace(identity)
 
 
 def step_with_rotations(

@@ -572,23 +572,36 @@ def quaternion_of(value: object, what: str) -> tuple[Expr, ...]:
         raise BoundaryError(f"{what} is {_short(value)}", f"give {_ATTITUDE}")
     parts = list(value)
     if len(parts) == 2:
-        return _about(vector(parts[0], f"the axis in {what}"), parts[1], what)
+        axis = vector(parts[0], f"the axis in {what}")
+        angle = parts[1]
+        if not _is_number(angle):
+            raise BoundaryError(f"the angle in {what} is {_short(angle)}", f"give {_ATTITUDE}")
+        length = sympy.sqrt(sympy.Add(*(part**2 for part in axis)))
+        if length == 0:
+            raise BoundaryError(f"the axis in {what} has length zero", "give the direction of the axis")
+        half = sympy.sympify(angle) / 2
+        return (sympy.cos(half), *(sympy.sin(half) * part / length for part in axis))
     if len(parts) == 4:
         quaternion = vector(parts, what, 4)
         return _of_length_one(quaternion, f"the quaternion in {what}", "a quaternion of length one")
     if len(parts) == 3 and all(isinstance(row, (list, tuple, np.ndarray)) and len(row) == 3 for row in parts):
-        return _of_matrix(parts, what)
+        from scipy.spatial.transform import Rotation as Attitude
+
+        entries = [vector(row, f"a row of {what}") for row in parts]
+        if symbols := {symbol for row in entries for entry in row for symbol in entry.free_symbols}:
+            names = ", ".join(names_of(sorted(symbols, key=str)))
+            raise BoundaryError(f"the matrix in {what} depends on {names}", "give an axis and an angle")
+        numbers = np.array(entries, dtype=float)
+        error = float(np.abs(numbers.T @ numbers - np.eye(3)).max())
+        if not error <= _NEARLY:
+            raise BoundaryError(
+                f"{what} is no rotation: R.T @ R differs from the identity by {error:.3g}", f"give {_ATTITUDE}"
+            )
+        if np.linalg.det(numbers) < 0.0:
+            raise BoundaryError(f"{what} is a reflection, whose determinant is -1", f"give {_ATTITUDE}")
+        x, y, z, w = map(sympy.Float, Attitude.from_matrix(numbers).as_quat(canonical=True))
+        return _of_length_one((w, x, y, z), what, "a quaternion of length one")
     raise BoundaryError(f"{what} is {_short(value)}", f"give {_ATTITUDE}")
-
-
-def _about(axis: Sequence[Expr], angle: object, what: str) -> tuple[Expr, ...]:
-    if not _is_number(angle):
-        raise BoundaryError(f"the angle in {what} is {_short(angle)}", f"give {_ATTITUDE}")
-    length = sympy.sqrt(sympy.Add(*(part**2 for part in axis)))
-    if length == 0:
-        raise BoundaryError(f"the axis in {what} has length zero", "give the direction of the axis")
-    half = sympy.sympify(angle) / 2
-    return (sympy.cos(half), *(sympy.sin(half) * part / length for part in axis))
 
 
 def _of_length_one(parts: tuple[Expr, ...], name: str, wanted: str) -> tuple[Expr, ...]:
@@ -610,25 +623,6 @@ def _along_sphere(velocity: tuple[Expr, ...], vector: Sequence[Expr], name: str)
             f"{name} has the component {float(along):.6g} along the unit vector", "give a velocity perpendicular to it"
         )
     return tuple(a - along * b for a, b in zip(velocity, vector, strict=True))
-
-
-def _of_matrix(rows: Sequence[object], what: str) -> tuple[Expr, ...]:
-    from scipy.spatial.transform import Rotation as Attitude
-
-    entries = [vector(row, f"a row of {what}") for row in rows]
-    if symbols := {symbol for row in entries for entry in row for symbol in entry.free_symbols}:
-        names = ", ".join(names_of(sorted(symbols, key=str)))
-        raise BoundaryError(f"the matrix in {what} depends on {names}", "give an axis and an angle")
-    numbers = np.array(entries, dtype=float)
-    error = float(np.abs(numbers.T @ numbers - np.eye(3)).max())
-    if not error <= _NEARLY:
-        raise BoundaryError(
-            f"{what} is no rotation: R.T @ R differs from the identity by {error:.3g}", f"give {_ATTITUDE}"
-        )
-    if np.linalg.det(numbers) < 0.0:
-        raise BoundaryError(f"{what} is a reflection, whose determinant is -1", f"give {_ATTITUDE}")
-    x, y, z, w = map(sympy.Float, Attitude.from_matrix(numbers).as_quat(canonical=True))
-    return _of_length_one((w, x, y, z), what, "a quaternion of length one")
 
 
 def _short(value: object) -> str:

@@ -415,18 +415,14 @@ class _ByName:
                 raise ModuleError(finding, "let NUMBA_CACHE_DIR name a folder that may be written to") from error
             finding = " ".join(f"{path} is damaged ({type(error).__name__}: {error})".split())
             raise ModuleError(finding, _REMEDY) from error
-        _require_complete(path, module)
+        task = getattr(getattr(module, "metadata", None), "task", None)
+        if task not in TASKS:
+            raise ModuleError(f"{path} is damaged (its metadata name no task)", _REMEDY)
+        missing = [function for function in TASKS[task].functions if not callable(getattr(module, function, None))]
+        if missing:
+            raise ModuleError(f"{path} is damaged (it lacks {', '.join(missing)})", _REMEDY)
 
 
 __path__: list[str] = []
 """An empty search path, which makes this module the package of all generated modules."""
 sys.meta_path.append(cast(Any, _ByName))
-
-
-def _require_complete(path: Path, module: ModuleType) -> None:
-    task = getattr(getattr(module, "metadata", None), "task", None)
-    if task not in TASKS:
-        raise ModuleError(f"{path} is damaged (its metadata name no task)", _REMEDY)
-    missing = [function for function in TASKS[task].functions if not callable(getattr(module, function, None))]
-    if missing:
-        raise ModuleError(f"{path} is damaged (it lacks {', '.join(missing)})", _REMEDY)

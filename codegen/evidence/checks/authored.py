@@ -109,7 +109,23 @@ def check_authored(context: Context) -> Iterator[Finding]:
         if isinstance(written, Simulate):
             yield from _simulation(author)
         else:
-            yield from _control(author)
+            yield from _verdict("duration", _duration_items(author))
+            yield from _verdict("values at the start", _end_items(author, "start"))
+            yield from _verdict("values at the end", _end_items(author, "end"))
+            yield from _verdict("bounds", _bound_items(author))
+            items = dict[str, list[Item]]()
+            for seed in _SEEDS:
+                for subject, item in _measured_along(author, seed):
+                    items.setdefault(subject, []).append(item)
+            for subject in (
+                "equations of motion",
+                "velocities at the ends",
+                "reported motion",
+                "cost",
+                "path conditions",
+                "conditions",
+            ):
+                yield from _verdict(subject, items.get(subject, []))
     except NoMotionError as error:
         yield not_measured(NAME, "equations of motion and cost", str(error))
 
@@ -157,27 +173,6 @@ def _parameter_items(author: Author) -> Iterator[Item]:
 
 
 # ---- Optimal control ----
-
-
-def _control(author: Author) -> Iterator[Finding]:
-    """Compare a module of optimal control with the author's problem."""
-    yield from _verdict("duration", _duration_items(author))
-    yield from _verdict("values at the start", _end_items(author, "start"))
-    yield from _verdict("values at the end", _end_items(author, "end"))
-    yield from _verdict("bounds", _bound_items(author))
-    items = dict[str, list[Item]]()
-    for seed in _SEEDS:
-        for subject, item in _measured_along(author, seed):
-            items.setdefault(subject, []).append(item)
-    for subject in (
-        "equations of motion",
-        "velocities at the ends",
-        "reported motion",
-        "cost",
-        "path conditions",
-        "conditions",
-    ):
-        yield from _verdict(subject, items.get(subject, []))
 
 
 def _duration_items(author: Author) -> Iterator[Item]:
@@ -336,7 +331,14 @@ def _limits_along(author: Author, seed: int, amplitude: float) -> Iterator[tuple
             yield from (("equations of motion", item) for item in _motion_items(author, phase, motion, leg, samples))
             if isinstance(phase, Control):
                 yield from (("path conditions", item) for item in _path_items(author, phase, motion, leg, samples))
-                costs += _costs(author, phase, motion, leg)
+                # Both parts of the integral by their signs, the terminal cost, and all losses.
+                t, weights = quadrature(leg.begin, leg.length)
+                running = values_along(author.cost(phase), motion(t).values, t)
+                instant = np.array([leg.begin + leg.length])
+                terminal = sympy.sympify(phase.terminal_cost) - sympy.sympify(phase.terminal_maximise)
+                at_end = float(values_along(terminal, motion(instant).values, instant)[0])
+                ends = [float(weights @ np.maximum(running, 0.0)), float(weights @ np.minimum(running, 0.0)), at_end]
+                costs += [*ends, *_losses(phase, motion, leg)]
         yield from (("velocities at the ends", item) for item in _velocity_items(author, samples, of_phases, body))
         for end in ("start", "end"):
             yield from (("conditions", item) for item in _end_conditions(author, samples[0], of_phases, body, end))
@@ -350,17 +352,6 @@ def _limits_along(author: Author, seed: int, amplitude: float) -> Iterator[tuple
     ):
         yield from (("conditions", item) for item in items)
     yield "cost", limit_of("cost", sum(costs), [sample.cost for sample in samples], sum(map(abs, costs)))
-
-
-def _costs(author: Author, phase: Control, motion: Path, leg: Leg) -> list[float]:
-    """Return both parts of the author's integral over a phase by their signs, the terminal cost, and all losses."""
-    t, weights = quadrature(leg.begin, leg.length)
-    running = values_along(author.cost(phase), motion(t).values, t)
-    instant = np.array([leg.begin + leg.length])
-    terminal = sympy.sympify(phase.terminal_cost) - sympy.sympify(phase.terminal_maximise)
-    at_end = float(values_along(terminal, motion(instant).values, instant)[0])
-    ends = [float(weights @ np.maximum(running, 0.0)), float(weights @ np.minimum(running, 0.0)), at_end]
-    return [*ends, *_losses(phase, motion, leg)]
 
 
 def _losses(phase: Control, motion: Path, leg: Leg) -> Iterator[float]:
