@@ -160,7 +160,7 @@ def outcome_of(
         with following() if is_watched else solving() as watch:
             shown = request.watch or (watch if is_watched else None)
             result = _solved(request, module, driver, steps, warm, points, shown)
-        result = _with_notes(request, module, _with_error(request, module, driver, result))
+        result = _with_notes(module, _with_error(request, module, driver, result))
         if request.sensitivities:
             result = with_sensitivities(result, module)
         whole = put_together(result, module.metadata)
@@ -305,7 +305,7 @@ def require_memory(numbers: int, steps: int) -> None:
         )
 
 
-def _with_notes(request: Request, module: GeneratedModule, result: Result) -> Result:
+def _with_notes(module: GeneratedModule, result: Result) -> Result:
     """Return a solution with notes on the motion between nodes and on zero controls."""
     if not is_control(module) or result.unknowns is None or not result.solved:
         return result

@@ -136,7 +136,7 @@ def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[Numbers, 
 
 
 def graded(
-    panels: Mapping[str, Axes], groups: Sequence[tuple[str, str]], data: Dataset, dim: str, places: Numbers
+    panels: Mapping[str, Axes], groups: Sequence[tuple[str, str]], data: Dataset, places: Numbers
 ) -> ScalarMappable:
     """Draw trajectories over time, coloured by `places` (cases,); return the mappable for the colour bar."""
     solved = places[statuses(data).ravel() == "solved"]
@@ -401,7 +401,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
             panels[f"m{i}"].set_xticks(x, words)
     if any(name != "." for name in names):
         flat = data if by is None else data.isel({by: 0})
-        shades = graded(panels, groups, flat.isel({dims[0]: order}), dims[0], x)
+        shades = graded(panels, groups, flat.isel({dims[0]: order}), x)
         bar = figure.colorbar(
             shades, ax=[panels[f"g{i}"] for i in range(len(groups))], label=quantity(dims[0], data), aspect=30
         )
