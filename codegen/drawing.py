@@ -69,7 +69,7 @@ class Item(metaclass=_Kind):
 
     label: str = field(default="", kw_only=True)
 
-    def parts(self) -> Iterator[tuple[str, Any]]:
+    def parts(self) -> Iterator[tuple[str, Expression | Point]]:
         """Yield the names and values of all fields except the label; values are points or single expressions."""
         return ((part.name, getattr(self, part.name)) for part in fields(self) if part.name != "label")
 
@@ -78,7 +78,7 @@ class Item(metaclass=_Kind):
         for name, value in self.parts():
             yield from ((name, part) for part in (value if isinstance(value, tuple) else (value,)))
 
-    def mapped(self: _Item, function: Callable[[Expression], Any]) -> _Item:
+    def mapped(self: _Item, function: Callable[[Expression], Expression]) -> _Item:
         """Return a copy of the item in which every expression is replaced by `function(expression)`."""
         changes: dict[str, Any] = {
             name: tuple(map(function, value)) if isinstance(value, tuple) else function(value)

@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from codegen.errors import FileError
 
@@ -91,7 +90,7 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
-def rendered(template: Path, **values: Any) -> str:
+def rendered(template: Path, **values: object) -> str:
     """Return the HTML of the jinja template in a file; raise an error if the template uses a name without a value."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 

@@ -7,14 +7,13 @@ import platform
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 from codegen import __version__
 
 _PACKAGES = ("numpy", "scipy", "numba", "sympy", "matplotlib")
 
 
-def machine() -> dict[str, Any]:
+def machine() -> dict[str, object]:
     """Return the versions of packages, the processor and the present load of the machine, by name."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []

@@ -97,7 +97,7 @@ class Solver:
         return {name: defaults.get(name) for name in overridable(self.module)}
 
     @cached_property
-    def build_options(self) -> dict[str, Any]:
+    def build_options(self) -> dict[str, object]:
         """The options of `codegen.solve`, `codegen.sweep` or `codegen.Controller` that lead to the same module."""
         choices = self.choices
         named = {"scheme": choices.scheme, "method": choices.method, "controls": choices.controls, "out": self.out}
@@ -159,7 +159,7 @@ class Solver:
         choices = self.choices
         return derived_equations(self.problem, self._settings, choices.scheme, choices.method, choices.controls)
 
-    def sweep(self, vary: Mapping[str, Any] | None = None, **options: Any) -> Dataset:
+    def sweep(self, vary: Mapping[str, object] | None = None, **options: Any) -> Dataset:
         """Solve the problem for many values of its parameters.
 
         Parameters
@@ -193,7 +193,7 @@ class Solver:
     def _settings(self) -> Settings:
         return settings_of(self.problem, self.arguments)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Return the attributes without the module, which another process loads from its file."""
         return {name: value for name, value in vars(self).items() if name != "module"}
 

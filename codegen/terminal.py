@@ -9,13 +9,17 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 from typer.core import TyperGroup
 
 from codegen.errors import INTERRUPTED, CodegenError, Interrupted, one_line
 from codegen.files import is_refusal, refused
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.status import Status
 
 FILE_WIDTH = 120
 """Width of lines in characters if the output is not a terminal."""
@@ -28,14 +32,14 @@ class _Ended(Exception):
 class OneLineErrors(TyperGroup):
     """A group of commands that report errors by one line on stderr and an exit status."""
 
-    def invoke(self, ctx: Any) -> Any:
+    def invoke(self, ctx: Any) -> object:
         """Run a command; raise _Ended in place of Interrupted, so that its message is not lost."""
         try:
             return super().invoke(ctx)
         except Interrupted as error:
             raise _Ended(str(error)) from error
 
-    def main(self, *positional: Any, **options: Any) -> Any:
+    def main(self, *positional: Any, **options: Any) -> object:
         """Run a command, report its errors, and exit."""
         try:
             with warnings.catch_warnings():
@@ -80,7 +84,7 @@ def _described(error: Exception) -> tuple[int, str]:
     return 1, one_line(text, 200) + "; this is a defect of codegen, please report what CODEGEN_TRACEBACK=1 shows"
 
 
-def console(stderr: bool = False) -> Any:
+def console(stderr: bool = False) -> Console:
     """Return a console of rich with the width of the terminal, or with FILE_WIDTH if the output is not a terminal."""
     from rich.console import Console
 
@@ -136,8 +140,8 @@ def following() -> Iterator[Callable[[int, tuple[float, ...]], None] | None]:
         yield watch
 
 
-def working(what: str) -> AbstractContextManager[Any]:
+def working(what: str) -> AbstractContextManager[Status | None]:
     """Return a context manager that shows a spinner with a text on a terminal."""
     if not sys.stderr.isatty():
         return nullcontext()
-    return console(stderr=True).status(f"{what} ...")  # type: ignore[no-any-return]
+    return console(stderr=True).status(f"{what} ...")

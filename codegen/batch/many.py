@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -22,8 +22,9 @@ from codegen.errors import ArgumentError, NumericsError, clause, one_line
 from codegen.problem.problem import Control, Phases, Simulate
 from codegen.runtime.search.problem import ControlProblem
 from codegen.solving import compiler, loading
-from codegen.solving.loading import Vector, is_control, is_simulation
+from codegen.solving.loading import GeneratedModule, Vector, is_control, is_simulation
 from codegen.solving.machine_code import processes
+from codegen.solving.outcome import Working
 from codegen.solving.progress import building, shown_from_call
 from codegen.solving.request import Request, require_options, with_values
 from codegen.solving.results.segments import segments_of
@@ -44,7 +45,7 @@ def solve_many(problem: Control | Phases, parameters: Mapping[str, ArrayLike], *
 @overload
 def solve_many(problem: Any, parameters: Mapping[str, ArrayLike], **options: Any) -> Any: ...
 def solve_many(
-    problem: Any,
+    problem: object,
     parameters: Mapping[str, ArrayLike],
     *,
     steps: int | None = None,
@@ -129,7 +130,7 @@ def solve_many(
     )  # fmt: skip
     size = number if is_on_device else min(MOST_AT_ONCE, max(1, -(-number // (LEAST_PARTS * workers))))
     if is_simulation(module):
-        found: Any = empty_motions(module, varied, count, request.every, limits, number)
+        found: Motions | Solutions = empty_motions(module, varied, count, request.every, limits, number)
     else:
         if (segments := segments_of(module.metadata)) and steps is not None:
             count = segments.steps(count)
@@ -147,10 +148,10 @@ def solve_many(
         for done, _ in enumerate(solved_in(parts), 1):
             if line is not None:
                 line.update(f"Solving: {min(number, done * size)} of {number} cases ...")
-    return found  # type: ignore[no-any-return]
+    return found
 
 
-def _module(request: Request, working: Callable[[str], Any]) -> tuple[Any, compiler.Build | None]:
+def _module(request: Request, working: Working) -> tuple[Any, compiler.Build | None]:
     """Return the module of a request, and the build if there is one; or raise ArgumentError."""
     build: compiler.Build | None = None
     module: Any = request.compiled
@@ -176,7 +177,7 @@ def _module(request: Request, working: Callable[[str], Any]) -> tuple[Any, compi
     return module, build
 
 
-def _columns(module: Any, parameters: Mapping[str, ArrayLike]) -> dict[str, Vector]:
+def _columns(module: GeneratedModule, parameters: Mapping[str, ArrayLike]) -> dict[str, Vector]:
     """Return the values (n,) of each parameter for all cases; raises ArgumentError for unusable names or shapes."""
     if not isinstance(parameters, Mapping):
         raise ArgumentError(clause(f"parameters is {parameters!r}"), 'give arrays by name, as {"m": [1.0, 2.0]}')
@@ -200,7 +201,7 @@ def _columns(module: Any, parameters: Mapping[str, ArrayLike]) -> dict[str, Vect
     return {name: np.ascontiguousarray(np.broadcast_to(column, number)) for name, column in columns.items()}
 
 
-def _in_memory(values: Any) -> Any:
+def _in_memory(values: object) -> Any:
     """Return a copy of an array in the memory of a GPU, and other values as they are."""
     if not hasattr(values, "__cuda_array_interface__"):
         return values

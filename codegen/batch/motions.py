@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,7 +137,7 @@ class Motions(Cases):
         """Follow the motions of a part, block by block; raises Abandoned once `is_wanted` returns False."""
         problem, (_, rows, state), is_on_device = self.module.problem, self.path.shape, self.limits.is_on_device
         size = max(1, NUMBERS // (rows * state))
-        follow: Callable[..., Any] = follow_ensemble
+        follow: Callable[..., tuple[Happened, EventLog] | None] = follow_ensemble
         if is_on_device:
             from codegen.runtime.cuda import motions as of_device
 
@@ -282,7 +282,7 @@ class Motions(Cases):
         return self._in_background(simulate_result(module, "newton", run, simulate(module, run)), module, values)
 
 
-def require_motions(module: Any, is_on_device: bool) -> None:
+def require_motions(module: SimulateModule, is_on_device: bool) -> None:
     """Raise an error for a module whose motions are not followed many at a time, or not on a GPU."""
     name = module.metadata.problem
     if is_of_particles(module):

@@ -33,7 +33,7 @@ from codegen.runtime.search.messages import solved_message
 from codegen.runtime.search.solution import Log
 from codegen.runtime.search.stacks import case_of, stack_of
 from codegen.solving.drivers.newton import TOLERANCE
-from codegen.solving.loading import ControlModule, Matrix, Vector
+from codegen.solving.loading import ControlModule, Grid, Matrix, Vector
 from codegen.solving.request import with_values
 from codegen.solving.results.control import control_result
 from codegen.solving.results.display import Background
@@ -141,7 +141,7 @@ class Solutions(Cases):
             self.grids[own] = lambda case: light.grid_of(case - own.start)
         width = self.unknowns.shape[1]
         found = no_optima(len(guesses), width) if stack is None else solve_stack(stack, options, log)
-        grids, starts = list[Any](), dict[int, Vector]()
+        grids, starts = list[Grid](), dict[int, Vector]()
         for case in np.flatnonzero(found.status == "").tolist():
             try:
                 grid, guess = self.module.make_grid(self.steps, **case_of(arguments, case)), guesses[case]
@@ -163,7 +163,7 @@ class Solutions(Cases):
         self.cost[own] = np.where(found.status == SOLVED, found.cost, np.nan)
         self.messages.update({own.start + case: message for case, message in found.messages.items()})
 
-    def grid(self, case: int) -> Any:
+    def grid(self, case: int) -> Grid:
         """Return the grid of a case with usable numbers."""
         make = self.grids[case]
         return self.module.make_grid(self.steps, **case_of(self.arguments, case)) if make is None else make(case)
@@ -260,7 +260,7 @@ class Solutions(Cases):
     def _motions(self) -> dict[str, NDArray[np.float64]]:
         """The arrays of all motions by name; they are computed from the unknowns on first use."""
         names, is_whole = ("t", "q", "p", "u", "multipliers"), segments_of(self.module.metadata) is None
-        parts: dict[int, Any] = {}
+        parts: dict[int, Sequence[Vector]] = {}
         for i in np.flatnonzero(self.solved).tolist():
             if is_whole:
                 parts[i] = self.module.unpack(self.grid(i), self.unknowns[i])

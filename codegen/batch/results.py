@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from codegen.batch.layout import COLUMNS
 from codegen.errors import ArgumentError, DeviceError, ExtraError, NumericsError, clause, one_line
 from codegen.runtime.search.batch import SOLVED
-from codegen.solving.loading import Matrix, Vector
+from codegen.solving.loading import ControlModule, GeneratedModule, Matrix, SimulateModule, Vector
 from codegen.solving.results.display import Background
 from codegen.solving.results.result import Result
 
@@ -90,7 +90,7 @@ class Cases(ABC):
 
     status: NDArray[np.str_]
     parameters: Mapping[str, Vector]
-    module: Any
+    module: ControlModule | SimulateModule
     steps: int
     background: Background | None
     numbers_of_cases: ClassVar[tuple[str, ...]]
@@ -142,7 +142,7 @@ class Cases(ABC):
             raise NumericsError(clause(f"case {index} has unusable numbers"), "look at `status` and `message` before")
         return {name: float(values[index]) for name, values in self.parameters.items()}
 
-    def _in_background(self, result: Result, module: Any, values: Mapping[str, float]) -> Result:
+    def _in_background(self, result: Result, module: GeneratedModule, values: Mapping[str, float]) -> Result:
         """Return the result of a case with its numbers and its module, which figures and angular velocities need."""
         background = None if self.background is None else replace(self.background, module=module)
         return replace(result, parameters=dict(values), background=background)
@@ -159,10 +159,10 @@ class Cases(ABC):
             import xarray
         except ImportError:
             raise ExtraError("to_dataset needs xarray, which is not installed", "pip install xarray") from None
-        data: dict[str, Any] = {name: ("case", getattr(self, name)) for name in ("status", *self.numbers_of_cases)}
+        data: dict[str, object] = {name: ("case", getattr(self, name)) for name in ("status", *self.numbers_of_cases)}
         data["message"] = ("case", self.message.astype(np.str_))
         data |= {name: ("case", values) for name, values in getattr(self, "free", {}).items()}
-        coordinates: dict[str, Any] = {name: ("case", values) for name, values in self.parameters.items()}
+        coordinates: dict[str, object] = {name: ("case", values) for name, values in self.parameters.items()}
         times: Matrix = getattr(self, "t")  # noqa: B009
         coordinates["t"] = (("case", "node"), times)
         rows = {times.shape[1]: "node", times.shape[1] - 1: "interval"}

@@ -32,6 +32,7 @@ from codegen.files import refused, replacing
 if TYPE_CHECKING:
     from xarray import Dataset
     from zarr import Array, Group
+    from zarr.core.array_spec import ArrayConfigParams
 
 ANOTHER = "choose another name, or give the problem, cases and options that it was begun with"
 
@@ -96,7 +97,7 @@ class Frame:
         return tuple(self.labels.get(dim, dim) for dim in self.cases.dims)
 
     @property
-    def coordinates(self) -> dict[str, tuple[tuple[str, ...], NDArray[Any]]]:
+    def coordinates(self) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic]]]:
         """The dimensions and values of the coordinates: varied quantities and names of columns."""
         dims = self.case_dims
         varied = {
@@ -134,7 +135,7 @@ def write_netcdf(data: Dataset, path: Path) -> None:
 
 
 DIGEST = "sweep"  # the attribute of a store that identifies its sweep
-_CONFIG: Any = {"write_empty_chunks": True}
+_CONFIG: ArrayConfigParams = {"write_empty_chunks": True}
 """Chunks without results are written as well, so a missing file of a finished chunk was deleted."""
 
 

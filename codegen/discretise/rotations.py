@@ -23,10 +23,9 @@ Stereographic orientation parameters for attitude dynamics, for the derivative o
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import sympy
 from sympy import Add, Expr, Matrix, S, Symbol
@@ -70,7 +69,7 @@ class _Attitude:
         self.square = Add(*(STEP**2 * w**2 / 16 for w in self.rates))
         self.turn: list[Expr] = [part / (1 + self.square) for part in (1 - self.square, *(2 * self.b))]
 
-    def at(self, c: Expr) -> dict[Any, Expr]:
+    def at(self, c: Expr) -> dict[Expr, Expr]:
         """Return the substitution for the quaternion, and for its squared length, at the fraction c of the step."""
         factors: dict[Expr, Sequence[Expr]] = {
             S.Zero: (S.One, *(S.Zero,) * 3),
@@ -167,17 +166,13 @@ def velocities_of(model: Model, body_rates: Sequence[Expr], momenta: Sequence[Sy
     own = dict(zip(model.coordinates, momenta, strict=True))
     for i, quaternion in enumerate(model.rotations):
         omega = body_rates[len(places) + 3 * i : len(places) + 3 * i + 3]
-        along = Add(*(q * own[q] for q in quaternion)) / _radial_inertia(model, quaternion)
+        # The inertia of a change of the length of a quaternion, at the identity and without other velocities.
+        real = dict(zip(model.coordinates, model.rates, strict=True))[quaternion[0]]
+        identity: dict[Expr, Expr] = dict(zip(quaternion, (S.One, S.Zero, S.Zero, S.Zero), strict=True))
+        along = Add(*(q * own[q] for q in quaternion)) / sympy.diff(model.function, real, 2).xreplace(identity)
         for q, part in zip(quaternion, product(quaternion, (S.Zero, *omega)), strict=True):
             velocity[q] = part / 2 + along * q
     return [velocity[q] for q in model.coordinates]
-
-
-def _radial_inertia(model: Model, quaternion: Sequence[Symbol]) -> Expr:
-    """Return the inertia of a change of the length of a quaternion, at the identity and without other velocities."""
-    real = dict(zip(model.coordinates, model.rates, strict=True))[quaternion[0]]
-    identity: dict[Any, Expr] = dict(zip(quaternion, (S.One, S.Zero, S.Zero, S.Zero), strict=True))
-    return sympy.diff(model.function, real, 2).xreplace(identity)
 
 
 def step_with_rotations(
@@ -210,9 +205,9 @@ def step_with_rotations(
     points = []
     for point in rule.points:
         c = sympy.nsimplify(point.abscissa)
-        here: dict[Any, Expr] = {x: at_left[x] + c * STEP * y for x, y in zip(places, v, strict=True)}
+        here: dict[Expr, Expr] = {x: at_left[x] + c * STEP * y for x, y in zip(places, v, strict=True)}
         here |= dict(zip(speeds, v, strict=True)) | {model.time: model.time + c * STEP}
-        lengths = dict[Any, Expr]()
+        lengths = dict[Expr, Expr]()
         for body in bodies:
             turned = body.at(c)
             length = squared_length(body.coordinates)
@@ -287,7 +282,7 @@ def step_with_rotations(
     )
 
 
-def _at_point(lengths: Mapping[Any, Expr], here: Mapping[Any, Expr], expression: Expr) -> Expr:
+def _at_point(lengths: Mapping[Expr, Expr], here: Mapping[Expr, Expr], expression: Expr) -> Expr:
     return expression.xreplace(lengths).xreplace(here)
 
 
@@ -334,7 +329,7 @@ class _Joints:
         self.solved, self.written = list[Expr](), list[Equation]()
         if not self.constraints:
             return
-        here: dict[Any, Expr] = {**at_right, **dict(zip(speeds, self._speeds, strict=True))}
+        here: dict[Expr, Expr] = {**at_right, **dict(zip(speeds, self._speeds, strict=True))}
         here[model.time] = model.time + STEP
         for body in bodies:
             here |= dict(zip(body.rates, body.rates_right, strict=True))
@@ -384,12 +379,12 @@ class _Joints:
         pairs = ((self._impulse[mark], self._kappa[mark]) for mark in ("_k", "_k1"))
         return expression.xreplace({i: STEP * k / 2 for left, right in pairs for i, k in zip(left, right, strict=True)})
 
-    def _at(self, mark: str) -> dict[Any, Expr]:
+    def _at(self, mark: str) -> dict[Expr, Expr]:
         node = at_nodes(self.model.coordinates, mark)
         time = self.model.time + (STEP if mark == "_k1" else S.Zero)
         return {**dict(zip(self.model.coordinates, node, strict=True)), self.model.time: time}
 
-    def _force(self, slope: Any, mark: str) -> Any:
+    def _force(self, slope: Callable[[Expr], Expr], mark: str) -> list[Expr]:
         pairs = zip(self._impulse[mark], self.constraints, strict=True)
         return [impulse * slope(c) for impulse, c in pairs]
 

@@ -640,7 +640,7 @@ def _variational_step(
 ) -> _Step:
     interval = variational_interval(model, scheme)
     holonomic.require_no_inner_points(model, interval.inner, scheme.name)
-    normal = _NormalForces(model, scheme, left, right)
+    normal = _NormalForces(model, scheme, right)
     dimension = len(model.coordinates)
     impulses = normal.constraints.force("_k"), normal.constraints.force("_k1")
     transforms = [
@@ -727,7 +727,7 @@ class _NormalForces:
     right node. `solved` returns equations for the `unknowns` in the same order, for an elimination.
     """
 
-    def __init__(self, model: Model, scheme: Scheme, left: Sequence[Symbol], right: Sequence[Symbol]) -> None:
+    def __init__(self, model: Model, scheme: Scheme, right: Sequence[Symbol]) -> None:
         names, dimension = Names(model), len(model.coordinates)
         self.constraints = holonomic.Constraints(model, names)
         multipliers = [unknown.name for unknown in self.constraints.kappa]

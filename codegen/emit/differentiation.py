@@ -16,7 +16,7 @@ absent forces.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import sympy
@@ -326,29 +326,25 @@ def _shooting_gradients(
         pairs = zip((*stages, *multipliers), (*values, *of_stages), strict=True)
         defined = dict((*written.assignments, *pairs))
         wanted = (*stages, *reversed(multipliers), *defined)
+        # Each assignment follows the assignments that it reads.
+        number = {symbol: i for i, symbol in enumerate(defined)}
+        placed, waiting = dict[Symbol, Expr](), [*reversed(wanted)]
+        while waiting:
+            missing = defined[waiting[-1]].free_symbols & defined.keys() - placed.keys()
+            if missing:
+                waiting += sorted(missing, key=number.__getitem__, reverse=True)
+            else:
+                symbol = waiting.pop()
+                placed[symbol] = defined[symbol]
         gradients.append(
             ShootingGradient(
                 dependent=tuple(dependent),
                 gradient=tuple(sympy.S.Zero if i in dependent else slope for i, slope in enumerate(slopes)),
                 cost=cost,
-                assignments=_in_order_of_need(defined, wanted),
+                assignments=tuple(placed.items()),
             )
         )
     return tuple(gradients)
-
-
-def _in_order_of_need(defined: Mapping[Symbol, Expr], wanted: Sequence[Symbol]) -> tuple[Assignment, ...]:
-    """Return assignments to the `wanted` symbols one after the other, each after the assignments that it reads."""
-    number = {symbol: i for i, symbol in enumerate(defined)}
-    placed, waiting = dict[Symbol, Expr](), [*reversed(wanted)]
-    while waiting:
-        missing = defined[waiting[-1]].free_symbols & defined.keys() - placed.keys()
-        if missing:
-            waiting += sorted(missing, key=number.__getitem__, reverse=True)
-        else:
-            symbol = waiting.pop()
-            placed[symbol] = defined[symbol]
-    return tuple(placed.items())
 
 
 def _has_regular_controls(program: ControlProgram, element: ElementDerivatives) -> bool:

@@ -91,7 +91,17 @@ def render(module: Module, origin: Origin) -> str:
         )
     template = _environment().get_template(module.template)
     body = template.render(values, identity=_DIGEST)
-    imports = _imports_of(body, values["public"], _IMPORTED[module.template])
+    # Public names and undefined names are imported from modules of the runtime, or from numba.
+    files = _IMPORTED[module.template]
+    tree, wanted = ast.parse(body), dict[str, set[str]]()
+    used = set(values["public"]).union(*map(names_read, tree.body))
+    defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    for name in used - defined:
+        if name in _importable(files):
+            wanted.setdefault(_importable(files)[name], set()).add(name)
+        elif name in _OF_NUMBA:
+            wanted.setdefault("numba", set()).add(name)
+    imports = tuple(f"from {module} import {', '.join(sorted(wanted[module]))}" for module in sorted(wanted))
     values["numba_imports"] = [line for line in imports if line.startswith("from numba ")]
     values["imports"] = [line for line in imports if not line.startswith("from numba ")]
     written = template.render(values, identity=_DIGEST)
@@ -116,19 +126,6 @@ def _environment() -> jinja2.Environment:
         keep_trailing_newline=False,
         autoescape=False,
     )
-
-
-def _imports_of(text: str, public: Iterable[str], files: tuple[str, ...]) -> tuple[str, ...]:
-    """Return import lines, from runtime modules `files` or numba, for public names and undefined names in a text."""
-    tree, wanted = ast.parse(text), dict[str, set[str]]()
-    used = set(public).union(*map(names_read, tree.body))
-    defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
-    for name in used - defined:
-        if name in _importable(files):
-            wanted.setdefault(_importable(files)[name], set()).add(name)
-        elif name in _OF_NUMBA:
-            wanted.setdefault("numba", set()).add(name)
-    return tuple(f"from {module} import {', '.join(sorted(wanted[module]))}" for module in sorted(wanted))
 
 
 def names_read(part: ast.stmt) -> set[str]:

@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.mpc.controller import Controller, Feedback
@@ -140,7 +140,7 @@ def close_loop(
     start: object = None,
     arguments: Mapping[str, object] | None = None,
     disturbances: Mapping[str, Moving] | None = None,
-    noise: Any = 0.0,
+    noise: ArrayLike = 0.0,
     delay: int | None = None,
     inputs: object = None,
     seed: int = 0,

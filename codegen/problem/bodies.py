@@ -17,7 +17,7 @@ import sympy
 
 from codegen.drawing import Item
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
-from codegen.problem.problem import Control, Expression, Problem, Relations, Waypoint, form_of
+from codegen.problem.problem import Control, Expression, Problem, Relation, Relations, Waypoint, form_of
 from codegen.problem.symbols import (
     BodyNumber,
     ControlInput,
@@ -86,20 +86,20 @@ def together(
     """
     form = _common_form(bodies)
 
-    def listed(name: str, further: Relations) -> list[Any]:
+    def listed(name: str, further: Relations) -> list[Relation | tuple[str, Relation]]:
         each = [*(getattr(body, name) for body in bodies), further]
         return [*chain.from_iterable(one.items() if isinstance(one, Mapping) else one for one in each)]
 
     names = ("force", "start", "end", "bounds", "history", "guess", "scale")
     mappings: Any = {name: _merged(name, [getattr(body, name) for body in bodies]) for name in names}
-    motion: Any
+    motion: Expression
     if form != "dynamics":
         motion = _sum(form, [*(getattr(body, form) for body in bodies), interaction])
     elif interaction != 0:
         raise ExpressionError("interaction beside dynamics", "add what acts between bodies to their dynamics")
     else:
         motion = _merged("dynamics", [body.dynamics for body in bodies])
-    inner: dict[Any, list[Any]] = {}
+    inner: dict[Expression, list[Relation | tuple[str, Relation]]] = {}
     for index, mapping in enumerate([*(body.at for body in bodies), at or {}]):
         _require_mapping("at", index, mapping, "{time: [relation, ...], ...}")
         for time, relations in mapping.items():
@@ -127,7 +127,7 @@ def together(
     )
 
 
-def _common_form(bodies: Sequence[Any]) -> str:
+def _common_form(bodies: Sequence[Control]) -> str:
     """Return the name of the argument that defines the motion of every body, such as "lagrangian".
 
     Raise an error if the bodies do not fit to each other, for example if their durations differ.
@@ -182,18 +182,18 @@ def _common_form(bodies: Sequence[Any]) -> str:
     return forms[0]
 
 
-def _require_mapping(name: str, index: int, mapping: Any, example: str) -> None:
+def _require_mapping(name: str, index: int, mapping: object, example: str) -> None:
     if not isinstance(mapping, Mapping):
         raise ExpressionError(f"{name} of body {index} is a {type(mapping).__name__}", f"write {name} as {example}")
 
 
-def _merged(name: str, mappings: Sequence[Any]) -> dict[Any, Any]:
+def _merged(name: str, mappings: Sequence[Any]) -> dict[Quantity, Expression]:
     """Return the entries of all `mappings`, the argument `name` of each body, in one mapping.
 
     A control or parameter that several bodies share may occur repeatedly with the same value. Raise ExpressionError if
     its values differ.
     """
-    merged: dict[Any, Any] = {}
+    merged: dict[Quantity, Expression] = {}
     for index, mapping in enumerate(mappings):
         _require_mapping(name, index, mapping, "{symbol: value, ...}")
         for key, value in mapping.items():
@@ -228,7 +228,7 @@ def require_single_bodies(what: str, single: Iterable[sympy.Symbol], every: Iter
         )
 
 
-def has_path_couplings(problem: Any) -> bool:
+def has_path_couplings(problem: object) -> bool:
     """Return True if conditions couple identical bodies at other times than the end, or by an inequality.
 
     Such bodies must be converted by `written_out`.
@@ -274,11 +274,11 @@ def written_out(problem: Control, declared: Sequence[Quantity]) -> tuple[Control
     return together(*bodies, **conditions), [s for s in declared if s not in replaced | partners]
 
 
-def _items(entries: Any) -> Sequence[Any]:
+def _items(entries: object) -> Sequence[Relation]:
     return entries if isinstance(entries, (list, tuple)) else ()
 
 
-def _of_bodies(entry: Any) -> set[EndValue]:
+def _of_bodies(entry: object) -> set[EndValue]:
     return {symbol for symbol in getattr(entry, "free_symbols", ()) if isinstance(symbol, EndValue)}
 
 
@@ -301,7 +301,7 @@ def _copies(own: Sequence[Quantity], number: int) -> dict[Quantity, Quantity]:
     return found
 
 
-def _put(value: Any, substitution: Mapping[Any, Any]) -> Any:
+def _put(value: Any, substitution: Mapping[sympy.Symbol, sympy.Expr]) -> Any:
     """Return the argument `value` of a problem with all symbols in `substitution` replaced."""
     if isinstance(value, sympy.Basic):
         return value.xreplace(dict(substitution))
@@ -312,7 +312,7 @@ def _put(value: Any, substitution: Mapping[Any, Any]) -> Any:
     return type(value)(_put(entry, substitution) for entry in value) if type(value) in (list, tuple) else value
 
 
-def symbols_of(value: Any) -> Iterator[Any]:
+def symbols_of(value: object) -> Iterator[sympy.Symbol]:
     """Yield all symbols in a problem, in its arguments, or in a part of them; a symbol may occur repeatedly."""
     if isinstance(value, Problem):
         for part in fields(value):

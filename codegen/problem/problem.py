@@ -50,7 +50,7 @@ def refusing(kind: Author) -> Author:
     written = kind.__init__
 
     @wraps(written)
-    def initialised(self: Any, *positional: object, **named: object) -> None:
+    def initialised(self: object, *positional: object, **named: object) -> None:
         known = [argument.name for argument in fields(kind)]
         for name in named:
             if name in known:

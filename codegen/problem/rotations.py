@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 import sympy
 from numpy.typing import NDArray
-from sympy import Expr, ImmutableMatrix, Matrix
+from sympy import Expr, ImmutableMatrix, Matrix, Symbol
 from sympy.matrices.matrixbase import MatrixBase
 
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
@@ -216,18 +216,18 @@ def _require_name(name: str) -> None:
         raise SymbolError(f"{name!r} is not an identifier", "use letters, digits and underscores")
 
 
-def spheres_in(*expressions: Any) -> list[Sphere]:
+def spheres_in(*expressions: object) -> list[Sphere]:
     """Return the rotations and unit vectors whose coordinates or velocities occur in expressions, in order."""
     found: dict[Sphere, None] = {}
     for expression in expressions:
-        symbols: set[Any] = getattr(expression, "free_symbols", set())
+        symbols: set[Symbol] = getattr(expression, "free_symbols", set())
         for q in sorted((s.partner if isinstance(s, Velocity) else s for s in symbols), key=str):
             if isinstance(q, (_CoordinateOnSphere, _StateOnSphere)):
                 found.setdefault(q.sphere)
     return list(found)
 
 
-def names_of(symbols: Iterable[Any]) -> list[str]:
+def names_of(symbols: Iterable[Symbol]) -> list[str]:
     """Return the names of symbols as the author wrote them: components have the name of their rotation or vector."""
     names: dict[str, None] = {}
     for symbol in symbols:
@@ -242,7 +242,7 @@ def names_of(symbols: Iterable[Any]) -> list[str]:
     return list(names)
 
 
-def in_coordinates(problem: Any) -> dict[str, Any]:
+def in_coordinates(problem: Any) -> dict[str, object]:
     """Return the arguments of a problem that change when matrices, which are keys, are written out in coordinates.
 
     The constraints of the rotations and unit vectors in the Lagrangian are added, and so is the term that makes the
@@ -284,7 +284,7 @@ def in_coordinates(problem: Any) -> dict[str, Any]:
     return changed
 
 
-def jumps_in_coordinates(jumps: Any) -> Any:
+def jumps_in_coordinates(jumps: Sequence[Mapping[object, object]]) -> Sequence[Mapping[object, object]]:
     """Return the jumps of phases with matrices, which are keys, written out in coordinates.
 
     Components of a vector that do not change are left out. Raise the errors of `in_coordinates`.
@@ -299,7 +299,7 @@ def jumps_in_coordinates(jumps: Any) -> Any:
     ]
 
 
-def _with(written: Any, more: Sequence[Expr], name: str) -> Any:
+def _with(written: object, more: Sequence[Expr], name: str) -> object:
     """Return relations with more of them: a list, or a mapping with names; other values as they are."""
     if isinstance(written, Mapping):
         return {**written, **{f"{name} {number}": each for number, each in enumerate(more, 1)}}
@@ -315,7 +315,7 @@ def _radial_energy(lagrangian: Expr, sphere: Sphere) -> Expr:
     return mean * sphere.radial_velocity**2 / 2
 
 
-def _symbols_of(key: Any) -> list[Any]:
+def _symbols_of(key: object) -> list[object]:
     """Return the coordinates or velocities of a rotation or vector, or the single symbol itself."""
     if not isinstance(key, MatrixBase):
         return [key]
@@ -334,12 +334,12 @@ class _Reading:
 
     def __init__(self) -> None:
         self.conditions: list[Expr] = []
-        self.ends: dict[str, dict[Sphere, tuple[Any, ...]]] = {"start": {}, "end": {}}
-        self.spins: dict[str, dict[Sphere, tuple[Any, ...]]] = {"start": {}, "end": {}}
-        self.axes: dict[Sphere, tuple[Any, ...]] = {}
+        self.ends: dict[str, dict[Sphere, tuple[Expr, ...]]] = {"start": {}, "end": {}}
+        self.spins: dict[str, dict[Sphere, tuple[Expr, ...]]] = {"start": {}, "end": {}}
+        self.axes: dict[Sphere, tuple[Expr, ...]] = {}
         self.guessed: set[Sphere] = set()
 
-    def components(self, what: str, mapping: Mapping[Any, Any]) -> Iterator[tuple[Any, Any]]:
+    def components(self, what: str, mapping: Mapping[object, object]) -> Iterator[tuple[object, object]]:
         """Yield symbols and values of the argument `what` in place of matrices and their values."""
         attitudes = self.ends.get(what, {})
         for key, value in mapping.items():
@@ -397,7 +397,7 @@ class _Reading:
                     "use the matrices that rotation(...), pose(...) or direction(...) returned",
                 )
 
-    def _of_attitude(self, what: str, sphere: Sphere, value: Any) -> tuple[Any, ...]:
+    def _of_attitude(self, what: str, sphere: Sphere, value: object) -> tuple[Expr, ...]:
         """Return the components of a quaternion, its force or its derivative; none if conditions are added."""
         if what == "force":
             torque, squares = vector(value, f"the torque on {sphere.name}"), squared_length(sphere.coordinates)
@@ -415,14 +415,14 @@ class _Reading:
             return ()
         return self.ends[what][sphere]
 
-    def arcs(self, problem: Any) -> dict[Any, Expr]:
+    def arcs(self, problem: Any) -> dict[Coordinate | State, Expr]:
         """Return guesses along the sphere from the values at the start to those at the end.
 
         Straight lines, which other coordinates have, would pass near the centre of the sphere between nearly opposite
         values. Opposite values are joined by a turn about the axis that is written at the end. If the end has no value,
         the guess moves with the velocities on the line between those at both ends.
         """
-        arcs = dict[Any, Expr]()
+        arcs = dict[Coordinate | State, Expr]()
         for sphere, first in self.ends["start"].items() if _is_duration(problem.duration) else ():
             last, spin, last_spin = self.ends["end"].get(sphere), *(each.get(sphere) for each in self.spins.values())
             if sphere in self.guessed:
@@ -434,7 +434,7 @@ class _Reading:
         return _in_time(arcs, problem)
 
 
-def phases_with_arcs(phases: Sequence[Any], jumps: Any) -> tuple[Any, ...]:
+def phases_with_arcs(phases: Sequence[Any], jumps: object) -> tuple[Any, ...]:
     """Return the phases of a problem with guesses of rotations and unit vectors along the sphere.
 
     A guess leads from a prescribed value to the next one, which may be at the end of a later phase.
@@ -448,7 +448,7 @@ def phases_with_arcs(phases: Sequence[Any], jumps: Any) -> tuple[Any, ...]:
     mappings = [jump for jump in jumps if isinstance(jump, Mapping)] if isinstance(jumps, (list, tuple)) else []
     jumping = {key for jump in mappings for key in jump}
     times = [sympy.Add(*(phase.duration for phase in phases[:i])) for i in range(len(phases) + 1)]
-    values = [phases[0].start, *ends]
+    values = [phases[0].start, *(phase.end for phase in phases)]
     for sphere in spheres_in(*(sympy.sympify(key) for each in values for key in each if isinstance(key, Quantity))):
         qs = sphere.coordinates
         known = [(i, [each[q] for q in qs]) for i, each in enumerate(values) if {*qs} <= {*each}]
@@ -464,12 +464,14 @@ def phases_with_arcs(phases: Sequence[Any], jumps: Any) -> tuple[Any, ...]:
     return tuple(changed)
 
 
-def _is_duration(value: Any) -> bool:
+def _is_duration(value: object) -> bool:
     """Return True for a number other than zero, or an expression; the duration of a problem is checked later."""
     return _is_number(value) and value != 0
 
 
-def _arc(sphere: Sphere, first: Any, last: Any, part: Expr, axis: Sequence[Any]) -> dict[Any, Expr]:
+def _arc(
+    sphere: Sphere, first: Sequence[Expr], last: Sequence[Expr], part: Expr, axis: Sequence[Expr]
+) -> dict[Coordinate | State, Expr]:
     """Return the great circle between two points; {} for nearly equal points, and for points with parameters.
 
     `axis` is the axis of the turn between opposite quaternions. Opposite unit vectors are joined by any half circle.
@@ -488,8 +490,8 @@ def _arc(sphere: Sphere, first: Any, last: Any, part: Expr, axis: Sequence[Any])
 
 
 def _turn(
-    sphere: Sphere, first: Sequence[Any], spin: Sequence[Any], last_spin: Sequence[Any], duration: Any
-) -> dict[Any, Expr]:
+    sphere: Sphere, first: Sequence[Expr], spin: Sequence[Expr], last_spin: Sequence[Expr], duration: Expr
+) -> dict[Coordinate | State, Expr]:
     """Return the motion from a point of a sphere with velocities on the line between those at both ends.
 
     Return {} for a motion at rest, and for a unit vector that does not come to rest: its last velocity has a tangent
@@ -506,17 +508,17 @@ def _turn(
     return dict(zip(sphere.coordinates, point, strict=True))
 
 
-def _across(sphere: Sphere, point: NDArray[np.float64], axis: Sequence[Any]) -> tuple[float, ...]:
+def _across(sphere: Sphere, point: NDArray[np.float64], axis: Sequence[Expr]) -> tuple[float, ...]:
     """Return a unit vector that is perpendicular to a point of a sphere."""
     if sphere.is_attitude:
         unit = np.array(axis, dtype=float)
-        return tuple(float(part) for part in product((0.0, *unit / np.linalg.norm(unit)), point))
+        return tuple(float(part) for part in product((0.0, *unit / np.linalg.norm(unit)), point.tolist()))
     along = np.eye(3)[np.abs(point).argmin()]
     across = along - (along @ point) * point
     return tuple(across / np.linalg.norm(across))
 
 
-def _in_time(guess: dict[Any, Expr], problem: Any) -> dict[Any, Expr]:
+def _in_time(guess: dict[Coordinate | State, Expr], problem: object) -> dict[Coordinate | State, Expr]:
     """Return a guess in the time symbol of a problem, which is declared if the guess moves and the problem has none."""
     if not any(value.has(_NOW) for value in guess.values()):
         return guess
@@ -529,21 +531,21 @@ def _in_time(guess: dict[Any, Expr], problem: Any) -> dict[Any, Expr]:
     return {q: value.xreplace({_NOW: now}) for q, value in guess.items()}
 
 
-def _attitude(key: Any) -> Sphere | None:
+def _attitude(key: object) -> Sphere | None:
     """Return the rotation whose matrix is a key."""
     if isinstance(key, MatrixBase) and key.shape == (3, 3):
         return next((s for s in spheres_in(key) if s.is_attitude and s.matrix == key), None)
     return None
 
 
-def _spinning(key: Any) -> Sphere | None:
+def _spinning(key: object) -> Sphere | None:
     """Return the rotation whose angular velocity is a key."""
     if isinstance(key, MatrixBase) and key.shape == (3, 1):
         return next((s for s in spheres_in(key) if s.is_attitude and s.angular_velocity == key), None)
     return None
 
 
-def vector(value: Any, what: str, length: int = 3) -> tuple[Expr, ...]:
+def vector(value: object, what: str, length: int = 3) -> tuple[Expr, ...]:
     """Return the components of a vector; raise BoundaryError with the name `what` for other values."""
     parts = tuple(value) if isinstance(value, (list, tuple, np.ndarray, MatrixBase)) else ()
     if len(parts) != length or not all(map(_is_number, parts)):
@@ -551,42 +553,55 @@ def vector(value: Any, what: str, length: int = 3) -> tuple[Expr, ...]:
     return tuple(map(sympy.sympify, parts))
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     """Return True for a finite real number, or an expression that may be one."""
     if isinstance(value, Expr):
         return value.is_finite is not False and value.is_extended_real is not False
     return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
-def quaternion_of(value: Any, what: str) -> tuple[Any, ...]:
+def quaternion_of(value: object, what: str) -> tuple[Expr, ...]:
     """Return the unit quaternion of an attitude: a matrix, a quaternion, or a pair of an axis and an angle.
 
     Raise BoundaryError with the name `what` for a value that is no attitude.
     """
     if isinstance(value, MatrixBase) and value.shape == (3, 3):
         value = value.tolist()
-    is_list = isinstance(value, (list, tuple, np.ndarray))
-    if not is_list and not (isinstance(value, MatrixBase) and 1 in value.shape):
+    is_matrix = isinstance(value, MatrixBase) and 1 not in value.shape
+    if is_matrix or not isinstance(value, (list, tuple, np.ndarray, MatrixBase)):
         raise BoundaryError(f"{what} is {_short(value)}", f"give {_ATTITUDE}")
     parts = list(value)
     if len(parts) == 2:
-        return _about(vector(parts[0], f"the axis in {what}"), parts[1], what)
+        axis = vector(parts[0], f"the axis in {what}")
+        angle = parts[1]
+        if not _is_number(angle):
+            raise BoundaryError(f"the angle in {what} is {_short(angle)}", f"give {_ATTITUDE}")
+        length = sympy.sqrt(sympy.Add(*(part**2 for part in axis)))
+        if length == 0:
+            raise BoundaryError(f"the axis in {what} has length zero", "give the direction of the axis")
+        half = sympy.sympify(angle) / 2
+        return (sympy.cos(half), *(sympy.sin(half) * part / length for part in axis))
     if len(parts) == 4:
         quaternion = vector(parts, what, 4)
         return _of_length_one(quaternion, f"the quaternion in {what}", "a quaternion of length one")
     if len(parts) == 3 and all(isinstance(row, (list, tuple, np.ndarray)) and len(row) == 3 for row in parts):
-        return _of_matrix(parts, what)
+        from scipy.spatial.transform import Rotation as Attitude
+
+        entries = [vector(row, f"a row of {what}") for row in parts]
+        if symbols := {symbol for row in entries for entry in row for symbol in entry.free_symbols}:
+            names = ", ".join(names_of(sorted(symbols, key=str)))
+            raise BoundaryError(f"the matrix in {what} depends on {names}", "give an axis and an angle")
+        numbers = np.array(entries, dtype=float)
+        error = float(np.abs(numbers.T @ numbers - np.eye(3)).max())
+        if not error <= _NEARLY:
+            raise BoundaryError(
+                f"{what} is no rotation: R.T @ R differs from the identity by {error:.3g}", f"give {_ATTITUDE}"
+            )
+        if np.linalg.det(numbers) < 0.0:
+            raise BoundaryError(f"{what} is a reflection, whose determinant is -1", f"give {_ATTITUDE}")
+        x, y, z, w = map(sympy.Float, Attitude.from_matrix(numbers).as_quat(canonical=True))
+        return _of_length_one((w, x, y, z), what, "a quaternion of length one")
     raise BoundaryError(f"{what} is {_short(value)}", f"give {_ATTITUDE}")
-
-
-def _about(axis: Sequence[Any], angle: Any, what: str) -> tuple[Any, ...]:
-    if not _is_number(angle):
-        raise BoundaryError(f"the angle in {what} is {_short(angle)}", f"give {_ATTITUDE}")
-    length = sympy.sqrt(sympy.Add(*(part**2 for part in axis)))
-    if length == 0:
-        raise BoundaryError(f"the axis in {what} has length zero", "give the direction of the axis")
-    half = sympy.sympify(angle) / 2
-    return (sympy.cos(half), *(sympy.sin(half) * part / length for part in axis))
 
 
 def _of_length_one(parts: tuple[Expr, ...], name: str, wanted: str) -> tuple[Expr, ...]:
@@ -597,7 +612,7 @@ def _of_length_one(parts: tuple[Expr, ...], name: str, wanted: str) -> tuple[Exp
     return tuple(part / length for part in parts) if is_rounded else parts
 
 
-def _along_sphere(velocity: tuple[Expr, ...], vector: Sequence[Any], name: str) -> tuple[Expr, ...]:
+def _along_sphere(velocity: tuple[Expr, ...], vector: Sequence[Expr], name: str) -> tuple[Expr, ...]:
     """Return the part of a velocity perpendicular to its unit vector; the other part must be rounding."""
     along = sympy.Add(*(a * b for a, b in zip(velocity, vector, strict=True)))
     if not along.is_number or not sympy.Add(*velocity).is_number:
@@ -610,26 +625,7 @@ def _along_sphere(velocity: tuple[Expr, ...], vector: Sequence[Any], name: str) 
     return tuple(a - along * b for a, b in zip(velocity, vector, strict=True))
 
 
-def _of_matrix(rows: Sequence[Any], what: str) -> tuple[Any, ...]:
-    from scipy.spatial.transform import Rotation as Attitude
-
-    entries = [vector(row, f"a row of {what}") for row in rows]
-    if symbols := {symbol for row in entries for entry in row for symbol in entry.free_symbols}:
-        names = ", ".join(names_of(sorted(symbols, key=str)))
-        raise BoundaryError(f"the matrix in {what} depends on {names}", "give an axis and an angle")
-    numbers = np.array(entries, dtype=float)
-    error = float(np.abs(numbers.T @ numbers - np.eye(3)).max())
-    if not error <= _NEARLY:
-        raise BoundaryError(
-            f"{what} is no rotation: R.T @ R differs from the identity by {error:.3g}", f"give {_ATTITUDE}"
-        )
-    if np.linalg.det(numbers) < 0.0:
-        raise BoundaryError(f"{what} is a reflection, whose determinant is -1", f"give {_ATTITUDE}")
-    x, y, z, w = map(sympy.Float, Attitude.from_matrix(numbers).as_quat(canonical=True))
-    return _of_length_one((w, x, y, z), what, "a quaternion of length one")
-
-
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = " ".join(str(value).split())
     return text if len(text) <= 60 else f"{text[:60]} ..."
 
@@ -656,13 +652,13 @@ def angular_velocity(quaternion: Sequence[Expr], velocities: Sequence[Expr]) -> 
     return [2 * part / squared_length(quaternion) for part in imaginary]
 
 
-def product(left: Any, right: Any) -> Any:
+def product(left: Sequence[Expr], right: Sequence[Expr]) -> tuple[Expr, ...]:
     """Return the product of two quaternions (w, x, y, z)."""
     a, b = (Matrix([0, 0, 0]) + Matrix(each[1:]) for each in (left, right))
     imaginary = left[0] * b + right[0] * a + a.cross(b)
     return (left[0] * right[0] - a.dot(b), *imaginary)
 
 
-def conjugate(quaternion: Any) -> tuple[Any, ...]:
+def conjugate(quaternion: Sequence[Expr]) -> tuple[Expr, ...]:
     """Return (w, -x, -y, -z)."""
     return (quaternion[0], *(-part for part in quaternion[1:]))

@@ -14,7 +14,7 @@ import unicodedata
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, ClassVar, NoReturn, TypeVar
+from typing import ClassVar, NoReturn, TypeVar
 
 import numpy as np
 import sympy
@@ -633,7 +633,7 @@ def time(name: str = "t", *, unit: str | None = None) -> Time:
     return _with_units((Time(name),), unit)[0]
 
 
-def finite_number(value: Any, what: str) -> float:
+def finite_number(value: sympy.Expr | float, what: str) -> float:
     """Return a number of Python, numpy or sympy as a float.
 
     Raise SymbolError, which begins with the name `what`, for other values and for numbers that are not finite.

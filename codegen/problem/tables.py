@@ -10,7 +10,6 @@ import keyword
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import sympy
@@ -151,7 +150,7 @@ class Trajectory:
         }
 
 
-def guess_entries(guess: Any, quantities: Iterable[Quantity], time: Expr) -> Any:
+def guess_entries(guess: object, quantities: Iterable[Quantity], time: Expr) -> object:
     """Return the argument `guess` of a problem with tables and trajectories replaced by expressions of time.
 
     Raise TableError if a column of a trajectory has the name of no quantity, and for a table of two inputs.
@@ -228,9 +227,9 @@ class Measurements:
         self,
         file: Path | str,
         *,
-        values: Mapping[Any, str],
+        values: Mapping[Expr, str],
         time: str = "t",
-        sigma: Mapping[Any, float | str] | float | str | None = None,
+        sigma: Mapping[Expr, float | str] | float | str | None = None,
         loss: str = "squares",
     ) -> None:
         if not isinstance(file, Path | str) or not str(file).isprintable():
@@ -261,7 +260,7 @@ class Measurements:
             raise TableError(
                 f"{what} have the loss {loss!r} and no sigma", "give sigma, beyond which errors count less"
             )
-        self.values: dict[Any, str] = dict(values)
+        self.values: dict[Expr, str] = dict(values)
         self.loss = loss
         layout = Layout(time, tuple(self.values.values()), tuple(sigmas))
         names = [layout.time, *layout.columns]
@@ -278,7 +277,7 @@ def _require_name(what: str, name: object) -> None:
         raise TableError(f"{what} is {name!r}", "give the name of a column, as text")
 
 
-def _checked_sigma(what: str, value: Any) -> float | str:
+def _checked_sigma(what: str, value: Expr | float | str) -> float | str:
     if isinstance(value, str):
         _require_name(what, value)
         return value

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from codegen.batch.executors import Progress, Team, Working, connected, silent
 from codegen.batch.executors.chunks import LOST, SOLVED, Done, Tally, journal_of, new_journal, read_journal
@@ -58,7 +58,7 @@ class BatchRequest:
     places: batch_pairs.Places
     summary: Path
     workers: int = 1
-    cluster: Any = None
+    cluster: object = None
     resume: bool = False
 
 

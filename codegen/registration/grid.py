@@ -143,9 +143,9 @@ def short(unit: str) -> str:
     return "px" if unit == "pixels" else unit
 
 
-def place_text(place: NDArray[np.float64], digits: int = 1) -> str:
-    """Format a point with `digits` decimals."""
-    return f"({', '.join(f'{x:.{digits}f}' for x in place)})"
+def place_text(place: NDArray[np.float64]) -> str:
+    """Format a point with one decimal."""
+    return f"({', '.join(f'{x:.1f}' for x in place)})"
 
 
 MARGINS = {2: 0.25, 3: 1.0}

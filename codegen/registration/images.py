@@ -300,34 +300,31 @@ def _header(name: str, data: bytes) -> _Header:
             raise ImageError(f"{name} has no frame header", "give a whole JPEG file") from error
         return _Header("JPEG", *picture.size, 8, len(picture.getbands()))
     if data.startswith(_TIFF):
-        return _tiff_header(name, data)
+        with tifffile().TiffFile(io.BytesIO(data)) as file:
+            page = file.pages[0]
+            for number in range(1, 20):
+                try:
+                    other = file.pages[number]
+                except IndexError:
+                    break
+                if not other.is_reduced:  # reduced pages are smaller copies of the first page
+                    remedy = "save one as a file of its own; codegen warp registers stacks"
+                    raise ImageError(f"{name} holds several images", remedy)
+            if page.photometric.name not in ("MINISBLACK", "RGB", "PALETTE", "YCBCR"):
+                raise ImageError(f"{name} stores colours as {page.photometric.name}", "save it as grey or RGB")
+            if page.imagedepth != 1 or page.samplesperpixel > 4:
+                finding = f"{name} has {page.samplesperpixel} samples in a pixel and {page.imagedepth} layers"
+                raise ImageError(finding, "save one image with 1 to 4 channels")
+            if page.bitspersample != 1 and (page.dtype is None or np.dtype(page.dtype) not in SAMPLES):
+                kind = page.dtype or f"{page.bitspersample} bits"
+                raise ImageError(
+                    f"{name} holds samples of {kind}", "save it with 8 or 16-bit integers or 32-bit floats"
+                )
+            return _Header("TIFF", page.imagewidth, page.imagelength, page.bitspersample, page.samplesperpixel)
     if name.lower().endswith(VOLUMES):
         raise ImageError(f"{name} is a volume, and this is for pictures", "give codegen warp two volumes")
     problem = "is empty" if not data else "is no PNG, JPEG or TIFF file"
     raise ImageError(f"{name} {problem}", "convert it to PNG, JPEG or TIFF")
-
-
-def _tiff_header(name: str, data: bytes) -> _Header:
-    """Return the header of a TIFF file with one image; ImageError for stacks and for unsupported samples."""
-    with tifffile().TiffFile(io.BytesIO(data)) as file:
-        page = file.pages[0]
-        for number in range(1, 20):
-            try:
-                other = file.pages[number]
-            except IndexError:
-                break
-            if not other.is_reduced:  # reduced pages are smaller copies of the first page
-                remedy = "save one as a file of its own; codegen warp registers stacks"
-                raise ImageError(f"{name} holds several images", remedy)
-        if page.photometric.name not in ("MINISBLACK", "RGB", "PALETTE", "YCBCR"):
-            raise ImageError(f"{name} stores colours as {page.photometric.name}", "save it as grey or RGB")
-        if page.imagedepth != 1 or page.samplesperpixel > 4:
-            finding = f"{name} has {page.samplesperpixel} samples in a pixel and {page.imagedepth} layers"
-            raise ImageError(finding, "save one image with 1 to 4 channels")
-        if page.bitspersample != 1 and (page.dtype is None or np.dtype(page.dtype) not in SAMPLES):
-            kind = page.dtype or f"{page.bitspersample} bits"
-            raise ImageError(f"{name} holds samples of {kind}", "save it with 8 or 16-bit integers or 32-bit floats")
-        return _Header("TIFF", page.imagewidth, page.imagelength, page.bitspersample, page.samplesperpixel)
 
 
 def _decode_by_pillow(name: str, data: bytes, header: _Header) -> tuple[Pixels, bytes | None, int]:

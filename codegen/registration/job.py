@@ -205,7 +205,21 @@ def run_volumes(job: Job, options: Options, progress: Progress | None = None) ->
             finding = f"{job.moving} is in {grids[0].unit} and {job.fixed} in {grids[1].unit}"
             raise ArgumentError(finding, "give volumes in the same unit")
         pairs = read_landmarks(*job.landmarks, frames=Frames(grids=grids))
-        _require_inside(job, pairs, grids)
+        for side, grid, points in zip(("moving", "fixed"), grids, (pairs.moving, pairs.fixed), strict=True):
+            outside = np.flatnonzero(~grid.contains(points, slack=0.5))
+            if not outside.size:
+                continue
+            if grid.contains(points * [-1.0, -1.0, 1.0], slack=0.5).all():
+                remedy = "turn the signs of x and y: they are RAS, and LPS is expected"
+            elif grid.contains(grid.to_places(points), slack=0.5).all():
+                remedy = "they look like indices of voxels: give coordinates in LPS"
+            elif grid.unit != "mm":
+                remedy = "give column, row and slice times the spacing"
+            else:
+                remedy = "give coordinates in LPS, as the volume's header has them"
+            first, others = outside[0], f" and {len(outside) - 1} others" if len(outside) > 1 else ""
+            finding = f"{side} landmark {pairs.names[first]} at {place_text(points[first])}{others} lies outside"
+            raise PointsError(f"{job.landmarks[0]}: {finding} the {side} volume", remedy)
         source, target = (fixed, grids[0]) if options.inverse and fixed is not None else (moving, grids[1])
         volumes.require_written(job.out, source.samples.dtype)
     result, _ = _registered(job, options, pairs, grids, seconds, progress)
@@ -250,25 +264,6 @@ def _require_outputs(job: Job, options: Options) -> None:
         raise ArgumentError(f"{job.out}: two outputs have the same name", "give each a name of its own")
     if options.inverse and job.fixed is None:
         raise ArgumentError("--inverse brings the fixed image into the frame of the moving one", "give it with --fixed")
-
-
-def _require_inside(job: Job, pairs: LandmarkPairs, grids: tuple[Grid, Grid]) -> None:
-    """Raise PointsError for landmarks outside their volume; the remedy corrects the most likely cause."""
-    for side, grid, points in zip(("moving", "fixed"), grids, (pairs.moving, pairs.fixed), strict=True):
-        outside = np.flatnonzero(~grid.contains(points, slack=0.5))
-        if not outside.size:
-            continue
-        if grid.contains(points * [-1.0, -1.0, 1.0], slack=0.5).all():
-            remedy = "turn the signs of x and y: they are RAS, and LPS is expected"
-        elif grid.contains(grid.to_places(points), slack=0.5).all():
-            remedy = "they look like indices of voxels: give coordinates in LPS"
-        elif grid.unit != "mm":
-            remedy = "give column, row and slice times the spacing"
-        else:
-            remedy = "give coordinates in LPS, as the volume's header has them"
-        first, others = outside[0], f" and {len(outside) - 1} others" if len(outside) > 1 else ""
-        finding = f"{side} landmark {pairs.names[first]} at {place_text(points[first])}{others} lies outside"
-        raise PointsError(f"{job.landmarks[0]}: {finding} the {side} volume", remedy)
 
 
 def _registered(

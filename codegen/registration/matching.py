@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,11 @@ from scipy.spatial.transform import Rotation
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.grid import MARGINS, Extent, Frame, Grid, corners, grid_of, place_text
 from codegen.registration.pairs import Alignment, Kind, LandmarkPairs, PointArray, align
-from codegen.registration.solver import DEFAULT_SCHEME, Flow, FlowCase, FlowModule, FlowSolution, registration_module
+from codegen.registration.solver import DEFAULT_SCHEME, Flow, FlowCase, FlowModule, registration_module
 from codegen.solving.drivers.quiet import quiet_single_thread
+
+if TYPE_CHECKING:
+    from codegen.runtime.particles.cascade import Solution
 
 ONE = 1e-4  # largest distance, in pixels in each image, between two pairs that are carried as one point
 
@@ -240,7 +244,7 @@ class Matching:
 
     def solve(
         self, steps: int, velocities: NDArray[np.float64] | None = None, quick: bool = False
-    ) -> tuple[Flow, FlowSolution, str]:
+    ) -> tuple[Flow, Solution, str]:
         """Solve for the motion in a number of steps; return the flow, the solution and the name of the attempt.
 
         The initial guesses are the initial `velocities` of the pairs, shape (n, d), if not None, then straight lines,
@@ -273,7 +277,7 @@ class Matching:
         remedy = "allow for a sigma, take more steps, or leave out landmarks that are close and move apart"
         raise RegistrationError(finding, remedy)
 
-    def _cheapest(self, case: FlowCase, velocities: NDArray[np.float64] | None) -> tuple[FlowSolution, str] | None:
+    def _cheapest(self, case: FlowCase, velocities: NDArray[np.float64] | None) -> tuple[Solution, str] | None:
         """Return the solution of least cost with the name of its attempt; None if no attempt has a solution.
 
         With a sigma, every stationary point of the cost solves the equations, also a motion in which two landmarks meet
@@ -281,7 +285,7 @@ class Matching:
         predicts, solutions from other initial momenta are tried.
         """
         module, least = self.module, np.inf
-        best: tuple[FlowSolution, str] | None = None
+        best: tuple[Solution, str] | None = None
         for name, momenta in self._first_momenta(case, velocities):
             solution = module.solve_case(case._replace(max_iterations=PATIENCE), momenta)
             if solution.status == "solved":

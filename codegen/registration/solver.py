@@ -42,22 +42,10 @@ class FlowCase(Case, Protocol):
     _replace: Callable[..., FlowCase]
 
 
-class FlowSolution(Protocol):
-    """The solution of a case in N steps; positions `q` and momenta `p` have shape (N + 1, m, d)."""
-
-    status: str
-    message: str
-    attempts: Sequence[str]
-    cost: float
-    q: NDArray[np.float64]
-    p: NDArray[np.float64]
-
-
 class FlowModule(ConnectModule, Protocol):
     """A generated module that carries tracer points; modules of implicit schemes lack the last three members."""
 
     __file__: str
-    solve_case: Callable[..., FlowSolution]
     make_case: Callable[..., FlowCase]
     momenta_of: Callable[..., NDArray[np.float64]]
     momenta_of_least_action: Callable[[FlowCase], NDArray[np.float64]]

@@ -14,7 +14,7 @@ from collections import Counter
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 from numba import config, njit
@@ -33,8 +33,8 @@ class Statistics(NamedTuple):
     """The folder of the machine code of a function, and counts of reads and of compilations."""
 
     cache_path: str | None
-    cache_hits: Counter[Any]
-    cache_misses: Counter[Any]
+    cache_hits: Counter[str]
+    cache_misses: Counter[str]
 
 
 def statistics_of(function, compiled):

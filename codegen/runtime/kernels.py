@@ -82,8 +82,8 @@ class Kernel(Addressed):
     Python calls a kernel with numpy arrays, and without the arguments `count` and `columns`, which follow from shapes.
     """
 
-    returns: ClassVar[Any] = types.void
-    options: ClassVar[dict[str, Any]] = {}
+    returns: ClassVar[types.Type] = types.void
+    options: ClassVar[dict[str, object]] = {}
 
     def __init__(self, function, is_interpreted=False):
         super().__init__(function, is_interpreted)
@@ -138,13 +138,13 @@ class Kernel(Addressed):
 class Value(Kernel):
     """A kernel that returns a number."""
 
-    returns: ClassVar[Any] = types.float64
+    returns: ClassVar[types.Type] = types.float64
 
 
 class Contracted(Kernel):
     """A kernel in which the compiler may combine a product and a sum without rounding the product."""
 
-    options: ClassVar[dict[str, Any]] = {"fastmath": {"contract"}}
+    options: ClassVar[dict[str, object]] = {"fastmath": {"contract"}}
 
 
 LONG = 1 << 24

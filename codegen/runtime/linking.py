@@ -59,7 +59,7 @@ class InnerLibrary(Base):  # type: ignore[misc]
         self._ensure_finalized()
         return 0 if self.is_inner else int(super().get_pointer_to_function(name))
 
-    def serialize_using_object_code(self) -> tuple[str, str, Any]:
+    def serialize_using_object_code(self) -> tuple[str, str, object]:
         """Return the data for the disk: intermediate code, and machine code if the function has machine code."""
         kept = super().serialize_using_bitcode if self.is_inner else super().serialize_using_object_code
         return kept()  # type: ignore[no-any-return]
@@ -109,13 +109,13 @@ def compile_for_any_value(functions: Iterable[Any]) -> None:
             function.get_call_template = _for_any_value(function.get_call_template)
 
 
-def _where_defined(generator: Any, set_environment: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
+def _where_defined(generator: Any, set_environment: Callable[[str, object], None]) -> Callable[[str, object], None]:
     """Return `set_environment`, restricted to functions whose machine code has a place for an environment."""
     defined = generator._engine.is_symbol_defined
     return lambda name, environment: set_environment(name, environment) if defined(name) else None
 
 
-def _for_any_value(template_for: Callable[..., Any]) -> Callable[..., Any]:
+def _for_any_value(template_for: Callable[..., object]) -> Callable[..., object]:
     """Return `template_for`, changed to compile for the types of arguments even if a caller knows their values."""
     return lambda arguments, keywords: template_for(
         tuple(types.unliteral(a) if isinstance(a, types.Literal) else a for a in arguments), keywords

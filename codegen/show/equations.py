@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import sympy
 from sympy import Add, Expr, Matrix, S, Symbol, expand_mul
@@ -567,8 +566,8 @@ class Attitudes:
         self.bodies = list[_Body]()
         for name, quaternion in zip(model.attitudes, model.rotations, strict=True):
             ending = "" if len(model.rotations) == 1 else f"_{name}"
-            matrix = Matrix(3, 3, lambda i, j, name=name: _real(f"{name}_{i + 1}{j + 1}"))
-            omega = Matrix([_real(f"omega{ending}_{axis}") for axis in _AXES])
+            matrix = Matrix(3, 3, lambda i, j, name=name: _named(f"{name}_{i + 1}{j + 1}"))
+            omega = Matrix([_named(f"omega{ending}_{axis}") for axis in _AXES])
             self.bodies.append(_Body(name, quaternion, matrix, omega))
         turning = {q for body in self.bodies for q in body.quaternion}
         rates = dict(zip(model.coordinates, model.rates, strict=True))
@@ -595,13 +594,13 @@ class Attitudes:
 
     def lagrangian(self) -> Block:
         """Return the Lagrangian, with the forces and torques."""
-        rows = [(_real("L"), self.written(self.model.function))]
+        rows = [(_named("L"), self.written(self.model.function))]
         force = dict(zip(self.model.coordinates, self.model.force, strict=True))
-        rows += [(_real(f"f_{x}"), self.written(force[x])) for x in self.positions if force[x] != 0]
+        rows += [(_named(f"f_{x}"), self.written(force[x])) for x in self.positions if force[x] != 0]
         for body in self.bodies:
             ending = "" if len(self.bodies) == 1 else f"_{body.name}"
             named = zip(_AXES, self.torque(body), strict=True)
-            rows += [(_real(f"M{ending}_{axis}"), part) for axis, part in named if part != 0]
+            rows += [(_named(f"M{ending}_{axis}"), part) for axis, part in named if part != 0]
         abouts = [_ABOUT.format(R=body.name, q=", ".join(map(str, body.quaternion))) for body in self.bodies]
         heading = "Lagrangian" + (" and forces" if len(rows) > 1 else "")
         return Block(heading, tuple(rows), tuple((about, about.replace("_", r"\_")) for about in abouts))
@@ -611,7 +610,7 @@ class Attitudes:
         model, function = self.model, self.written(self.model.function)
         force = dict(zip(model.coordinates, model.force, strict=True))
         lengths = [squared_length(body.quaternion) - 1 for body in self.bodies]
-        kappa = [_real(unknown.name) for unknown in Constraints(model, Names(model)).kappa]
+        kappa = [_named(unknown.name) for unknown in Constraints(model, Names(model)).kappa]
         holonomic = zip(kappa, model.holonomic, strict=False)
         pulls = [(k, self.written(c)) for k, c in holonomic if c not in lengths]
         slips = [(k, self.written(c)) for k, c in zip(kappa[len(model.holonomic) :], model.rolling, strict=True)]
@@ -619,7 +618,7 @@ class Attitudes:
         for x, v in self.positions.items():
             normal = Add(*(k * sympy.diff(c, x) for k, c in pulls), *(k * sympy.diff(c, v) for k, c in slips))
             balance = self._rate(sympy.diff(function, v)) - sympy.diff(function, x) - self.written(force[x]) - normal
-            rows.append((_real("0"), shorten(balance)))
+            rows.append((_named("0"), shorten(balance)))
         for body in self.bodies:
             mu = Matrix(gradient(function, tuple(body.omega)))
             balance = mu.applyfunc(self._rate) + body.omega.cross(mu) - _moment(function, body) - self.torque(body)
@@ -627,17 +626,17 @@ class Attitudes:
                 balance -= k * _moment(c, body)
             for k, c in slips:
                 balance -= k * Matrix(gradient(c, tuple(body.omega)))
-            rows += [(_real("0"), shorten(part)) for part in balance]
+            rows += [(_named("0"), shorten(part)) for part in balance]
         return Block("Equations of motion", tuple(rows), (_BALANCE_OF_ROTATIONS,))
 
     def _rate(self, function: Expr) -> Expr:
         """Return the time derivative of a function of positions, attitudes and their velocities."""
         terms = [sympy.diff(function, self.model.time)]
         for x, v in self.positions.items():
-            terms += [sympy.diff(function, x) * v, sympy.diff(function, v) * _real(f"acceleration {x}")]
+            terms += [sympy.diff(function, x) * v, sympy.diff(function, v) * _named(f"acceleration {x}")]
         for body in self.bodies:
             terms.append(_moment(function, body).dot(body.omega))
-            terms += [sympy.diff(function, w) * _real(f"rate {w}") for w in body.omega]
+            terms += [sympy.diff(function, w) * _named(f"rate {w}") for w in body.omega]
         return Add(*terms)
 
 
@@ -650,12 +649,8 @@ def _moment(function: Expr, body: _Body) -> Matrix:
     return Matrix(moments) + half_imaginary(body.quaternion, gradient(function, body.quaternion))
 
 
-def _hat(v: Any) -> Matrix:
+def _hat(v: Sequence[Expr]) -> Matrix:
     return Matrix([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-
-
-def _real(name: str) -> Symbol:
-    return Symbol(name, real=True)
 
 
 def in_attitudes(blocks: Iterable[Block], attitudes: Attitudes) -> Iterator[Block]:

@@ -25,7 +25,7 @@ from codegen.identifiers import in_latex, written_unit
 from codegen.problem.description import quantities_in
 from codegen.problem.particles import Connect, Pairwise
 from codegen.problem.problem import Control, Event, Phases, Problem, Simulate
-from codegen.problem.sources import ProblemObject
+from codegen.problem.sources import ProblemFile
 from codegen.problem.symbols import Coordinate, Delayed, FreeParameter, Moving, Parameter, Quantity, Velocity
 from codegen.solving.results import output
 from codegen.solving.results.display import Background
@@ -258,8 +258,7 @@ def picture(result: Result, style: str = "page", panels: Sequence[str] | None = 
 
     background = _background(result)
     module = background.loaded(result.parameters)
-    is_file = background.source is not None and not isinstance(background.source, ProblemObject)
-    unit = films.unit_of(background.source) if is_file else ""
+    unit = films.unit_of(background.source) if isinstance(background.source, ProblemFile) else ""
     return Picture(films.figure_of(module, _model(background), result, unit, style, panels), style)
 
 

@@ -23,7 +23,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -213,7 +212,7 @@ def trajectories(module: ControlModule, result: Result) -> tuple[Matrix, tuple[s
     Columns with values that are not finite are omitted.
     """
     # The cost of all bodies is added. Terminal costs and measurements are omitted, because the cost jumps there.
-    grid: Any = time_grid(module, result.steps, result.grid)
+    grid = time_grid(module, result.steps, result.grid)
     if module.metadata.observations is not None:
         first = module.problem.structure.first_sample
         grid = grid._replace(parameters=np.ascontiguousarray(grid.parameters[:, :first]))

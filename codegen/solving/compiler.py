@@ -153,7 +153,15 @@ def build(
         path = Path(out) / path.name
         written = rendering.write(path, text)
         with suppress(OSError):  # no permission for the folder: Python cannot write bytecode there either
-            _remove_partial_bytecode(Path(cache_from_source(path)))
+            # On a full disk, Python before 3.13 writes incomplete bytecode, and every later import of the module fails.
+            file = Path(cache_from_source(path))
+            header = 16  # number of bytes before the code
+            try:
+                marshal.loads(file.read_bytes()[header:])
+            except (EOFError, ValueError, TypeError):
+                file.unlink(missing_ok=True)
+            except FileNotFoundError:
+                pass
     elif (kept := GENERATED / path.name).is_file() and kept.read_bytes() == text.encode():
         path = kept
     return Build(path, name, time.perf_counter() - begin, not is_new, written)
@@ -229,20 +237,6 @@ def _cached(
         except FileError as error:
             raise FileError(error.finding, "make room there, or let CODEGEN_CACHE_DIR name another folder") from error
         return path, text, True
-
-
-def _remove_partial_bytecode(file: Path) -> None:
-    """Remove the bytecode of a module if it is incomplete.
-
-    On a full disk, Python before 3.13 writes incomplete bytecode, and every later import of the module fails.
-    """
-    header = 16  # number of bytes before the code
-    try:
-        marshal.loads(file.read_bytes()[header:])
-    except (EOFError, ValueError, TypeError):
-        file.unlink(missing_ok=True)
-    except FileNotFoundError:
-        pass
 
 
 def stored(problem: Source | Path | str, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:

@@ -14,15 +14,26 @@ from collections.abc import Callable, Sequence
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple, Protocol, TypeAlias, TypeGuard, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeGuard, cast
 from urllib.parse import quote, unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ModuleError
-from codegen.runtime.record import ConnectRecord, ControlRecord, Task
+from codegen.runtime.record import ConnectRecord, ControlRecord, SimulationRecord, Task
 from codegen.solving.tasks import TASKS
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+    from codegen.runtime.particles.cascade import Solution
+    from codegen.runtime.particles.problem import PairProblem
+    from codegen.runtime.particles.shooting import Linearised
+    from codegen.runtime.search.point import Point
+    from codegen.runtime.search.problem import ControlProblem
+    from codegen.runtime.search.sensitivities import Sensitivities
+    from codegen.runtime.stepping.problem import StepProblem
 
 Vector: TypeAlias = NDArray[np.float64]
 Matrix: TypeAlias = NDArray[np.float64]
@@ -48,7 +59,8 @@ class Grid(Protocol):
     sizes: Vector
     weight: float
     inner: tuple[int, ...]
-    problem: Any
+    _replace: Callable[..., Grid]
+    problem: ControlProblem
 
 
 class ControlSolution(Protocol):
@@ -99,11 +111,11 @@ class NonlinearProgram(Protocol):
     gradient: Callable[[Vector], Vector]
     constraints: Callable[[Vector], Vector]
     stationarity: Callable[[Vector, Vector], Vector]
-    jacobian: Callable[[Vector], Any]
-    hessian: Callable[..., Any]
+    jacobian: Callable[[Vector], csr_array]
+    hessian: Callable[..., csr_array]
     unknowns: Callable[..., Vector]
-    evaluate: Callable[..., Any]
-    unpack: Callable[..., Any]
+    evaluate: Callable[..., Point]
+    unpack: Callable[..., Unpacked]
 
 
 class ControlModule(Protocol):
@@ -116,7 +128,7 @@ class ControlModule(Protocol):
 
     __name__: str
     metadata: ControlRecord
-    problem: Any
+    problem: ControlProblem
 
     solve: Callable[..., ControlSolution]
     make_grid: Callable[..., Grid]
@@ -125,7 +137,7 @@ class ControlModule(Protocol):
     nlp: Callable[..., NonlinearProgram]
     primal_unknowns: Callable[[Grid], Indices]
     multiplier_unknowns: Callable[[Grid], Indices]
-    evaluate: Callable[[Grid, Vector], Any]
+    evaluate: Callable[[Grid, Vector], Point]
     unpack: Callable[[Grid, Vector], Unpacked]
     views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]
     variable_bounds: Callable[[Grid], tuple[Vector, Vector]]
@@ -134,7 +146,7 @@ class ControlModule(Protocol):
     sample_gradient: Callable[..., float]
     # The next attributes exist only in a module with sensitivities.
     OWN_QUANTITIES: int
-    sensitivities: Callable[..., Any]
+    sensitivities: Callable[..., Sensitivities]
     unpacked_rates: Callable[..., tuple[Vector, Matrix, Matrix, Matrix, Matrix]]
 
 
@@ -175,8 +187,8 @@ class SimulateModule(Protocol):
     """The functions of a generated module for a simulation; a module for first-order dynamics has no `energy`."""
 
     __name__: str
-    metadata: Any
-    problem: Any
+    metadata: SimulationRecord
+    problem: StepProblem
 
     solve: Callable[..., SimulateSolution]
     make_grid: Callable[..., StepGrid]
@@ -220,9 +232,10 @@ class ConnectModule(Protocol):
 
     __name__: str
     metadata: ConnectRecord
+    problem: PairProblem
 
-    solve: Callable[..., Any]
-    solve_case: Callable[..., Any]
+    solve: Callable[..., Solution]
+    solve_case: Callable[..., Solution]
     make_case: Callable[..., Case]
     first_momenta: Callable[[Case], Matrix]
     trajectory: Callable[[Case, Matrix], tuple[int, Matrix, Matrix]]
@@ -236,7 +249,7 @@ class ConnectModule(Protocol):
     all_equations_jacobian: Callable[[Case, Vector], Matrix]
     end_residual: Callable[[Case, Matrix, Matrix], Vector]
     preconditioner: Callable[[Case], Matrix]
-    Linearised: Callable[..., Any]
+    Linearised: Callable[..., Linearised]
     hamiltonian: Callable[..., float]
     hamiltonian_gradient: Callable[..., None]
     momentum_matrix: Callable[..., None]
@@ -402,18 +415,14 @@ class _ByName:
                 raise ModuleError(finding, "let NUMBA_CACHE_DIR name a folder that may be written to") from error
             finding = " ".join(f"{path} is damaged ({type(error).__name__}: {error})".split())
             raise ModuleError(finding, _REMEDY) from error
-        _require_complete(path, module)
+        task = getattr(getattr(module, "metadata", None), "task", None)
+        if task not in TASKS:
+            raise ModuleError(f"{path} is damaged (its metadata name no task)", _REMEDY)
+        missing = [function for function in TASKS[task].functions if not callable(getattr(module, function, None))]
+        if missing:
+            raise ModuleError(f"{path} is damaged (it lacks {', '.join(missing)})", _REMEDY)
 
 
 __path__: list[str] = []
 """An empty search path, which makes this module the package of all generated modules."""
 sys.meta_path.append(cast(Any, _ByName))
-
-
-def _require_complete(path: Path, module: ModuleType) -> None:
-    task = getattr(getattr(module, "metadata", None), "task", None)
-    if task not in TASKS:
-        raise ModuleError(f"{path} is damaged (its metadata name no task)", _REMEDY)
-    missing = [function for function in TASKS[task].functions if not callable(getattr(module, function, None))]
-    if missing:
-        raise ModuleError(f"{path} is damaged (it lacks {', '.join(missing)})", _REMEDY)

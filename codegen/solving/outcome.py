@@ -70,7 +70,7 @@ _ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relat
 _LOADED: set[str] = set()
 """The import names of generated modules whose machine code this process has loaded."""
 
-Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
+Working: TypeAlias = Callable[[str], AbstractContextManager[object]]
 """A function that returns a context manager, which displays a text while a slow operation runs."""
 Following: TypeAlias = Callable[[], AbstractContextManager[Watch | None]]
 """A function that returns a context manager, whose value displays the iterates of a driver."""
@@ -164,7 +164,7 @@ def outcome_of(
         with following() if is_watched else solving() as watch:
             shown = request.watch or (watch if is_watched else None)
             result = _solved(request, module, driver, steps, warm, points, shown)
-        result = _with_notes(request, module, _with_error(request, module, driver, result))
+        result = _with_notes(module, _with_error(request, module, driver, result))
         if request.sensitivities:
             result = with_sensitivities(result, module)
         whole = put_together(result, module.metadata)
@@ -316,7 +316,7 @@ def require_memory(numbers: int, steps: int) -> None:
         )
 
 
-def _with_notes(request: Request, module: GeneratedModule, result: Result) -> Result:
+def _with_notes(module: GeneratedModule, result: Result) -> Result:
     """Return a solution with notes on the motion between nodes and on zero controls."""
     if not is_control(module) or result.unknowns is None or not result.solved:
         return result

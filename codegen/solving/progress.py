@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.status import Status
 
 
-def building(what: str) -> AbstractContextManager[Any]:
+def building(what: str) -> AbstractContextManager[Status | _Line | None]:
     """Return a context manager that shows a text during a with block; its value may have a method `update`.
 
     The line is written to stderr and disappears at the end of the block.
@@ -23,7 +26,9 @@ def building(what: str) -> AbstractContextManager[Any]:
 
 
 @contextmanager
-def shown_from_call(working: Callable[[str], AbstractContextManager[Any]], what: str) -> Iterator[Callable[[], None]]:
+def shown_from_call(
+    working: Callable[[str], AbstractContextManager[object]], what: str
+) -> Iterator[Callable[[], None]]:
     """Provide a function whose first call lets `working` show a text until the end of the with block.
 
     A build calls the function when a derivation begins, so that nothing is shown for a cache hit.

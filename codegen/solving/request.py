@@ -15,7 +15,7 @@ from functools import cache, cached_property, partial
 from numbers import Integral, Real
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from codegen.problem.points import PointSet
     from codegen.solving.results.result import Result, Watch
 
+Module = TypeVar("Module", bound=GeneratedModule)
 SCALINGS = ("auto", "none")
 """The choices of scaling: an optimiser computes scaling factors, or works in the units of the problem."""
 START = "start."
@@ -98,7 +99,7 @@ class Request:
     points: PointSet | Path | str | None = None
     parameters: Mapping[str, float] | None = None
     tables: Mapping[str, Path | str] | None = None
-    observations: Any = None
+    observations: object = None
     tolerance: float | None = None
     max_iterations: int | None = None
     time_limit: float | None = None
@@ -209,7 +210,7 @@ class Request:
         except OSError:  # an error is raised later, when the file is read
             return False
 
-    def background(self, module: Any) -> Background:
+    def background(self, module: GeneratedModule) -> Background:
         """Return the module and the problem, which figures of a result need."""
         file = getattr(module, "__file__", None)
         path = None if file is None else Path(file)
@@ -236,7 +237,7 @@ class Request:
         return driver
 
 
-_DEFAULTS: dict[str, Any] = {f.name: {} if f.name == "arguments" else f.default for f in fields(Request)}
+_DEFAULTS: dict[str, object] = {f.name: {} if f.name == "arguments" else f.default for f in fields(Request)}
 
 
 def require_options(names: Iterable[str]) -> None:
@@ -262,11 +263,11 @@ def _option(name: str) -> str:
     return "--set" if name == "arguments" else f"--{name.replace('_', '-')}"
 
 
-def _has_names(value: Any) -> bool:
+def _has_names(value: object) -> bool:
     return isinstance(value, Mapping) and all(isinstance(name, str) for name in value)
 
 
-def as_number(value: Any) -> float:
+def as_number(value: object) -> float:
     """Return a real number as a float; return NaN for other values, and for integers that are too large."""
     if not isinstance(value, Real) or isinstance(value, bool):
         return math.nan
@@ -279,17 +280,17 @@ def as_number(value: Any) -> float:
 # Parameter overrides
 
 
-def with_arguments(module: GeneratedModule, **arguments: Any) -> Any:
+def with_arguments(module: Module, **arguments: object) -> Module:
     """Return a copy of a module in which `arguments` are bound in the functions that create grids or cases."""
     other = ModuleType(getattr(module, "__name__", "generated"))
     other.__dict__.update(vars(module))
     makers = ("make_case", "solve") if is_connect(module) else ("make_grid", "nlp", "solve")
     bound = {name: partial(getattr(module, name), **arguments) for name in makers if hasattr(module, name)}
     other.__dict__.update(bound)
-    return other
+    return cast(Module, other)
 
 
-def with_values(module: GeneratedModule, values: Mapping[str, float]) -> Any:
+def with_values(module: Module, values: Mapping[str, float]) -> Module:
     """Return a copy of the module with parameter overrides; the name `start.x` means the prescribed value of x.
 
     Without overrides the module itself is returned. Raise ArgumentError for an unknown name, and NumericsError for
@@ -312,7 +313,7 @@ def with_values(module: GeneratedModule, values: Mapping[str, float]) -> Any:
             arguments.setdefault(argument, {})[quantity] = float(value)
         else:
             arguments[argument] = float(value)
-    other = with_arguments(module, **arguments)
+    other: Any = with_arguments(module, **arguments)
     try:
         other.make_grid(few_steps(module, 1))
     except ValueError as error:
@@ -321,7 +322,7 @@ def with_values(module: GeneratedModule, values: Mapping[str, float]) -> Any:
         given = ", ".join(f"{name} = {value:g}" for name, value in values.items())
         finding = f"{module.metadata.problem}: the start has no finite value with {given} ({error})"
         raise NumericsError(finding, "give other values") from error
-    return other
+    return cast(Module, other)
 
 
 def overridable(module: GeneratedModule) -> dict[str, tuple[str, str]]:
@@ -400,7 +401,7 @@ def _keywords(module: Any) -> list[str]:
 # Tables and measurements
 
 
-def with_tables(module: GeneratedModule, files: Mapping[str, Path | str] | None) -> Any:
+def with_tables(module: Module, files: Mapping[str, Path | str] | None) -> Module:
     """Return a copy of the module with other tables; `files` maps the name of a table to its file.
 
     Without files the module itself is returned. Raise ArgumentError for an unknown name, and TableError for an unusable
@@ -426,7 +427,7 @@ def with_tables(module: GeneratedModule, files: Mapping[str, Path | str] | None)
     return with_arguments(module, tables=numbers)
 
 
-def with_observations(module: GeneratedModule, measurements: Any) -> Any:
+def with_observations(module: Module, measurements: object) -> Module:
     """Return a copy of the module with other measurements; without `measurements` the module itself.
 
     `measurements` is a file, or a mapping from the names of columns to arrays (n,). For several bodies it is a list

@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -81,7 +81,7 @@ def read_start(path: Path) -> SavedStart:
     return SavedStart(path, unknowns, names, nodes)
 
 
-def _vector(what: str, values: Any, remedy: str) -> Vector:
+def _vector(what: str, values: object, remedy: str) -> Vector:
     try:
         vector = np.asarray(values, dtype=float)
     except (TypeError, ValueError):

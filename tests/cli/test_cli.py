@@ -81,7 +81,7 @@ class TestJson:
     def test_simulation(self, solved):
         result, record = solved(PENDULUM, "--every", 50)
         assert result.exit_code == 0
-        assert list(record) == KEYS
+        assert list(record) == [*KEYS, "notes"]  # a coarse grid: the error of the discretisation is large
         assert record["cost"] is None
         assert (record["task"], record["method"], record["steps"]) == ("simulate", "hamiltonian", 200)
         assert {"final_q", "final_p", "energy_drift", "steps_per_second"} <= set(record["summary"])

@@ -86,11 +86,11 @@ def processes(work: Work, workers: int) -> Iterator[Callable[[Iterable[int]], Re
     context: Any = multiprocessing.get_context(START)
     if START == "fork":
         work = work.loaded()
-    crew: dict[Connection[Any, Any], BaseProcess] = {}
-    busy: dict[Connection[Any, Any], int] = {}
+    crew: dict[Connection[int, Done | BaseException], BaseProcess] = {}
+    busy: dict[Connection[int, Done | BaseException], int] = {}
 
-    def start() -> Connection[Any, Any]:
-        local_end: Connection[Any, Any]
+    def start() -> Connection[int, Done | BaseException]:
+        local_end: Connection[int, Done | BaseException]
         local_end, remote_end = context.Pipe()
         crew[local_end] = context.Process(target=_serve, args=(work, remote_end, [*crew, local_end]), daemon=True)
         crew[local_end].start()
@@ -144,7 +144,11 @@ def processes(work: Work, workers: int) -> Iterator[Callable[[Iterable[int]], Re
             process.join()
 
 
-def _serve(work: Work, orders: Connection[Any, Any], inherited: Sequence[Connection[Any, Any]]) -> None:
+def _serve(
+    work: Work,
+    orders: Connection[Done | BaseException, int],
+    inherited: Sequence[Connection[int, Done | BaseException]],
+) -> None:
     """Solve the chunks that `orders` receives, in a worker process, until `orders` closes or the parent has ended."""
     for connection in inherited:  # an open copy of a connection would hide the end of the process on the other side
         connection.close()

@@ -147,7 +147,24 @@ def in_segments(model: Model) -> Model:
         what = " or ".join(arguments.get(field.name, [field.name]))
         raise ExpressionError(f"{what} beside {_named(model.delays[0])}", "leave one of them out")
     number, steps_back = _common_parts(model)
-    segments = _segments(model, number, steps_back)
+    moving = (*model.coordinates, *model.rates, *model.controls)
+    others = (*model.parameters, *(free.symbol for free in model.free_parameters))
+    taken = {symbol.name for symbol in (*moving, *others)}
+    copies = []
+    for i in range(1, number + 1):
+        names = {x: f"{x.name}_{i}" if number > 1 else x.name for x in moving}
+        names = {x: identifiers.marked(name, model.task, taken, moving=True) for x, name in names.items()}
+        names = {x: name + identifiers.MARK if name in taken and number > 1 else name for x, name in names.items()}
+        copies.append({x: Symbol(name, real=True) for x, name in names.items()})
+    length, segments = model.duration / number, list[_Segment]()
+    for i, copy in enumerate(copies):
+        values: dict[Symbol, Expr] = {**copy, model.time: model.time + i * length}
+        for delay, back in zip(model.delays, steps_back, strict=True):
+            if 0 < back <= i:
+                values[delay.symbol] = copies[i - back][delay.quantity]
+            else:
+                values[delay.symbol] = delay.history.xreplace({model.time: model.time + i * length - delay.lag})
+        segments.append(_Segment(i + 1, copy, values))
     first, last = segments[0], segments[-1]
     assert model.end is not None, "only control problems have delays"
     assert model.cost is not None, "only control problems have delays"
@@ -234,28 +251,6 @@ class _Segment:
         if segments == 1:
             return changed
         return replace(changed, name=f"{condition.name} in segment {self.number}", segment=self.number)
-
-
-def _segments(model: Model, number: int, steps_back: Sequence[int]) -> list[_Segment]:
-    moving = (*model.coordinates, *model.rates, *model.controls)
-    others = (*model.parameters, *(free.symbol for free in model.free_parameters))
-    taken = {symbol.name for symbol in (*moving, *others)}
-    copies = []
-    for i in range(1, number + 1):
-        names = {x: f"{x.name}_{i}" if number > 1 else x.name for x in moving}
-        names = {x: identifiers.marked(name, model.task, taken, moving=True) for x, name in names.items()}
-        names = {x: name + identifiers.MARK if name in taken and number > 1 else name for x, name in names.items()}
-        copies.append({x: Symbol(name, real=True) for x, name in names.items()})
-    length, segments = model.duration / number, []
-    for i, copy in enumerate(copies):
-        values: dict[Symbol, Expr] = {**copy, model.time: model.time + i * length}
-        for delay, back in zip(model.delays, steps_back, strict=True):
-            if 0 < back <= i:
-                values[delay.symbol] = copies[i - back][delay.quantity]
-            else:
-                values[delay.symbol] = delay.history.xreplace({model.time: model.time + i * length - delay.lag})
-        segments.append(_Segment(i + 1, copy, values))
-    return segments
 
 
 def _common_parts(model: Model) -> tuple[int, tuple[int, ...]]:

@@ -102,7 +102,22 @@ def normalise(
         expected |= smoothness.expected_values(models[-1], 1.0)
     jumps = [[normal_form.in_plain_symbols(entry, plain) for entry in jump] for jump in jumps]
     chain = _chain(models, jumps, kinds, plain, name, title)
-    _require_values(chain, jumps)
+    # Jumps have values, bounds do not contradict each other, and end values satisfy the conditions.
+    points = smoothness.sample_points(chain)
+    for entry in (entry for jump in jumps for entry in jump):
+        if all(expressions.rounded_at(entry.expression, point) is None for point in points):
+            raise ExpressionError(
+                f"{entry.what} has no finite real value at the default parameters", "correct it, or the parameters"
+            )
+    for switch, (before, after) in enumerate(pairwise(chain.phases)):
+        _require_common_values(switch, before, after, dict(chain.jumps[switch]))
+        _require_constraints_after(switch, before, dict(chain.jumps[switch]))
+    begin: sympy.Expr = sympy.S.Zero
+    for index, model in enumerate(chain.phases):
+        with _in_phase(index):
+            # The time at the end of a phase counts from the start of the whole motion.
+            values.require_agreement(replace(model, duration=begin + model.duration))
+        begin += model.duration
     units = units_of(used, (entry for phase in written for entry in phase), plain)
     chain = normal_form.with_positive_durations(replace(chain, unused=unused, units=units))
     return scope.with_drawing(chain, drawing, plain)
@@ -229,25 +244,6 @@ def _free_parameter(symbol: sympy.Symbol, models: Sequence[Model]) -> FreeParame
             raise ExpressionError(f"{symbol} has two {side} bounds", "give it in one phase")
         limits.append(bounds[0] if bounds else None)
     return FreeParameter(symbol, in_phases[0].guess, *limits)
-
-
-def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
-    """Raise an error for jumps without a value, contradictory bounds, and end values that violate conditions."""
-    points = smoothness.sample_points(chain)
-    for entry in (entry for jump in jumps for entry in jump):
-        if all(expressions.rounded_at(entry.expression, point) is None for point in points):
-            raise ExpressionError(
-                f"{entry.what} has no finite real value at the default parameters", "correct it, or the parameters"
-            )
-    for switch, (before, after) in enumerate(pairwise(chain.phases)):
-        _require_common_values(switch, before, after, dict(chain.jumps[switch]))
-        _require_constraints_after(switch, before, dict(chain.jumps[switch]))
-    begin: sympy.Expr = sympy.S.Zero
-    for index, model in enumerate(chain.phases):
-        with _in_phase(index):
-            # The time at the end of a phase counts from the start of the whole motion.
-            values.require_agreement(replace(model, duration=begin + model.duration))
-        begin += model.duration
 
 
 def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, sympy.Expr]) -> None:

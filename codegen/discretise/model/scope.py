@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import sympy
 
@@ -18,7 +17,7 @@ from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.relations import MOVING, STATIC, Entry
 from codegen.drawing import Item
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
-from codegen.problem.problem import Problem
+from codegen.problem.problem import Expression, Problem
 from codegen.problem.rotations import spheres_in
 from codegen.problem.symbols import (
     BodyNumber,
@@ -300,7 +299,7 @@ def _checked_item(item: object, where: str) -> Item:
     if not isinstance(item.label, str):
         raise ExpressionError(f"{where} has the label {item.label!r}", "give text")
     points = {field.name for field in fields(item) if field.type == "Point"}
-    changes = dict[str, Any]()
+    changes = dict[str, Expression]()
     for name, value in item.parts():
         what = f"{where} {name}"
         if name not in points:

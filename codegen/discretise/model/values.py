@@ -69,7 +69,21 @@ def require_values(model: Model, bounds: Sequence[Bounds], points: Points) -> No
                 edge = _number(f"bound of {symbol}", limit, values)
                 if sign * (number - edge) > rounding_of((number, edge)):
                     raise BoundaryError(f"{what} is {number:g}, {word} bound {edge:g}", "correct one of them")
-    _require_real(model, points)
+    # Dynamics, costs, conditions and guesses have a real value at one trial point or more.
+    form = "dynamics" if model.form == "first-order" else model.form
+    named = [(f"the {form}", model.function), *((f"guess of {s}", value) for s, value in model.guess)]
+    named += [(f"force of {q}", value) for q, value in zip(model.coordinates, model.force, strict=False)]
+    named += [(f"dynamics of {x}", value) for x, value in zip(model.coordinates, model.dynamics, strict=False)]
+    named += [("cost", model.cost)] if model.cost is not None else []
+    named += [("terminal_cost", model.terminal_cost)]
+    named += [(f"history of {delay.quantity}", delay.history) for delay in model.delays]
+    named += [pair for kind in CONDITIONS for pair in kind.values(model)]
+    for what, expression in named:
+        for body in _bodies(model, expression):
+            if all(expressions.rounded_at(expression, {**point, **body}) is None for point in points):
+                raise ExpressionError(
+                    f"{what} has no finite real value at the default parameters", "correct it, or the parameters"
+                )
 
 
 def require_regular_lagrangian(model: Model, points: Points) -> None:
@@ -137,21 +151,3 @@ def _number(what: str, expression: sympy.Expr, values: Mapping[sympy.Symbol, flo
             f"{what} is {expression}, which is no finite number at the default parameters", "correct the values"
         )
     return number
-
-
-def _require_real(model: Model, points: Points) -> None:
-    """Raise ExpressionError for dynamics, costs, conditions and guesses without a real value at any trial point."""
-    form = "dynamics" if model.form == "first-order" else model.form
-    named = [(f"the {form}", model.function), *((f"guess of {s}", value) for s, value in model.guess)]
-    named += [(f"force of {q}", value) for q, value in zip(model.coordinates, model.force, strict=False)]
-    named += [(f"dynamics of {x}", value) for x, value in zip(model.coordinates, model.dynamics, strict=False)]
-    named += [("cost", model.cost)] if model.cost is not None else []
-    named += [("terminal_cost", model.terminal_cost)]
-    named += [(f"history of {delay.quantity}", delay.history) for delay in model.delays]
-    named += [pair for kind in CONDITIONS for pair in kind.values(model)]
-    for what, expression in named:
-        for body in _bodies(model, expression):
-            if all(expressions.rounded_at(expression, {**point, **body}) is None for point in points):
-                raise ExpressionError(
-                    f"{what} has no finite real value at the default parameters", "correct it, or the parameters"
-                )

@@ -101,6 +101,16 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         public += [f"action_{name}" for name in _ACTION if program.method == "action"]
         public += ["carry", "stages_of"] if model.passive else []
     reasons = _left_out(program, derivatives, singles, by_turns=by_turns, gathered=bool(gathered))
+    kernels = {
+        "gradient": "hamiltonian_gradient", "hessian": "hamiltonian_hessian", "products": "hessian_products",
+        **{name: name for name in ("momentum_matrix", "slope", "velocity", "domain_margin", "guide")},
+        **{name: name for name in ("tracer_velocity", "tracer_gradient")},
+    }  # fmt: skip
+    made = {
+        *[visit.name for visit in (*all_loops, *around)],
+        *(("hamiltonian_gradient",) if program.model.parallel else ()),
+    }
+    coefficients = {"substeps": "SUBSTEPS"} if program.substeps else {"rows": "ROWS", "weights": "WEIGHTS"}
     return ParticlesModule(
         template="connect.py.j2" if connects else "particles.py.j2",
         name=model.name,
@@ -113,7 +123,17 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         arguments=arguments_of(model),
         steps=model.steps,
         public=tuple(sorted(set(public))),
-        record=_record_fields(program, derivatives, [visit.name for visit in (*all_loops, *around)]),
+        record=tuple(
+            {
+                **{"metadata": "metadata", "dimension": "DIMENSION", "hamiltonian": "hamiltonian"},
+                **{field: name for field, name in kernels.items() if name in made},
+                **coefficients,
+                **({"blocks": "BLOCKS", "cost_weights": "COST_WEIGHTS"} if program.model.connects else {}),
+                **({"quadratic": "True"} if derivatives.quadratic else {}),
+                **({"block": "BLOCK"} if program.model.passive else {}),
+                **({"abscissa": "ABSCISSA"} if program.method == "action" else {}),
+            }.items()
+        ),
         particle_loops=around,
         loops=loops,
         gathered_loops=gathered,
@@ -158,30 +178,6 @@ def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[L
     if program.method == "action":
         lines.append(Line("ABSCISSA", repr(float(program.abscissa)), "where on an interval the action takes H"))
     return lines
-
-
-def _record_fields(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: Sequence[str]
-) -> tuple[tuple[str, str], ...]:
-    """Return the fields of the PairProblem with their code; `loops` are the names of the module's loops."""
-    kernels = {
-        "gradient": "hamiltonian_gradient", "hessian": "hamiltonian_hessian", "products": "hessian_products",
-        **{name: name for name in ("momentum_matrix", "slope", "velocity", "domain_margin", "guide")},
-        **{name: name for name in ("tracer_velocity", "tracer_gradient")},
-    }  # fmt: skip
-    made = {*loops, *(("hamiltonian_gradient",) if program.model.parallel else ())}
-    coefficients = {"substeps": "SUBSTEPS"} if program.substeps else {"rows": "ROWS", "weights": "WEIGHTS"}
-    return tuple(
-        {
-            **{"metadata": "metadata", "dimension": "DIMENSION", "hamiltonian": "hamiltonian"},
-            **{field: name for field, name in kernels.items() if name in made},
-            **coefficients,
-            **({"blocks": "BLOCKS", "cost_weights": "COST_WEIGHTS"} if program.model.connects else {}),
-            **({"quadratic": "True"} if derivatives.quadratic else {}),
-            **({"block": "BLOCK"} if program.model.passive else {}),
-            **({"abscissa": "ABSCISSA"} if program.method == "action" else {}),
-        }.items()
-    )
 
 
 def _description(program: PairwiseProgram, loops: Sequence[PairLoop | BlockLoop]) -> list[str]:

@@ -88,10 +88,14 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     if program.energy is not None:
         fields, every = {**fields, "energy": "energy"}, ("energy", *every)
     if program.unknowns:
+        # The numbers of diagonals under and over the main diagonal.
+        size = len(derivatives.jacobian)
+        places = [(i, j) for i, row in enumerate(derivatives.jacobian) for j, entry in enumerate(row) if entry != 0]
+        below, above = max(max(i - j, 0) for i, j in places), max(max(j - i, 0) for i, j in places)
         fields |= {
             "unknowns": "UNKNOWNS", "predict": "predict_step", "residual": "step_residual",
             "jacobian": "step_jacobian", "complete": "complete_step",
-            **({"bands": repr(bands)} if (bands := _bands(derivatives)) else {}),
+            **({"bands": repr((below, above))} if size >= _MANY and 2 * below + above < size else {}),
             "is_linear": repr(solver is not StepSolver.NEWTON), "is_constant": repr(solver is StepSolver.CONSTANT),
         }  # fmt: skip
     else:
@@ -228,14 +232,6 @@ def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Ke
             ("unknowns", *_ARGUMENTS, "interval"), codes, interval, (*program.before, *program.after), KERNEL,
         ),
     ]  # fmt: skip
-
-
-def _bands(derivatives: StepDerivatives) -> tuple[int, int] | None:
-    """Return the numbers of diagonals under and over the main diagonal; None for few unknowns or a wide band."""
-    size = len(derivatives.jacobian)
-    places = [(i, j) for i, row in enumerate(derivatives.jacobian) for j, entry in enumerate(row) if entry != 0]
-    below, above = max(max(i - j, 0) for i, j in places), max(max(j - i, 0) for i, j in places)
-    return (below, above) if size >= _MANY and 2 * below + above < size else None
 
 
 def _solver(program: StepProgram, derivatives: StepDerivatives) -> StepSolver:

@@ -18,13 +18,13 @@ import mpmath
 import sympy
 from sympy import QQ, Dummy, Expr, Rational, Symbol
 from sympy.polys.orderings import lex
-from sympy.polys.rings import PolyRing
+from sympy.polys.rings import PolyElement, PolyRing
 
 from codegen.discretise.interval import STEP
 from codegen.errors import ExpressionError
 from codegen.symbolic import checks as expressions
 
-Element: TypeAlias = Any  # a polynomial of the ring (sympy's PolyElement)
+Element: TypeAlias = PolyElement
 Key: TypeAlias = tuple[Any, ...]
 """The kind of a function, and its elements and numbers, for example ("root", base, degree)."""
 _DIGITS = 60

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from types import ModuleType
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import sympy
@@ -21,14 +21,14 @@ from sympy.core import relational
 from codegen.identifiers import plain
 from codegen.problem import symbols
 from codegen.problem.description import quantities_in
-from codegen.problem.problem import Control, Phases, Simulate
+from codegen.problem.problem import Control, Expression, Phases, Relations, Simulate
 from codegen.problem.tables import Measurements
 from codegen.runtime.record import Method
 from codegen.solving.request import parameter_arguments
 from codegen.symbolic.functions import NUMPY
 
 Array: TypeAlias = NDArray[np.float64]
-Values: TypeAlias = Mapping[sympy.Symbol, Any]
+Values: TypeAlias = Mapping[sympy.Symbol, float | Array]
 
 _LEAST_STEPS = 16  # least number of intervals of a phase on the coarsest grid
 _NEWTON_STEPS = 30
@@ -39,12 +39,12 @@ class NoMotionError(Exception):
 
 
 @lru_cache(maxsize=1024)
-def _compiled(expression: sympy.Expr) -> tuple[list[sympy.Symbol], Callable[..., Any]]:
+def _compiled(expression: sympy.Expr) -> tuple[list[sympy.Symbol], Callable[..., float | Array]]:
     arguments = sorted(expression.free_symbols, key=lambda symbol: (str(symbol), getattr(symbol, "declared", 0)))
     return arguments, sympy.lambdify(arguments, expression, modules=NUMPY, cse=True, dummify=True)
 
 
-def value_at(expression: Any, values: Values) -> Any:
+def value_at(expression: Expression, values: Values) -> float | Array:
     """Return the value of an author's expression, a number or an array."""
     expression = sympy.sympify(expression)
     body = next((symbol for symbol in expression.free_symbols if isinstance(symbol, symbols.BodyNumber)), None)
@@ -55,7 +55,7 @@ def value_at(expression: Any, values: Values) -> Any:
         return function(*(values[symbol] for symbol in arguments))
 
 
-def values_along(expression: Any, values: Values, t: Array) -> Array:
+def values_along(expression: Expression, values: Values, t: Array) -> Array:
     """Return the values of an expression at all times; raise NoMotionError unless all are finite and real."""
     found = np.asarray(value_at(expression, values))
     if np.iscomplexobj(found) or not np.isfinite(found).all():
@@ -72,13 +72,13 @@ class Relation:
     equality: bool
 
 
-def relations_of(given: Any) -> list[Relation]:
+def relations_of(given: Relations) -> list[Relation]:
     """Return the relations of an argument of Control, which are a list or a mapping from names to relations."""
     pairs = list(given.items()) if isinstance(given, Mapping) else [(None, each) for each in given]
     return [_relation(*(each if isinstance(each, tuple) else (name, each))) for name, each in pairs]
 
 
-def _relation(name: str | None, relation: Any) -> Relation:
+def _relation(name: str | None, relation: object) -> Relation:
     if isinstance(relation, relational.Equality):
         return Relation(name or f"{_text(relation.lhs)} = {_text(relation.rhs)}", relation.lhs - relation.rhs, True)
     if isinstance(relation, relational.Relational):
@@ -86,11 +86,11 @@ def _relation(name: str | None, relation: Any) -> Relation:
     return Relation(name or f"{_text(relation)} = 0", sympy.sympify(relation), True)
 
 
-def _text(expression: Any) -> str:
+def _text(expression: sympy.Basic) -> str:
     return str(sympy.sstr(expression, full_prec=False))
 
 
-def integral_of(relation: Any, moving: set[sympy.Symbol]) -> tuple[Any, Any]:
+def integral_of(relation: relational.Relational, moving: set[sympy.Symbol]) -> tuple[sympy.Expr, sympy.Expr]:
     """Return (g, c) of a condition on an integral: the integral of g equals c, or (inequalities) does not exceed c."""
     integrand, limit = relation.args
     if not sympy.sympify(integrand).free_symbols & moving:
@@ -106,7 +106,7 @@ class Motion:
 
     t: Array
     values: Values
-    slopes: Values
+    slopes: Mapping[sympy.Symbol, Array]
 
 
 Path: TypeAlias = Callable[[Array], Motion]  # a motion of a phase as a function of an array of times
@@ -117,7 +117,7 @@ class Author:
 
     def __init__(self, written: Control | Simulate | Phases, module: ModuleType) -> None:
         self.module, self.record = module, module.metadata
-        self.phases: tuple[Any, ...] = written.phases if isinstance(written, Phases) else (written,)
+        self.phases: tuple[Control | Simulate, ...] = written.phases if isinstance(written, Phases) else (written,)
         self.jumps = [*(written.jumps if isinstance(written, Phases) else ()), *[{}] * len(self.phases)]
         self.first = self.phases[0]
         self.quantities = {s.name: s for s in quantities_in(written) if s.own}
@@ -218,17 +218,17 @@ class Author:
         listed = [observations] if isinstance(observations, Measurements) else observations
         return np.unique([time for one in listed for time in one.data.array[:, 0]])
 
-    def numbers_of(self, body: int) -> dict[sympy.Symbol, Any]:
+    def numbers_of(self, body: int) -> dict[sympy.Symbol, float | Array]:
         """Return the values of constants, and the number of the body."""
         return {**self.constants, self.body: body}
 
     @property
-    def shifts(self) -> Mapping[Any, Any]:
+    def shifts(self) -> Mapping[sympy.Symbol, Expression]:
         """The values at the end less the values at the start of periodic quantities."""
         written = getattr(self.first, "periodic", ())
         return written if isinstance(written, Mapping) else dict.fromkeys(written, 0)
 
-    def prescribed(self, where: str) -> dict[Any, Any]:
+    def prescribed(self, where: str) -> dict[sympy.Symbol, Expression]:
         """Return the author's values at the "start" or "end", also those that follow for periodic quantities."""
         values = dict(getattr(self.phases[0 if where == "start" else -1], where, {}))
         others = getattr(self.first, "end" if where == "start" else "start", {})
@@ -282,7 +282,7 @@ class Author:
             }
         return arguments
 
-    def limits(self, phase: Any, symbol: sympy.Symbol, body: int) -> tuple[float, float]:
+    def limits(self, phase: Control | Simulate, symbol: sympy.Symbol, body: int) -> tuple[float, float]:
         """Return lower and upper bound of a quantity in a phase, infinite without a bound."""
         pair = getattr(phase, "bounds", {}).get(symbol, (None, None))
         values = self.numbers_of(body)
@@ -317,7 +317,7 @@ class Author:
             start |= {symbol: float(value_at(value, {**numbers, **last})) for symbol, value in jump.items()}
         return found
 
-    def expressions(self, phase: Any) -> Iterator[Any]:
+    def expressions(self, phase: Control | Simulate) -> Iterator[Expression]:
         """Yield the expressions that must have real values along a motion."""
         yield from (e for e in (phase.lagrangian, phase.hamiltonian) if e is not None)
         yield from (phase.dynamics or {}).values()
@@ -343,11 +343,11 @@ class Author:
 
     def _motion(
         self,
-        phase: Any,
+        phase: Control | Simulate,
         begin: float,
         length: float,
-        start: Values,
-        end: Values,
+        start: Mapping[sympy.Symbol, float],
+        end: Mapping[sympy.Symbol, float],
         generator: np.random.Generator,
         amplitude: float,
         body: int,
@@ -366,7 +366,7 @@ class Author:
             curves[symbol] = _Curve.drawn(begin, length, base, ends, limits, amplitude, generator)
 
         def motion(t: Array) -> Motion:
-            values: dict[sympy.Symbol, Any] = {**numbers, self.time: t}
+            values: dict[sympy.Symbol, float | Array] = {**numbers, self.time: t}
             slopes = dict[sympy.Symbol, Array]()
             for symbol, curve in curves.items():
                 values[symbol], slopes[symbol] = curve(t)
@@ -378,7 +378,7 @@ class Author:
             return self._with_conjugate_momenta(phase, motion)
         return motion
 
-    def _with_conjugate_momenta(self, phase: Any, motion: Path) -> Path:
+    def _with_conjugate_momenta(self, phase: Control | Simulate, motion: Path) -> Path:
         """Return a motion whose momenta solve q' = dH/dp, by Newton's method at each time."""
         slopes = [sympy.diff(phase.hamiltonian, p) for p in self.rates]
         matrix = [[sympy.diff(slope, p) for p in self.rates] for slope in slopes]
@@ -401,7 +401,7 @@ class Author:
 
         return conjugate
 
-    def momenta(self, phase: Any, values: Values, t: Array) -> dict[sympy.Symbol, Array]:
+    def momenta(self, phase: Control | Simulate, values: Values, t: Array) -> dict[sympy.Symbol, Array]:
         """Return the momenta by coordinate: those of a Hamiltonian, or the derivatives of the Lagrangian."""
         if self.is_hamiltonian:
             return {q: np.asarray(values[q.partner]) for q in self.coordinates}

@@ -32,7 +32,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, combinations
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import sympy
@@ -79,9 +78,10 @@ from codegen.identifiers import plain
 from codegen.problem import symbols
 from codegen.problem.description import quantities_in
 from codegen.problem.particles import Connect, Pairwise
-from codegen.problem.problem import Control, Event, Phases, Simulate
+from codegen.problem.problem import Control, Event, Expression, Phases, Relations, Simulate
 from codegen.problem.tables import Measurements
 from codegen.runtime.record import Kind, Method, Sites
+from codegen.solving.loading import Grid
 from codegen.solving.request import parameter_arguments
 
 NAME = "problem as written"
@@ -109,7 +109,23 @@ def check_authored(context: Context) -> Iterator[Finding]:
         if isinstance(written, Simulate):
             yield from _simulation(author)
         else:
-            yield from _control(author)
+            yield from _verdict("duration", _duration_items(author))
+            yield from _verdict("values at the start", _end_items(author, "start"))
+            yield from _verdict("values at the end", _end_items(author, "end"))
+            yield from _verdict("bounds", _bound_items(author))
+            items = dict[str, list[Item]]()
+            for seed in _SEEDS:
+                for subject, item in _measured_along(author, seed):
+                    items.setdefault(subject, []).append(item)
+            for subject in (
+                "equations of motion",
+                "velocities at the ends",
+                "reported motion",
+                "cost",
+                "path conditions",
+                "conditions",
+            ):
+                yield from _verdict(subject, items.get(subject, []))
     except NoMotionError as error:
         yield not_measured(NAME, "equations of motion and cost", str(error))
 
@@ -157,27 +173,6 @@ def _parameter_items(author: Author) -> Iterator[Item]:
 
 
 # ---- Optimal control ----
-
-
-def _control(author: Author) -> Iterator[Finding]:
-    """Compare a module of optimal control with the author's problem."""
-    yield from _verdict("duration", _duration_items(author))
-    yield from _verdict("values at the start", _end_items(author, "start"))
-    yield from _verdict("values at the end", _end_items(author, "end"))
-    yield from _verdict("bounds", _bound_items(author))
-    items = dict[str, list[Item]]()
-    for seed in _SEEDS:
-        for subject, item in _measured_along(author, seed):
-            items.setdefault(subject, []).append(item)
-    for subject in (
-        "equations of motion",
-        "velocities at the ends",
-        "reported motion",
-        "cost",
-        "path conditions",
-        "conditions",
-    ):
-        yield from _verdict(subject, items.get(subject, []))
 
 
 def _duration_items(author: Author) -> Iterator[Item]:
@@ -240,7 +235,7 @@ def _end_items(author: Author, where: str) -> Iterator[Item]:
                 yield number_item(name, expected, nodes[body, indices[symbol.name]])
 
 
-def _boundary_value(grid: Any, author: Author, key: str, body: int, expected: float) -> float:
+def _boundary_value(grid: Grid, author: Author, key: str, body: int, expected: float) -> float:
     """Return the parameter of a module that holds a prescribed velocity, such as "start dx"."""
     where, name = key.split()
     marked = next(str(other) for other in getattr(author.record, where) if plain(other) == name)
@@ -292,11 +287,11 @@ def _bound_items(author: Author) -> Iterator[Item]:
             yield from _free_bounds(author, symbol, float(lower[first + index]), float(upper[first + index]))
 
 
-def _free_bounds(author: Author, symbol: Any, lower: float, upper: float) -> Iterator[Item]:
+def _free_bounds(author: Author, symbol: sympy.Symbol, lower: float, upper: float) -> Iterator[Item]:
     """Yield the bounds of a free parameter; a duration without a lower bound has the bound zero."""
     written = [[getattr(symbol, "lower", None)], [getattr(symbol, "upper", None)]]
     for phase in author.phases:
-        for side, value in enumerate(phase.bounds.get(symbol, (None, None))):
+        for side, value in enumerate(getattr(phase, "bounds", {}).get(symbol, (None, None))):
             written[side].append(value)
     for side, found in ((0, lower), (1, upper)):
         values = [float(value_at(value, author.constants)) for value in written[side] if value is not None]
@@ -336,7 +331,14 @@ def _limits_along(author: Author, seed: int, amplitude: float) -> Iterator[tuple
             yield from (("equations of motion", item) for item in _motion_items(author, phase, motion, leg, samples))
             if isinstance(phase, Control):
                 yield from (("path conditions", item) for item in _path_items(author, phase, motion, leg, samples))
-                costs += _costs(author, phase, motion, leg)
+                # Both parts of the integral by their signs, the terminal cost, and all losses.
+                t, weights = quadrature(leg.begin, leg.length)
+                running = values_along(author.cost(phase), motion(t).values, t)
+                instant = np.array([leg.begin + leg.length])
+                terminal = sympy.sympify(phase.terminal_cost) - sympy.sympify(phase.terminal_maximise)
+                at_end = float(values_along(terminal, motion(instant).values, instant)[0])
+                ends = [float(weights @ np.maximum(running, 0.0)), float(weights @ np.minimum(running, 0.0)), at_end]
+                costs += [*ends, *_losses(phase, motion, leg)]
         yield from (("velocities at the ends", item) for item in _velocity_items(author, samples, of_phases, body))
         for end in ("start", "end"):
             yield from (("conditions", item) for item in _end_conditions(author, samples[0], of_phases, body, end))
@@ -350,17 +352,6 @@ def _limits_along(author: Author, seed: int, amplitude: float) -> Iterator[tuple
     ):
         yield from (("conditions", item) for item in items)
     yield "cost", limit_of("cost", sum(costs), [sample.cost for sample in samples], sum(map(abs, costs)))
-
-
-def _costs(author: Author, phase: Control, motion: Path, leg: Leg) -> list[float]:
-    """Return both parts of the author's integral over a phase by their signs, the terminal cost, and all losses."""
-    t, weights = quadrature(leg.begin, leg.length)
-    running = values_along(author.cost(phase), motion(t).values, t)
-    instant = np.array([leg.begin + leg.length])
-    terminal = sympy.sympify(phase.terminal_cost) - sympy.sympify(phase.terminal_maximise)
-    at_end = float(values_along(terminal, motion(instant).values, instant)[0])
-    ends = [float(weights @ np.maximum(running, 0.0)), float(weights @ np.minimum(running, 0.0)), at_end]
-    return [*ends, *_losses(phase, motion, leg)]
 
 
 def _losses(phase: Control, motion: Path, leg: Leg) -> Iterator[float]:
@@ -385,7 +376,9 @@ def _losses(phase: Control, motion: Path, leg: Leg) -> Iterator[float]:
         yield float(losses.sum())
 
 
-def _motion_items(author: Author, phase: Any, motion: Path, leg: Leg, samples: Sequence[Sample]) -> Iterator[Item]:
+def _motion_items(
+    author: Author, phase: Control | Simulate, motion: Path, leg: Leg, samples: Sequence[Sample]
+) -> Iterator[Item]:
     """Yield the weighted equations of motion of a phase."""
     t, weights = quadrature(leg.begin, leg.length)
     for name, (label, terms) in _equations(author, phase, motion(t), *weight(t, leg)).items():
@@ -417,10 +410,12 @@ def _path_items(author: Author, phase: Control, motion: Path, leg: Leg, samples:
         yield limit_of(label, float(factors @ g), sums, float(np.abs(factors) @ np.abs(g)))
 
 
-def _equations(author: Author, phase: Any, along: Motion, w: Array, slope: Array) -> dict[str, tuple[str, list[Array]]]:
+def _equations(
+    author: Author, phase: Control | Simulate, along: Motion, w: Array, slope: Array
+) -> dict[str, tuple[str, list[Array]]]:
     """Return the weighted equations of motion, by the name of the multiplier: a label, and terms of the integrand."""
     t, values = along.t, along.values
-    if author.is_first_order:
+    if phase.dynamics is not None:
         return {
             f"mu_{x}": (str(x), [w * along.slopes[x], -w * values_along(phase.dynamics[x], values, t)])
             for x in author.coordinates
@@ -459,13 +454,13 @@ def _reported_items(author: Author, sample: Sample, motions: Sequence[Sequence[P
             pairs = [("t", times[rows], t[first:])]
             for column, name in enumerate(record.coordinates):
                 reported = positions[rows, body * len(record.coordinates) + column]
-                pairs.append((plain(name), reported, at_nodes[named(author, name)][first:]))
+                pairs.append((plain(name), reported, np.asarray(at_nodes[named(author, name)])[first:]))
             inside = motion((t[:-1] + t[1:]) / 2).values
             present = set(quantities_in(phase))
             for column, name in enumerate(record.control_names):
                 if record.controls == Sites.INTERVAL and named(author, name) in present:
                     reported = controls[index * size : (index + 1) * size, body * len(record.control_names) + column]
-                    pairs.append((plain(name), reported, inside[named(author, name)]))
+                    pairs.append((plain(name), reported, np.asarray(inside[named(author, name)])))
             for name, reported, expected in pairs:
                 worst = int(np.argmax(np.abs(reported - expected)))
                 tolerance = ROUNDING * float(np.abs(expected).max()) + 1e-14
@@ -566,7 +561,7 @@ def _is_bound_at(author: Author, sample: Sample, relation: Relation, values: Val
 
 def _coupling_items(author: Author, sample: Sample, motions: Sequence[Sequence[Path]]) -> Iterator[Item]:
     """Yield the conditions between bodies at the end; with redundant conditions, none, because some are left out."""
-    record, values = author.record, dict[sympy.Symbol, Any](author.constants)
+    record, values = author.record, dict[sympy.Symbol, float | Array](author.constants)
     relations = [r for r in relations_of(getattr(author.phases[-1], "end_conditions", ())) if _end_values(r)]
     instant = np.array([sum(author.durations)])
     for symbol in (symbol for relation in relations for symbol in _end_values(relation)):
@@ -602,8 +597,8 @@ def _switch_items(author: Author, samples: Sequence[Sample], motions: Sequence[P
         names = [n for n in record.shared if record.kind(n) == Kind.SWITCH_CONDITION]
         names = [n for n in names if record.meanings[n].at == switch]
         found = [float(samples[0].linking[record.shared.index(name)]) for name in names]
-        relations = [Relation(f"{x} = {value}", x - value, True) for x, value in phase.end.items()]
-        for relation in (*relations, *relations_of(phase.end_conditions)):
+        relations = [Relation(f"{x} = {value}", x - value, True) for x, value in getattr(phase, "end", {}).items()]
+        for relation in (*relations, *relations_of(getattr(phase, "end_conditions", ()))):
             yield _closest_number(f"{relation.name} at switch {switch}", relation.expression, before, found)
         # The first interval after the switch begins with the values after the jump.
         momenta = author.momenta(author.phases[switch], after, instant) if author.rates else {}
@@ -659,7 +654,7 @@ def _closest_limit(found: Sequence[list[float]], expected: float) -> list[float]
 
 def _inner_items(author: Author, sample: Sample, motion: Path) -> Iterator[Item]:
     """Yield the inner times that the author fixes, and the conditions at all inner times."""
-    record, at, groups = author.record, getattr(author.first, "at", {}), list[Any]()
+    record, at, groups = author.record, getattr(author.first, "at", {}), list[Relations]()
     times = node_times(author, sample.grid, 0)
     for index, instant in enumerate(sorted(at, key=lambda instant: float(value_at(instant, author.constants)))):
         expected, found = float(value_at(instant, author.constants)), float(times[sample.grid.inner[index]])
@@ -684,7 +679,7 @@ def _simulation(author: Author) -> Iterator[Finding]:
     duration = number_item("T", author.durations[0], grid.h * grid.steps)
     yield from _verdict("duration", [duration, number_item("number of steps", phase.steps, author.record.steps)])
     numbers = author.constants
-    start: dict[sympy.Symbol, Any] = {**numbers, author.time: np.zeros(1)}
+    start: dict[sympy.Symbol, float | Array] = {**numbers, author.time: np.zeros(1)}
     start |= {s: np.array([float(value_at(value, numbers))]) for s, value in phase.start.items()}
     start |= {v: np.zeros(1) for v in author.rates if author.is_linear}
     momenta = author.rates if author.is_hamiltonian else [f"p_{q}" for q in author.coordinates if author.has_momenta]
@@ -695,9 +690,9 @@ def _simulation(author: Author) -> Iterator[Finding]:
     motions, energies, written, generator = list[Item](), list[Item](), list[Item](), np.random.default_rng(5)
     moving = [*author.coordinates, *author.rates]
     for _ in range(3):
-        values: dict[sympy.Symbol, Any] = dict(start)
+        values: dict[sympy.Symbol, float | Array] = dict(start)
         for s in moving:
-            size = abs(start[s]) + 0.1
+            size = np.abs(start[s]) + 0.1
             values[s] = start[s] + 0.2 * size * generator.uniform(-1.0, 1.0)
         t = generator.uniform(0.0, author.durations[0], 1)
         values[author.time] = t
@@ -711,18 +706,18 @@ def _simulation(author: Author) -> Iterator[Finding]:
         for name, rate, size, (limit, error) in zip(labels, rates, sizes, limits, strict=True):
             motions.append(Item(str(name), float(rate), limit, LIMIT * size, error))
         if author.rates and (energy := getattr(module, "energy", None)) is not None:
-            exact, size = _energy(author, values, t)
+            exact, moduli = _energy(author, values, t)
             parameters = module.make_grid(1, **arguments).parameters
-            energies.append(Item("H", exact, float(energy(state, float(t[0]), parameters)), 1e-10 * size))
+            energies.append(Item("H", exact, float(energy(state, float(t[0]), parameters)), 1e-10 * moduli))
         written.extend(_events(author, values, state, float(t[0])))
     yield from _verdict("equations of motion", motions)
     yield from _verdict("energy", energies)
     yield from _verdict("events and gaps", written)
 
 
-def _events(author: Author, values: dict[sympy.Symbol, Any], state: Array, t: float) -> Iterator[Item]:
+def _events(author: Author, values: dict[sympy.Symbol, float | Array], state: Array, t: float) -> Iterator[Item]:
     """Yield values of events and gaps, restitutions, and states after events, as written and in the module."""
-    phase: Any = author.first
+    phase = author.first
     events = {name: e if isinstance(e, Event) else Event(e) for name, e in getattr(phase, "events", {}).items()}
     gaps = relations_of(getattr(phase, "unilateral", ()))
     if not events and not gaps:
@@ -730,7 +725,7 @@ def _events(author: Author, values: dict[sympy.Symbol, Any], state: Array, t: fl
     at, module = np.array([t]), author.module
     parameters = module.make_grid(1, **author.arguments).parameters
 
-    def number(expression: Any) -> float:
+    def number(expression: Expression) -> float:
         return float(values_along(expression, values, at)[0])
 
     expressions = {**{name: e.expression for name, e in events.items()}, **{gap.name: -gap.expression for gap in gaps}}
@@ -748,12 +743,13 @@ def _events(author: Author, values: dict[sympy.Symbol, Any], state: Array, t: fl
     normals = np.empty((len(gaps), 3 + state.size))
     if gaps:
         module.gap_normals(state, t, parameters, normals)
-    given = phase.restitution if isinstance(phase.restitution, (list, tuple)) else [phase.restitution] * len(gaps)
+    given = getattr(phase, "restitution", 1)
+    given = given if isinstance(given, (list, tuple)) else [given] * len(gaps)
     for gap, restitution, row in zip(gaps, given, normals, strict=True):
         yield number_item(f"restitution of {gap.name}", number(restitution), float(row[1]))
 
 
-def _constrained(author: Author, values: dict[sympy.Symbol, Any], t: Array) -> Array:
+def _constrained(author: Author, values: dict[sympy.Symbol, float | Array], t: Array) -> Array:
     """Move coordinates and velocities onto the constraints; return the free directions (rows, state).
 
     The rows of the result are all directions of coordinates, then an orthonormal basis of the momenta without forces
@@ -764,7 +760,7 @@ def _constrained(author: Author, values: dict[sympy.Symbol, Any], t: Array) -> A
     if not constraints and not rolling:
         return np.eye(2 * size if author.has_momenta else size)
 
-    def numbers(expressions: Iterable[Any]) -> Array:
+    def numbers(expressions: Iterable[Expression]) -> Array:
         return np.array([values_along(e, values, t)[0] for e in expressions])
 
     written = [relation.expression for relation in constraints]
@@ -826,12 +822,12 @@ def _state(author: Author, values: Values) -> Array:
 
 def _rates(author: Author, values: Values, t: Array) -> list[list[float]]:
     """Return the terms of the derivative of each entry of the state."""
-    phase: Any = author.first
+    phase = author.first
 
-    def number(expression: Any) -> float:
+    def number(expression: Expression) -> float:
         return float(values_along(expression, values, t)[0])
 
-    if author.is_first_order:
+    if phase.dynamics is not None:
         return [[number(phase.dynamics[x])] for x in author.coordinates]
     if author.is_linear:
         return _determined_velocities(author, number)
@@ -841,14 +837,16 @@ def _rates(author: Author, values: Values, t: Array) -> list[list[float]]:
     return rates + forces
 
 
-def _determined_velocities(author: Author, number: Callable[[Any], float]) -> list[list[float]]:
+def _determined_velocities(author: Author, number: Callable[[Expression], float]) -> list[list[float]]:
     """Return the terms of the velocities by sympy's Euler-Lagrange equations, which are linear in the velocities."""
     phase, clock = author.first, sympy.Dummy("t")
     motions = [sympy.Function(f"motion_{q}")(clock) for q in author.coordinates]
     moving = dict(zip(author.coordinates, motions, strict=True)) | {author.time: clock}
     moving |= {v: motion.diff(clock) for v, motion in zip(author.rates, motions, strict=True)}
     written = euler_equations(sympy.sympify(phase.lagrangian).xreplace(moving), motions, [clock])
-    back: list[dict[Any, Any]] = [{motion.diff(clock): v for v, motion in zip(author.rates, motions, strict=True)}]
+    back: list[dict[sympy.Expr, sympy.Symbol]] = [
+        {motion.diff(clock): v for v, motion in zip(author.rates, motions, strict=True)}
+    ]
     back.append(dict(zip(motions, author.coordinates, strict=True)) | {clock: author.time})
     balances = [sympy.expand(e.lhs.doit()).xreplace(back[0]).xreplace(back[1]) for e in written]
     balances = [e + phase.force.get(q, 0) for e, q in zip(balances, author.coordinates, strict=True)]

@@ -23,7 +23,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import mpmath
 import numpy as np
@@ -514,7 +513,7 @@ def _number(expression: Expr, at: Mapping[Symbol, float]) -> float:
 _INCREMENT = mpmath.mpf(10) ** -40
 _POINTS = 3
 _LENGTH, _TIME = mpmath.mpf("0.1"), mpmath.mpf("0.3")  # the step length h and the time at the left node
-Node = Mapping[Symbol, Any]  # the numbers of all coordinates at a node
+Node = Mapping[Symbol, mpmath.mpf]  # the numbers of all coordinates at a node
 Quaternion = tuple[Symbol, ...]
 
 
@@ -535,7 +534,7 @@ def check_rotating_momenta(context: Context, program: StepProgram) -> Iterator[F
         with mpmath.workdps(DIGITS):
             left, right = _random_nodes(model, generator)
             # With all momenta zero, the equations are the negative momenta of the discrete action.
-            at: dict[Symbol, Any] = dict.fromkeys(symbols, mpmath.mpf(0))
+            at: dict[Symbol, mpmath.mpf] = dict.fromkeys(symbols, mpmath.mpf(0))
             at |= dict(zip(program.left_symbols, left.values(), strict=False))
             at |= dict(zip(program.right_symbols, right.values(), strict=False))
             # Forces of rolling constraints follow the rates, and are zero like the momenta.
@@ -551,7 +550,7 @@ def check_rotating_momenta(context: Context, program: StepProgram) -> Iterator[F
 def _random_nodes(model: Model, generator: np.random.Generator) -> tuple[Node, Node]:
     """Return two near nodes, whose quaternions have length one."""
     first, second = ([mpmath.mpf(float(x)) for x in generator.uniform(-1, 1, len(model.coordinates))] for _ in "01")
-    left: dict[Symbol, Any] = dict(zip(model.coordinates, first, strict=True))
+    left: dict[Symbol, mpmath.mpf] = dict(zip(model.coordinates, first, strict=True))
     right = {q: x + y / 4 for (q, x), y in zip(left.items(), second, strict=True)}
     for side in (left, right):
         for quaternion in model.rotations:
@@ -559,18 +558,18 @@ def _random_nodes(model: Model, generator: np.random.Generator) -> tuple[Node, N
     return left, right
 
 
-def _unit(vector: Sequence[Any]) -> list[Any]:
+def _unit(vector: Sequence[mpmath.mpf]) -> list[mpmath.mpf]:
     length = mpmath.sqrt(sum(part**2 for part in vector))
     return [part / length for part in vector]
 
 
-def _turn(quaternion: Quaternion, left: Node, right: Node) -> list[Any]:
+def _turn(quaternion: Quaternion, left: Node, right: Node) -> list[mpmath.mpf]:
     """Return b, tan(angle/4) times the axis of the rotation from the left to the right node."""
     c = product(conjugate([left[q] for q in quaternion]), [right[q] for q in quaternion])
     return [part / (1 + c[0]) for part in c[1:]]
 
 
-def _slope(function: Callable[[Any], Any]) -> Any:
+def _slope(function: Callable[[mpmath.mpf], mpmath.mpf]) -> mpmath.mpf:
     return (function(_INCREMENT) - function(-_INCREMENT)) / (2 * _INCREMENT)
 
 
@@ -585,13 +584,13 @@ class _Action:
         symbols = [*model.coordinates, *model.rates, model.time, *model.parameters]
         self.lagrangian = function_of(symbols, [model.function])
 
-    def rates(self, left: Node, right: Node) -> list[Any]:
+    def rates(self, left: Node, right: Node) -> list[mpmath.mpf]:
         """Return the velocities of positions and the angular velocities of a step."""
         velocities = [(right[x] - left[x]) / _LENGTH for x in self.places]
         turns = (part for quaternion in self.model.rotations for part in _turn(quaternion, left, right))
         return [*velocities, *(4 * part / _LENGTH for part in turns)]
 
-    def of(self, left: Node, right: Node) -> Any:
+    def of(self, left: Node, right: Node) -> mpmath.mpf:
         """Return the discrete Lagrangian."""
         total = mpmath.mpf(0)
         for point in self.rule.points:
@@ -610,7 +609,7 @@ class _Action:
             total += weight * self.lagrangian(*state, _TIME + c * _LENGTH, *self.parameters)[0]
         return total
 
-    def momenta(self, left: Node, right: Node, stages: Sequence[Symbol]) -> Iterator[tuple[str, Any]]:
+    def momenta(self, left: Node, right: Node, stages: Sequence[Symbol]) -> Iterator[tuple[str, mpmath.mpf]]:
         """Yield the names of the equations for momenta, and the negative momenta."""
         for x in self.places:
             yield f"left momentum of {x}", _slope(partial(self._shifted, (left, right), 0, x))
@@ -625,11 +624,13 @@ class _Action:
             momentum = product([right[q] for q in quaternion], (0, *last))
             yield from ((f"right momentum of {q}", -2 * p) for q, p in zip(quaternion, momentum, strict=True))
 
-    def _shifted(self, nodes: tuple[Node, Node], end: int, x: Symbol, size: Any) -> Any:
+    def _shifted(self, nodes: tuple[Node, Node], end: int, x: Symbol, size: mpmath.mpf) -> mpmath.mpf:
         moved = {**nodes[end], x: nodes[end][x] + size}
         return self.of(*(moved if i == end else node for i, node in enumerate(nodes)))
 
-    def _turned(self, nodes: tuple[Node, Node], end: int, quaternion: Quaternion, axis: int, angle: Any) -> Any:
+    def _turned(
+        self, nodes: tuple[Node, Node], end: int, quaternion: Quaternion, axis: int, angle: mpmath.mpf
+    ) -> mpmath.mpf:
         """Return the discrete Lagrangian after a small turn of one end about an axis of the body."""
         change = [mpmath.mpf(i == axis) * angle / 2 for i in range(3)]
         turned = _unit(product([nodes[end][q] for q in quaternion], (1, *change)))

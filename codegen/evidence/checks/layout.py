@@ -478,18 +478,18 @@ def _step_problems(module: ModuleType, program: StepProgram) -> Iterator[str]:
     yield from _run(module, "complete_step", (y, *base), interval=(whole,))
 
 
-def _in_python(module: ModuleType, kernel: Any) -> Callable[..., Any]:
+def _in_python(module: ModuleType, kernel: object) -> Callable[..., object]:
     """Return a kernel as a function of plain Python, which calls other kernels in plain Python too.
 
     After a solve, kernels that only compiled functions call have no machine code that Python could call.
     """
 
-    def plain(value: Any) -> Any:
+    def plain(value: object) -> Any:
         return getattr(value, "py_func", getattr(value, "function", value))
 
     function = plain(kernel)
     if not isinstance(function, FunctionType):
-        return cast("Callable[..., Any]", function)
+        return cast("Callable[..., object]", function)
     kernels = {name: plain(each) for name, each in vars(module).items() if name.endswith(("_gradient", "_hessian"))}
     return FunctionType(function.__code__, {**function.__globals__, **kernels}, argdefs=function.__defaults__)
 

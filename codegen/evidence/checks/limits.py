@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import sympy
@@ -18,7 +17,9 @@ import sympy
 from codegen.evidence.checks.author import Array, Author, Path, Values, relations_of
 from codegen.identifiers import plain
 from codegen.problem import symbols
+from codegen.problem.problem import Control, Simulate
 from codegen.runtime.record import Kind, Method
+from codegen.solving.loading import Grid
 
 LIMIT = 1e-6  # largest difference of a limit, relative to the sum of the moduli of the author's terms
 UNSURE = 3e-4  # largest error of an extrapolated limit, in the same unit, at which the limit counts as measured
@@ -111,7 +112,7 @@ def quadrature(begin: float, length: float) -> tuple[Array, Array]:
     return (edges[:, None] + width * (x + 1) / 2).ravel(), np.tile(w * width / 2, PANELS)
 
 
-def grid_of(author: Author, steps: int, as_written: bool = False) -> Any:
+def grid_of(author: Author, steps: int, as_written: bool = False) -> Grid:
     """Return the module's time grid with random parameters. Inner times and measured times are nodes of all grids.
 
     The interpolation of measured values inside an interval has an error that is no smooth function of 1/N.
@@ -119,19 +120,21 @@ def grid_of(author: Author, steps: int, as_written: bool = False) -> Any:
     Prescribed boundary values are those of the random motions, or follow from the parameters `as_written`.
     """
     module, arguments = author.module, author.arguments if as_written else {**author.arguments, **author.moved_ends()}
-    measured = author.measured_times
-    if not author.record.inner_times and not measured.size:
-        return module.make_grid(steps, **arguments)
-    nodes = module.make_grid(author.levels[0], **arguments).nodes / author.levels[0]
-    fractions = measured / author.durations[0]
+    measured, first = author.measured_times, author.levels[0]
+    is_given = bool(author.record.inner_times or measured.size)
+    grid: Grid = module.make_grid(first if is_given else steps, **arguments)
+    if not is_given:
+        return grid
+    nodes, fractions = grid.nodes / first, measured / author.durations[0]
     apart = np.abs(fractions[:, None] - nodes).min(axis=1) > ROUNDING
     lengths = np.diff(np.union1d(nodes, fractions[apart]))
-    for _ in range(int(math.log2(steps // author.levels[0]))):
+    for _ in range(int(math.log2(steps // first))):
         lengths = np.repeat(lengths / 2, 2)
-    return module.make_grid(grid=lengths, **arguments)
+    grid = module.make_grid(grid=lengths, **arguments)
+    return grid
 
 
-def node_times(author: Author, grid: Any, phase: int) -> Array:
+def node_times(author: Author, grid: Grid, phase: int) -> Array:
     """Return the times of the nodes of a phase."""
     size = grid.steps // len(author.phases)
     fractions = (grid.nodes[phase * size : (phase + 1) * size + 1] - phase * size) / size
@@ -148,7 +151,7 @@ def body_label(author: Author, body: int) -> str:
     return f" of body {body}" if author.record.bodies > 1 else ""
 
 
-def free_mask(grid: Any) -> Array:
+def free_mask(grid: Grid) -> Array:
     """Return ones for the unknowns that are free, and zeros for others."""
     mask = np.zeros(grid.is_multiplier.size)
     module = grid.problem.structure
@@ -157,7 +160,7 @@ def free_mask(grid: Any) -> Array:
     return mask
 
 
-def fill_linking(author: Author, grid: Any, unknowns: Array, ends: Mapping[str, float] = {}) -> None:
+def fill_linking(author: Author, grid: Grid, unknowns: Array, ends: Mapping[str, float] = {}) -> None:
     """Set the free parameters among the linking variables, and the values at an end of the names in `ends`."""
     first = unknowns.size - grid.problem.structure.root
     for index, name in enumerate(author.record.shared):
@@ -172,7 +175,7 @@ def fill_linking(author: Author, grid: Any, unknowns: Array, ends: Mapping[str, 
 class Sample:
     """The module along a motion on one grid: residuals of nodes, intervals and linking variables, and the cost."""
 
-    grid: Any
+    grid: Grid
     unknowns: Array
     nodes: Array
     intervals: Array
@@ -238,7 +241,7 @@ def trial_force(author: Author, number: int, t: Array) -> Array:
     return 1.0 + 0.5 * number - (1.0 + number) * t / sum(author.durations)
 
 
-def normals_of(phase: Any, coordinates: Sequence[Any]) -> list[list[Any]]:
+def normals_of(phase: Control | Simulate, coordinates: Sequence[sympy.Symbol]) -> list[list[sympy.Expr]]:
     """Return the row of each constraint along which its force acts: dc/dq, then A of rolling constraints A v + b."""
     holonomic = [relation.expression for relation in relations_of(getattr(phase, "constraint", ()))]
     rolling = [relation.expression for relation in relations_of(getattr(phase, "rolling", ()))]
@@ -246,7 +249,7 @@ def normals_of(phase: Any, coordinates: Sequence[Any]) -> list[list[Any]]:
     return rows + [[sympy.diff(c, q.partner) for q in coordinates] for c in rolling]
 
 
-def _value(author: Author, name: str, values: Values, momenta: Mapping[str, Array]) -> Any:
+def _value(author: Author, name: str, values: Values, momenta: Mapping[str, Array]) -> float | Array | None:
     """Return the value of an unknown of the module along a motion; None if it is no quantity of the motion."""
     if plain(name) in momenta and author.record.method != Method.VARIATIONAL:
         return momenta[plain(name)]
@@ -254,7 +257,7 @@ def _value(author: Author, name: str, values: Values, momenta: Mapping[str, Arra
     return values.get(symbol) if isinstance(symbol, symbols.Moving) else None
 
 
-def _solve_stages(author: Author, grid: Any, unknowns: Array) -> None:
+def _solve_stages(author: Author, grid: Grid, unknowns: Array) -> None:
     """Solve the equations of inner stages for the stages, by Newton's method with differences.
 
     An equation of an interval depends on the stages of the same interval alone. So one difference serves all intervals.

@@ -86,12 +86,23 @@ def sections(settings: Settings, store: Store) -> list[Section]:
         "Figure 5.1: landmarks (× start, • end) and the curved paths from which iterations start.",
         svg(figures.landmarks, settings),
     )
+    texts = []
+    for count in settings.counts:
+        midpoint, euler = (_stepping(store, scheme, count, 100) for scheme in ("midpoint", "explicit-euler"))
+        if midpoint is not None and euler is not None:
+            ratio = number(midpoint["seconds"] / euler["seconds"], 2)
+            texts.append(f"nc = {count}, N = 100: midpoint stepping takes {ratio} times as long as explicit Euler.")
+    picture = Picture(
+        "Figures 5.14–5.16: stepping by explicit Euler, by the midpoint rule, and by scipy's LSODA, whose "
+        "own steps do not depend on N.",
+        svg(figures.best_of_each, settings, store),
+    )
     return [
         Section("Control points and initial paths", (text,), (), (points,)),
         _routes(settings, store, "explicit-euler", "5.1 Explicit Euler", "5.2–5.4", "5.5–5.7"),
         _eulers(settings, store),
         _routes(settings, store, "midpoint", "5.2 Midpoint rule", "5.8–5.10", "5.11–5.13"),
-        _best(settings, store),
+        Section("5.3 The best of each", tuple(texts), (), (picture,)),
         _forty(store),
         _tolerances(store),
         *([] if settings.quick else question_sections(settings, store)),
@@ -222,21 +233,6 @@ def _time_or_reach(values: dict[int, Values], steps: int) -> str:
         return "not run"
     last = max(values)
     return f"N ≤ {last}: {seconds(values[last]['seconds'])}"
-
-
-def _best(settings: Settings, store: Store) -> Section:
-    texts = []
-    for count in settings.counts:
-        midpoint, euler = (_stepping(store, scheme, count, 100) for scheme in ("midpoint", "explicit-euler"))
-        if midpoint is not None and euler is not None:
-            ratio = number(midpoint["seconds"] / euler["seconds"], 2)
-            texts.append(f"nc = {count}, N = 100: midpoint stepping takes {ratio} times as long as explicit Euler.")
-    picture = Picture(
-        "Figures 5.14–5.16: stepping by explicit Euler, by the midpoint rule, and by scipy's LSODA, whose "
-        "own steps do not depend on N.",
-        svg(figures.best_of_each, settings, store),
-    )
-    return Section("5.3 The best of each", tuple(texts), (), (picture,))
 
 
 def _forty(store: Store) -> Section:

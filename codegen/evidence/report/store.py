@@ -84,7 +84,7 @@ class Store:
         return text.getvalue()
 
 
-def _entries(quantity: str, value: Any) -> Iterator[tuple[str, Any]]:
+def _entries(quantity: str, value: object) -> Iterator[tuple[str, object]]:
     if isinstance(value, dict):
         for name, entry in value.items():
             yield from _entries(f"{quantity}.{name}", entry)
@@ -95,7 +95,7 @@ def _entries(quantity: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield quantity, "" if value is None else value
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Return a value in the types of JSON: arrays become lists, and numbers that are not finite become null."""
     if hasattr(value, "tolist"):
         value = value.tolist()

@@ -207,7 +207,19 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
     if not run.residual <= run.tolerance:
         return "false solved", f"off the equations' solution by {run.residual:.1e}, beyond {run.tolerance:.1e}"
     if case.truth is not None:
-        return _of_own_problem(case, run)
+        if case.guesses:
+            text = f"of {case.guesses} guesses, {run.failures} fail and {run.others} lead to other local optima"
+            if run.error < 0.0:
+                return "unsuitable", f"{text}; the cost of one is lower by {-run.error:.1e}: the optimum is only local"
+            return ("accurate" if run.error <= case.bound else "unsuitable"), text
+        drift = "" if math.isnan(run.drift) else f"; invariants change by {run.drift:.1e}"
+        announced = "" if math.isnan(run.announced) else f"; the result announces {run.announced:.1e}"
+        promise = promised_error(case, run)
+        if math.isfinite(promise):
+            text = f"error {run.error:.1e}, promised {promise:.1e}{announced}{drift}"
+            return ("accurate" if run.error <= promise else "unsuitable"), text
+        is_bounded = run.error <= TWICE and not run.drift > case.drift
+        return ("bounded" if is_bounded else "unsuitable"), f"error {run.error:.1e}{drift}"
     if run.textbook > TEXTBOOK:
         return "false solved", f"the textbook's equations are off by {run.textbook:.1e} rounding errors"
     if math.isfinite(case.bound):
@@ -233,23 +245,6 @@ def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
 def promised_error(case: Case, run: Measurement) -> float:
     """Return the error that theory or the result itself promises, or NaN without a promise."""
     return HONEST * run.announced + 1e-8 if case.reference == "refined" else case.bound
-
-
-def _of_own_problem(case: Case, run: Measurement) -> tuple[str, str]:
-    """Return the outcome and the finding of a solved case of a user's own problem."""
-    if case.guesses:
-        text = f"of {case.guesses} guesses, {run.failures} fail and {run.others} lead to other local optima"
-        if run.error < 0.0:
-            return "unsuitable", f"{text}; the cost of one is lower by {-run.error:.1e}: the optimum is only local"
-        return ("accurate" if run.error <= case.bound else "unsuitable"), text
-    drift = "" if math.isnan(run.drift) else f"; invariants change by {run.drift:.1e}"
-    announced = "" if math.isnan(run.announced) else f"; the result announces {run.announced:.1e}"
-    promise = promised_error(case, run)
-    if math.isfinite(promise):
-        text = f"error {run.error:.1e}, promised {promise:.1e}{announced}{drift}"
-        return ("accurate" if run.error <= promise else "unsuitable"), text
-    is_bounded = run.error <= TWICE and not run.drift > case.drift
-    return ("bounded" if is_bounded else "unsuitable"), f"error {run.error:.1e}{drift}"
 
 
 def _stability(case: Case, run: Measurement) -> str:

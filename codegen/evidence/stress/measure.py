@@ -19,12 +19,12 @@ from scipy.linalg import expm
 from codegen.discretise.schemes import find
 from codegen.discretise.schemes.base import FIRST_ORDER
 from codegen.evidence.stress import systems
-from codegen.evidence.stress.cases import EXPECTATIONS, Case, Measurement, Truth, Values
+from codegen.evidence.stress.cases import EXPECTATIONS, Case, Measurement, Values
 from codegen.evidence.stress.motions import registered
 from codegen.evidence.stress.own import largest_stable
 from codegen.problem.points import PointSet
 from codegen.solving import api
-from codegen.solving.loading import Grid, Vector
+from codegen.solving.loading import GeneratedModule, Grid, Vector
 from codegen.solving.results.result import Result
 from codegen.solving.tasks import task_of
 
@@ -42,7 +42,7 @@ def measure(module: ModuleType, case: Case) -> Measurement:
         half = table.shape[1] // 2
         points = PointSet(table[:, :half], table[:, half:], np.zeros(len(table)))
 
-    def solve(tried: Any, steps: int, every: int = case.every) -> Result:
+    def solve(tried: GeneratedModule, steps: int, every: int = case.every) -> Result:
         known: dict[str, Any] = {"every": every, "doublings": case.doublings}
         options = {name: value for name, value in known.items() if name in task_of(module).options}
         return api.solve(tried, case.driver, points=points, steps=steps, **options)
@@ -143,8 +143,15 @@ def _drift(case: Case, result: Result, keeps_energy: bool) -> float:
         return math.nan
     energy = np.asarray(result.energy, dtype=float)
     scale = abs(float(energy[0]))
-    if case.truth is not None:
-        return _own_drift(case.truth, result, energy)
+    if case.truth is not None:  # the energy is relative to its parts, and momenta may be constant
+        if case.truth.sizes.size == 0:
+            return math.nan
+        states = np.hstack([result.q, result.p])
+        changes = [np.abs(states - states[0])[:, case.truth.conserved] / case.truth.sizes[case.truth.conserved]]
+        if case.truth.energy > 0.0:
+            changes.append(np.abs(energy - energy[0])[:, None] / case.truth.energy)
+        largest = max((float(change.max()) for change in changes if change.size), default=math.nan)
+        return largest if np.isfinite(states).all() else math.inf
     values = _parameters(case)
     match case.setup.problem:
         case "pendulum_chain":
@@ -156,18 +163,6 @@ def _drift(case: Case, result: Result, keeps_energy: bool) -> float:
     if keeps_energy and not np.isfinite(energy).all():
         return math.inf
     return float(np.abs(energy - energy[0]).max() / scale) if scale > 0.0 else math.nan
-
-
-def _own_drift(truth: Truth, result: Result, energy: Vector) -> float:
-    """Return the largest change of an invariant: the energy relative to its parts, and constant momenta."""
-    if truth.sizes.size == 0:
-        return math.nan
-    states = np.hstack([result.q, result.p])
-    changes = [np.abs(states - states[0])[:, truth.conserved] / truth.sizes[truth.conserved]]
-    if truth.energy > 0.0:
-        changes.append(np.abs(energy - energy[0])[:, None] / truth.energy)
-    largest = max((float(change.max()) for change in changes if change.size), default=math.nan)
-    return largest if np.isfinite(states).all() else math.inf
 
 
 def _parameters(case: Case) -> dict[str, Any]:

@@ -84,7 +84,7 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
         assert is_simulation(field)
         return motion_cases(field, candidates)
     own = default.metadata.method
-    pairs = [(own, default.metadata.scheme)]
+    pairs: list[tuple[str, str]] = [(own, default.metadata.scheme)]
     for name in CONTROL_SCHEMES:
         pairs.append((FIRST_ORDER if first else own if name in METHODS[own] else "hamiltonian", name))
     named = dict.fromkeys(pairs)

@@ -18,7 +18,7 @@ from functools import partial
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 from urllib.parse import quote, urlsplit
 
 from tornado.httpserver import HTTPServer
@@ -342,7 +342,7 @@ async def _aside(job: Callable[[], T]) -> T:
 def listen(works: Works, sockets: Sequence[socket.socket], port: int, ancestors: Sequence[str] = ()) -> HTTPServer:
     """Return a running server of works on `sockets`, bound to `port`; pages of the origins `ancestors` may frame it."""
     work = r"/work/([0-9a-f]{32})"
-    routes: list[Any] = [
+    routes: list[tuple[str, type[RequestHandler]] | tuple[str, type[RequestHandler], dict[str, object]]] = [
         (rf"/(|{'|'.join(_ASSETS)})", Asset),
         (rf"{work}/tile/([0-9a-f]{{64}})/(\d{{1,2}})/(\d{{1,4}})/(\d{{1,4}})", Tile),
         (rf"{work}/image/(moving|fixed|alone)", OpenImage),

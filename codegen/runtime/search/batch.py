@@ -10,7 +10,7 @@ otherwise be compiled a second time as part of this function.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import config, njit, types
@@ -160,7 +160,7 @@ class Space(NamedTuple):
         Space for all b finite bounds.
     """
 
-    system: tuple[Any, ...]
+    system: tuple[object, ...]
     reals: np.ndarray
     integers: np.ndarray
     vectors: np.ndarray

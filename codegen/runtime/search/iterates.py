@@ -5,7 +5,7 @@ starts call the functions of this module.
 """
 
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -144,7 +144,7 @@ class Search(NamedTuple):
     bounds: Bounds
     system: System
     work: Workspace
-    arguments: tuple[tuple[Any, ...], ...]
+    arguments: tuple[tuple[object, ...], ...]
     least: float = LEAST_RELAXED
     relaxation: Relaxation | None = None
 

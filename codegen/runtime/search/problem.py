@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numba import config
@@ -87,11 +86,11 @@ class DataDerivatives:
     end_rows: np.ndarray
     end_columns: np.ndarray
     loop: Loop
-    rates: Callable[..., Any]
-    pins: Callable[..., Any]
-    durations: Callable[..., Any]
-    bounds: Callable[..., Any] | None = None
-    bounding: Any = ()
+    rates: Callable[..., tuple[np.ndarray, np.ndarray]]
+    pins: Callable[..., np.ndarray]
+    durations: Callable[..., np.ndarray]
+    bounds: Callable[..., tuple[np.ndarray, np.ndarray]] | None = None
+    bounding: np.ndarray | tuple[int, ...] = ()
     clock: int | None = None
 
     def tables(self, structure):
@@ -185,15 +184,15 @@ class ControlProblem:
     gradient: Loop
     hessians: Loop
     parts: Loop
-    duration_of: Callable[..., Any]
-    initial_guess: Callable[..., Any]
-    pin_values: Callable[..., Any]
-    unpack: Callable[..., Any]
-    variable_bounds: Callable[..., Any] | None = None
-    phase_durations: Callable[..., Any] | None = None
+    duration_of: Callable[..., float]
+    initial_guess: Callable[..., np.ndarray]
+    pin_values: Callable[..., None]
+    unpack: Callable[..., tuple[np.ndarray, ...]]
+    variable_bounds: Callable[..., tuple[np.ndarray, np.ndarray]] | None = None
+    phase_durations: Callable[..., np.ndarray] | None = None
     inputs: Loop | None = None
     data: DataDerivatives | None = None
-    ranges: Any = ()
+    ranges: np.ndarray | tuple[int, ...] = ()
     range_names: tuple[str, ...] = ()
     tables: Mapping[str, np.ndarray] = field(default_factory=dict)
     observations: tuple[np.ndarray, ...] = ()

@@ -6,7 +6,7 @@ method fails, the length of the step grows from zero, and each solution is the i
 Source: Allgower and Georg (2003), Introduction to numerical continuation methods, chapter 2.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import carray, njit
@@ -25,7 +25,7 @@ TABLE_MARGIN = 1e-8  # an input may exceed the range of a table by this rounding
 
 EQUAL = np.empty((0, 2))  # the spans of equal steps
 
-INLINED: Any = njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)
+INLINED = njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)
 
 
 class Scheme(NamedTuple):

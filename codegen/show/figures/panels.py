@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -54,12 +53,12 @@ def quantity(axes: Axes, shown: Quantity, second: Quantity | None = None) -> Non
     colours = body_colours(shown.values.shape[1], KINDS[shown.kind])
     width = 1.6 if single else 1.2
     for values, colour in zip(shown.values.T, colours, strict=True):
-        _line(axes, shown, values, color=colour, linewidth=width)
+        _line(axes, shown, values, {"color": colour, "linewidth": width})
     if second is not None:
         for values, colour in zip(second.values.T, colours, strict=True):
-            _line(axes, second, values, color=colour, linewidth=width, linestyle=_DASHED)
+            _line(axes, second, values, {"color": colour, "linewidth": width, "linestyle": _DASHED})
     if shown.guess is not None and single:
-        _line(axes, shown, shown.guess[:, 0], **_GUESS)
+        _line(axes, shown, shown.guess[:, 0], _GUESS)
     if shown.kind == "state":
         for values, colour in zip(shown.values.T, colours, strict=True):
             axes.plot(shown.t[[0, -1]], values[[0, -1]], "o", color=colour, markersize=3.5)
@@ -189,7 +188,7 @@ def handles(
     return out + ([Line2D([], [], label=active, **_ACTIVE)] if any(one.active().any() for one in limited) else [])
 
 
-def _line(axes: Axes, shown: Quantity, values: Vector, **style: Any) -> None:
+def _line(axes: Axes, shown: Quantity, values: Vector, style: Look) -> None:
     """Draw lines through the nodes with gaps at jumps, or a step for every interval."""
     if shown.on_intervals:
         axes.stairs(values, shown.t, baseline=None, **style)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,6 +20,10 @@ from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, DARK, GREY, RED, 
 from codegen.show.figures.quantities import angular_velocities, in_unit, label, set_title, title
 from codegen.solving.loading import ConnectModule
 from codegen.solving.results.result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.typing import HashableList
+
 
 _MOST_COORDINATES = 12
 _MOST_IN_A_COLUMN = 4
@@ -103,7 +107,21 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
         portrait.margins(0.08)
         panels.say_if_conserved(portrait, p)
     if result.energy is not None:
-        _draw_energy(curves.add_subplot(grid[rows, :]), result, stride, units)
+        axes = curves.add_subplot(grid[rows, :])
+        assert result.energy is not None, "a mechanical system has energies"
+        energy, t = result.energy, result.t[::stride]
+        is_conserved = "energy_drift" in result.summary
+        axes.plot(t, (energy - energy[0] if is_conserved else energy)[::stride], color=RED, linewidth=1.2)
+        axes.set_xlabel(in_unit("time", units["t"]))
+        axes.set_ylabel(in_unit("change of energy" if is_conserved else "energy", units.get("energy", "")))
+        axes.margins(x=0.01)
+        finite = energy[np.isfinite(energy)]
+        size = float(np.abs(finite).max(initial=0.0))
+        drift = float(np.ptp(finite)) if finite.size else 0.0
+        if is_conserved and finite.size == energy.size and drift <= _ROUNDING * size:
+            if size:
+                axes.set_ylim(-1e-9 * size, 1e-9 * size)
+            axes.set_title(panels.conserved_to(drift), loc="right")
     more = len(names) - shown
     title(figure, result, [f"{more} further coordinates not shown"] if more > 0 else [])
     if drawing is not None:
@@ -119,24 +137,6 @@ def _draw_events(axes: Axes, result: Result, i: int, is_labelled: bool) -> None:
     stride = max(1, -(-len(events) // _MOST_POINTS))
     at = events.t[::stride], events.after[::stride, i]
     axes.plot(*at, "|", color=CRIMSON, markersize=7, label="event" if is_labelled else None)
-
-
-def _draw_energy(axes: Axes, result: Result, stride: int, units: Mapping[str, str]) -> None:
-    """Draw the change of a conserved energy, otherwise the energy."""
-    assert result.energy is not None, "a mechanical system has energies"
-    energy, t = result.energy, result.t[::stride]
-    is_conserved = "energy_drift" in result.summary
-    axes.plot(t, (energy - energy[0] if is_conserved else energy)[::stride], color=RED, linewidth=1.2)
-    axes.set_xlabel(in_unit("time", units["t"]))
-    axes.set_ylabel(in_unit("change of energy" if is_conserved else "energy", units.get("energy", "")))
-    axes.margins(x=0.01)
-    finite = energy[np.isfinite(energy)]
-    size = float(np.abs(finite).max(initial=0.0))
-    drift = float(np.ptp(finite)) if finite.size else 0.0
-    if is_conserved and finite.size == energy.size and drift <= _ROUNDING * size:
-        if size:
-            axes.set_ylim(-1e-9 * size, 1e-9 * size)
-        axes.set_title(panels.conserved_to(drift), loc="right")
 
 
 def connect_figure(module: ConnectModule, result: Result) -> Figure:
@@ -243,7 +243,7 @@ def closed_loop_figure(loop: Any, references: References) -> Figure:
     return figure
 
 
-def _rows(kind: str, count: int, columns: int, parts: int) -> list[Any]:
+def _rows(kind: str, count: int, columns: int, parts: int) -> list[HashableList[str]]:
     """Return rows of panel names for `subplot_mosaic`: `columns` panels in a row of `parts` cells."""
     names = [*(f"{kind} {i}" for i in range(count)), *["."] * (-count % columns)]
     rows = [names[first : first + columns] for first in range(0, count, columns)]

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -45,6 +45,7 @@ from codegen.show.figures.picture import (
 from codegen.show.figures.quantities import heading, in_unit, label, quantity, statuses, unit_in
 
 if TYPE_CHECKING:
+    from matplotlib.typing import HashableList
     from xarray import Dataset
 
 Numbers: TypeAlias = NDArray[np.float64]
@@ -135,7 +136,7 @@ def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[Numbers, 
 
 
 def graded(
-    panels: Mapping[str, Axes], groups: Sequence[tuple[str, str]], data: Dataset, dim: str, places: Numbers
+    panels: Mapping[str, Axes], groups: Sequence[tuple[str, str]], data: Dataset, places: Numbers
 ) -> ScalarMappable:
     """Draw trajectories over time, coloured by `places` (cases,); return the mappable for the colour bar."""
     solved = places[statuses(data).ravel() == "solved"]
@@ -385,8 +386,8 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     by = dims[1] if len(dims) > 1 else None
     measures, (groups, _) = measures_of(data), groups_of(data)
     columns = _columns(len(groups))
-    rows: list[Any] = [[f"m{i}"] * columns for i in range(len(measures))]
-    names = [f"g{i}" for i in range(len(groups))] if by is None or data.sizes[by] == 1 else []
+    rows: list[HashableList[str]] = [[f"m{i}"] * columns for i in range(len(measures))]
+    names: HashableList[str] = [f"g{i}" for i in range(len(groups))] if by is None or data.sizes[by] == 1 else []
     names += ["."] * (-len(names) % columns)
     rows += [names[first : first + columns] for first in range(0, len(names), columns)]
     figure = new_figure(max(7.0, 3.6 * columns), 1.1 + 2.9 * len(rows))
@@ -400,7 +401,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
             panels[f"m{i}"].set_xticks(x, words)
     if any(name != "." for name in names):
         flat = data if by is None else data.isel({by: 0})
-        shades = graded(panels, groups, flat.isel({dims[0]: order}), dims[0], x)
+        shades = graded(panels, groups, flat.isel({dims[0]: order}), x)
         bar = figure.colorbar(
             shades, ax=[panels[f"g{i}"] for i in range(len(groups))], label=quantity(dims[0], data), aspect=30
         )
@@ -568,7 +569,7 @@ def _samples(data: Dataset) -> Figure:
     columns = max(3 if len(groups) > 6 else 2, min(4, 1 + len(varied)))
     blocks = [[f"m{i}", *(f"s{i},{j}" for j in range(len(varied)))] for i in range(len(measures))]
     blocks.append([f"g{i}" for i in range(len(groups))])
-    rows: list[Any] = [
+    rows: list[HashableList[str]] = [
         [*block[first : first + columns], *["."] * (columns - len(block[first : first + columns]))]
         for block in blocks for first in range(0, len(block), columns)
     ]  # fmt: skip

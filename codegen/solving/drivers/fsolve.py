@@ -7,7 +7,7 @@ MINPACK-1.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, TypeGuard
+from typing import TypeGuard
 
 import numpy as np
 from scipy.optimize import fsolve
@@ -169,7 +169,7 @@ def _is_stepwise(module: SimulateModule) -> TypeGuard[ImplicitModule]:
     return is_implicit(module)
 
 
-def _verdict(y: Vector, details: Mapping[str, Any], code: int, reason: str) -> tuple[str, str]:
+def _verdict(y: Vector, details: Mapping[str, Vector], code: int, reason: str) -> tuple[str, str]:
     """Return the termination status of fsolve and a message, which is empty for the status "solved".
 
     Slow progress (codes 3 to 5) is accepted if the residual has the size of rounding errors.

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 from time import perf_counter
-from typing import Any
 
 import numpy as np
-from scipy.sparse import tril
+from scipy.sparse import sparray, tril
 
 from codegen.errors import ArgumentError
 from codegen.runtime.search.messages import not_finite
@@ -96,7 +95,7 @@ def _cause(program: NonlinearProgram, code: int, x: Vector, iterations: int) -> 
     return ""
 
 
-def _pattern(matrix: Any) -> tuple[Indices, Indices]:
+def _pattern(matrix: sparray) -> tuple[Indices, Indices]:
     entries = matrix.tocoo()
     return entries.row, entries.col
 
@@ -112,13 +111,13 @@ class _Callbacks:
         self.program, self.iterations, self.late = program, 0, perf_counter() + time_limit
         self.objective, self.gradient, self.constraints = program.cost, program.gradient, program.constraints
 
-    def jacobianstructure(self) -> Any:
+    def jacobianstructure(self) -> tuple[Indices, Indices]:
         return _pattern(self.program.jacobian(self.program.x0))
 
     def jacobian(self, x: Vector) -> Vector:
         return np.asarray(self.program.jacobian(x).data)
 
-    def hessianstructure(self) -> Any:
+    def hessianstructure(self) -> tuple[Indices, Indices]:
         return _pattern(tril(self.program.hessian(self.program.x0)))
 
     def hessian(self, x: Vector, multipliers: Vector, weight: float) -> Vector:

@@ -25,7 +25,7 @@ _MAX_ITERATIONS, _HALVINGS = 60, 10
 """Largest number of Newton steps, and of halvings of each step."""
 
 
-def integrated(module: ConnectModule, case: Case, momenta: Vector, code: str, tolerance: float) -> tuple[Any, int]:
+def integrated(module: ConnectModule, case: Case, momenta: Vector, code: str, tolerance: float) -> tuple[Matrix, int]:
     """Return the states at the nodes (N + 1, 2, n, d), and the number of evaluations of the Hamiltonian field.
 
     `momenta` are the initial momenta, and `code` is the name of an integrator of scipy. The states are NaN if scipy
@@ -111,7 +111,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Call `solve` of the module; return the attempt."""
     warm = run.guess is not None and run.near
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
-    options: dict[str, Any] = {"max_iterations": run.max_iterations, "time_limit": run.time_limit}
+    options: dict[str, object] = {"max_iterations": run.max_iterations, "time_limit": run.time_limit}
     options |= {"watch": run.watch, "scaling": run.scaling}
     options = {name: value for name, value in options.items() if value not in (None, math.inf, "auto")}
     if run.grid is not None:
@@ -152,6 +152,6 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
     )  # fmt: skip
 
 
-def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: Any) -> dict[str, Any]:
+def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: object) -> dict[str, Any]:
     """Return the fields of an attempt that are copied from the return value of `solve` of a module."""
     return {name: getattr(solution, name) for name in _CLAIMED[attempt]}

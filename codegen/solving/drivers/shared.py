@@ -12,13 +12,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
-from scipy.optimize import Bounds, lsq_linear
+from scipy.optimize import Bounds, OptimizeResult, lsq_linear
+from scipy.sparse import csr_array
 
 from codegen.errors import ArgumentError
 from codegen.solving.drivers.quiet import quiet_single_thread
@@ -123,11 +123,11 @@ class ScaledProblem:
         """Return the residuals of the scaled equations."""
         return self.row_scale * self.program.constraints(x)
 
-    def jacobian(self, x: Vector) -> Any:
+    def jacobian(self, x: Vector) -> csr_array:
         """Return the Jacobian of the scaled equations, a sparse matrix."""
         return scipy.sparse.diags_array(self.row_scale) @ self.program.jacobian(x)
 
-    def hessian(self, x: Vector, nu: Vector | None = None, weight: float = 1.0) -> Any:
+    def hessian(self, x: Vector, nu: Vector | None = None, weight: float = 1.0) -> csr_array:
         """Return the sparse Hessian of the scaled Lagrangian, in which the cost is multiplied by `weight`.
 
         Without the multipliers `nu`, the Hessian of the scaled cost is returned.
@@ -169,7 +169,7 @@ class ScaledProblem:
         slope, (lower, upper) = self.stationarity(x, nu), self.program.bounds
         return max_norm(slope * np.clip(np.where(slope > 0.0, x - lower, upper - x), 0.0, 1.0))
 
-    def _balanced(self, jacobian: Any, gradient: Vector, inside: NDArray[np.bool_]) -> Vector:
+    def _balanced(self, jacobian: csr_array, gradient: Vector, inside: NDArray[np.bool_]) -> Vector:
         """Return the multipliers that minimise the stationarity of the unknowns in the mask `inside`.
 
         The least-squares problem is solved by a sparse augmented system.
@@ -192,7 +192,7 @@ DENSE_LIMIT = 3000
 
 
 def minimised(
-    module: ConnectModule, run: Run, driver: str, minimise: Callable[[ConnectModule, Case, Vector], Any]
+    module: ConnectModule, run: Run, driver: str, minimise: Callable[[ConnectModule, Case, Vector], OptimizeResult]
 ) -> ConnectAttempt:
     """Return the motion of particles with the least discrete action, found by an optimiser of scipy.
 
@@ -234,7 +234,7 @@ def largest_error(module: ConnectModule, case: Case, path: Matrix) -> float:
     return max(max_norm(errors.ravel()), max_norm(end))
 
 
-def finite(values: Any) -> Any:
+def finite(values: Vector) -> Vector:
     """Return the values with NaN and infinity replaced by large numbers, which a root finder avoids."""
     return np.nan_to_num(values, nan=1e3, posinf=1e3, neginf=-1e3)
 

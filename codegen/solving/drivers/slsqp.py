@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize
 
@@ -54,7 +52,7 @@ class _Arrived(Exception):
     """The exception that ends a search because the equations hold."""
 
 
-def _action(module: ConnectModule, case: Case, start: Vector) -> Any:
+def _action(module: ConnectModule, case: Case, start: Vector) -> OptimizeResult:
     """Minimise the discrete action until the equations hold, and return the result of scipy.
 
     The test of SLSQP itself would not end the search, because near the minimum changes of the cost are rounding errors.

@@ -5,10 +5,8 @@ Source: Byrd, Hribar and Nocedal (1999); Conn, Gould and Toint (2000), section 1
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from scipy.optimize import NonlinearConstraint, minimize
+from scipy.optimize import NonlinearConstraint, OptimizeResult, minimize
 
 from codegen.solving.drivers.quiet import quiet_single_thread
 from codegen.solving.drivers.shared import ScaledProblem, claim, minimised
@@ -67,7 +65,7 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
     return minimised(module, run, "trust-constr", _action)
 
 
-def _action(module: ConnectModule, case: Case, start: Vector) -> Any:
+def _action(module: ConnectModule, case: Case, start: Vector) -> OptimizeResult:
     none = np.zeros(case.steps * case.start.size)
     equations = NonlinearConstraint(
         lambda x: module.action_constraints(case, x),

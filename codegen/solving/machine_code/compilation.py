@@ -25,19 +25,27 @@ from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import boolean, carray, cfunc, config, float64, int64, njit, typeof, types
 from numba.core.event import Event, Listener, install_listener
+from numpy.typing import NDArray
 
 from codegen.runtime.kept_code import add_checksums, code_folder, is_kept, runtime_folders
 from codegen.runtime.kernels import packed_operations
 from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.kkt.specialised import compiled_system, is_made
 from codegen.runtime.record import Task
-from codegen.solving.loading import few_steps, load
+from codegen.solving.loading import Case, ConnectModule, ControlModule, GeneratedModule, SimulateModule, few_steps, load
 from codegen.solving.tasks import task_of
+
+if TYPE_CHECKING:
+    from numba.core.dispatcher import Dispatcher
+
+    from codegen.runtime.particles.problem import PairProblem
+    from codegen.runtime.search.problem import ControlProblem
+    from codegen.runtime.stepping.problem import StepProblem
 
 COUNT, DONE = "codegen: parts: ", "codegen: part done"
 """Prefix of the output line with the number of parts, and the output line after each compiled part."""
@@ -46,7 +54,7 @@ REALS, TABLE, CUBE, FOURFOLD = (types.Array(float64, d, "C") for d in (1, 2, 3, 
 INTEGERS, INDEX_TABLE = (types.Array(int64, d, "C") for d in (1, 2))
 MASK, MASKS, READ_MASK = types.Array(boolean, 1, "C"), types.Array(boolean, 2, "C"), types.Array(boolean, 1, "C", True)
 
-Signature = tuple[Any, ...]
+Signature = tuple[types.Type, ...]
 """The numba types of the arguments of a function."""
 
 
@@ -59,7 +67,7 @@ class Part:
     """
 
     function: Any
-    make: Callable[[], Any]
+    make: Callable[[], object]
     serves: str = "problem"
 
     @property
@@ -94,7 +102,7 @@ class LinearSystem:
         """Do nothing: the file has a checksum."""
 
 
-def has_machine_code(module: Any) -> bool:
+def has_machine_code(module: GeneratedModule) -> bool:
     """Return True if all machine code that the solver of a module needs is in the cache on the disk."""
     return all(part.is_kept for part in parts_of(module))
 
@@ -104,11 +112,12 @@ def parts_of(module: Any) -> list[Part | LinearSystem]:
 
     The list is empty if numba is switched off, or if the module does not use the solvers of the runtime.
     """
-    runtime = {
+    functions: dict[str, Callable[[Any], Iterator[tuple[Dispatcher, Signature]]]] = {
         "codegen.runtime.search.problem": search_functions,
         "codegen.runtime.stepping.problem": step_functions,
         "codegen.runtime.particles.problem": particle_functions,
-    }.get(type(module.problem).__module__)
+    }
+    runtime = functions.get(type(module.problem).__module__)
     if config.DISABLE_JIT or runtime is None:  # type: ignore[attr-defined]
         return []
     first, *others = (
@@ -121,7 +130,7 @@ def parts_of(module: Any) -> list[Part | LinearSystem]:
     return [first, *kernels, *others]
 
 
-def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
+def search_functions(problem: ControlProblem) -> Iterator[tuple[Dispatcher, Signature]]:
     """Yield the runtime functions that Python calls during an optimisation, with the types of their arguments."""
     from codegen.runtime.search import bounds as box
     from codegen.runtime.search import cascade, descent, iterates, linear_system, point, scaling, solve
@@ -183,7 +192,7 @@ QUANTITIES = (
 """Python types of the entries of the arrays in the fields of `scaling.Quantities`, in order."""
 
 
-def step_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
+def step_functions(problem: StepProblem) -> Iterator[tuple[Dispatcher, Signature]]:
     """Yield the runtime functions that Python calls during a simulation, with the types of their arguments."""
     from codegen.runtime import arithmetic
     from codegen.runtime.stepping import events, motion, steps
@@ -213,7 +222,7 @@ def step_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     yield arithmetic.solve_factored, (TABLE, INTEGERS, REALS)
 
 
-def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
+def particle_functions(problem: PairProblem) -> Iterator[tuple[Dispatcher, Signature]]:
     """Yield the runtime functions that Python calls for problems of particles, with the types of their arguments."""
     from codegen.runtime import arithmetic
     from codegen.runtime.particles import motion, shooting, steps, tracers
@@ -245,7 +254,7 @@ def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
         )  # fmt: skip
 
 
-def small_case(module: Any, steps: int = 2) -> Any:
+def small_case(module: ConnectModule, steps: int = 2) -> Case:
     """Return a case that moves thirteen particles near the origin by a small displacement in `steps` time steps.
 
     The case is solved only to load all machine code.
@@ -257,22 +266,22 @@ def small_case(module: Any, steps: int = 2) -> Any:
     return module.make_case(start, start + 0.001, steps)
 
 
-def control_small(module: Any) -> None:
+def control_small(module: ControlModule) -> None:
     """Solve an optimal-control problem on a few intervals with one iteration, which loads all machine code."""
     module.solve(few_steps(module, 2), max_iterations=1)
 
 
-def simulate_small(module: Any) -> None:
+def simulate_small(module: SimulateModule) -> None:
     """Simulate two steps, which loads all machine code."""
     module.solve(2)
 
 
-def connect_small(module: Any) -> None:
+def connect_small(module: ConnectModule) -> None:
     """Connect a few particles, which loads all machine code."""
     module.solve_case(small_case(module))
 
 
-def control_warmed_up(module: Any, steps: int) -> None:
+def control_warmed_up(module: ControlModule, steps: int) -> None:
     """Call all functions that an optimiser evaluates once at the initial guess, which loads their machine code.
 
     The grid has `steps` intervals.
@@ -282,16 +291,16 @@ def control_warmed_up(module: Any, steps: int) -> None:
         evaluate(program.x0)
 
 
-def simulate_warmed_up(module: Any, _steps: int) -> None:
+def simulate_warmed_up(module: SimulateModule, _steps: int) -> None:
     """Simulate one step, which loads the machine code that drivers of scipy call."""
     module.solve(steps=1)
 
 
-def connect_warmed_up(_module: Any, _steps: int) -> None:
+def connect_warmed_up(_module: ConnectModule, _steps: int) -> None:
     """Do nothing: for particles the first call of a driver, which is not timed, loads the machine code."""
 
 
-def compile_all(module: Any) -> None:
+def compile_all(module: GeneratedModule) -> None:
     """Compile all functions that the solver of a module calls, or load them from the disk; then solve a small case."""
     with np.errstate(all="ignore"), packed_operations():
         for part in parts_of(module):
@@ -334,7 +343,7 @@ def warm_up() -> None:
 _PLACES = np.array([0, 1])
 
 
-def _loop(values: Any, count: Any) -> Any:
+def _loop(values: Any, count: int) -> float:
     """Iterate over intervals like the loops of generated modules; return a sum without meaning."""
     array, part, total = carray(values, (count,)), np.zeros(2), 0.0
     for k in range(count):
@@ -347,15 +356,15 @@ def _loop(values: Any, count: Any) -> Any:
 
 
 @njit(error_model="numpy")
-def _kernel(values: Any, t: Any, part: Any) -> Any:
+def _kernel(values: NDArray[np.float64], t: float, part: NDArray[np.float64]) -> float:
     """Fill the array `part` like the kernels of generated modules."""
-    x = 0.5 * values[0] ** 2 + math.sin(t) / values[1]
+    x: float = 0.5 * values[0] ** 2 + math.sin(t) / values[1]
     part[0] = 2 * x / math.sqrt(t) - x**3
     return -x
 
 
 @njit(error_model="numpy", inline="always")
-def _add(part: Any, first: Any, size: Any, array: Any) -> None:
+def _add(part: NDArray[np.float64], first: int, size: int, array: NDArray[np.float64]) -> None:
     """Add the first `size` entries of `part` to the entries of `array` from the index `first` on."""
     for i in range(size):
         array[first + i] += part[i]

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from codegen.errors import one_line
 
@@ -141,7 +141,7 @@ def require(
     path: Path,
     module: GeneratedModule,
     is_new: bool,
-    working: Callable[[str], AbstractContextManager[Any]],
+    working: Callable[[str], AbstractContextManager[object]],
     processes: Compilers | None = None,
 ) -> tuple[float, list[str]]:
     """Compile a module unless all its machine code is on the disk; return the seconds, and lines for the user.

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
+    from codegen.problem.sources import Source
     from codegen.show.figures.picture import Film, Picture
     from codegen.solving.loading import GeneratedModule, Vector
 
@@ -178,7 +179,7 @@ class Display:
         import xarray
 
         result = _with_columns(self)
-        variables: dict[str, tuple[tuple[str, ...], Any]] = {"t": (("node",), result.t)}
+        variables: dict[str, tuple[tuple[str, ...], Vector | float]] = {"t": (("node",), result.t)}
         variables |= {name: (("node", "space_axis", "body_axis"), self[name]) for name in attitudes.columns_of(result)}
         variables |= {name: (("node", "body_axis"), self[name]) for name in attitudes.angular_velocity_names(result)}
         for name in ("q", "p"):
@@ -201,13 +202,13 @@ class Display:
         numbers = {"cost": result.cost, "residual": result.residual, "stationarity": result.stationarity}
         variables |= {name: ((), value) for name, value in numbers.items() if value is not None}
         axes = {dim for dims, _ in variables.values() for dim in dims if dim.endswith("_axis")}
-        coordinates: dict[str, Any] = {dim: list("xyz") for dim in sorted(axes)}
+        coordinates: dict[str, object] = {dim: list("xyz") for dim in sorted(axes)}
         for name in (name for name in _COLUMNS if name in variables):
             coordinates[_COLUMNS[name]] = list(result.names[name])
             units = [result.units.get(column, "") for column in result.names[name]]
             if any(units):
                 coordinates[f"{_COLUMNS[name]}_unit"] = (_COLUMNS[name], units)
-        texts: dict[str, Any] = {name: getattr(result, name) for name in _TEXTS}
+        texts: dict[str, object] = {name: getattr(result, name) for name in _TEXTS}
         attributes = {**texts, "formulation": result.method, "steps": result.steps, "iterations": result.iterations}
         data = xarray.Dataset(variables, coordinates, attributes | dict(result.summary) | dict(result.parameters))
         for name in ("t", "energy", "cost"):
@@ -355,7 +356,7 @@ class Background:
 
     module: GeneratedModule
     path: Path | None = None
-    source: Any = None
+    source: Source | None = None
     arguments: Mapping[str, str] = field(default_factory=dict)
 
     def loaded(self, parameters: Mapping[str, float]) -> GeneratedModule:
@@ -364,7 +365,7 @@ class Background:
             return cast("GeneratedModule", _WITH_VALUES(_LOAD(self.path or ""), parameters))
         return self.module
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         source = self.source
         try:
             pickle.dumps(source)
@@ -372,6 +373,6 @@ class Background:
             source = None
         return {"module": None, "path": self.path, "source": source, "arguments": dict(self.arguments)}
 
-    def __setstate__(self, state: Mapping[str, Any]) -> None:
+    def __setstate__(self, state: Mapping[str, object]) -> None:
         for name, value in state.items():
             object.__setattr__(self, name, value)

@@ -12,7 +12,7 @@ sections 2.1 and 5.1; Huber (1967), The behavior of maximum likelihood estimates
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,8 @@ NO_SIZE = 1e-9
 
 The value is relative to the largest parameter, or to 1 if all parameters are smaller.
 """
+_Sample: TypeAlias = tuple[int, int, int, Vector, Vector]
+"""The body, the interval, the column of the first parameter, the row of parameters and the times of nodes."""
 _PART = 1e-3
 """Component of an undetermined direction above which a parameter is undetermined."""
 
@@ -77,11 +79,11 @@ class Fit:
         for values, sample in zip(self.fitted, self._samples, strict=True):
             plain(module.sample_values)(*self._arguments(sample), values)
 
-    def _linking(self, size: int) -> Any:
+    def _linking(self, size: int) -> NDArray[np.intp]:
         """Return the indices (bodies, shared) of the linking variables among `size` unknowns."""
-        return size - self._structure.root + self._structure.root_indices()
+        return np.asarray(size - self._structure.root + self._structure.root_indices())
 
-    def _arguments(self, sample: Any) -> tuple[Any, ...]:
+    def _arguments(self, sample: _Sample) -> tuple[Vector, float, float, Vector, int]:
         """Return the arguments of the compiled functions `sample_values` and `sample_gradient` for a sample."""
         body, k, begin, row, nodes = sample
         first = body * self._chain + k * self._structure.stride
@@ -129,7 +131,7 @@ class Fit:
                 slopes.append(self._slope((body, k, begin, single, nodes), following))
         return np.array(slopes).reshape(self.count, following.shape[1])
 
-    def _slope(self, sample: Any, following: Matrix) -> Vector:
+    def _slope(self, sample: _Sample, following: Matrix) -> Vector:
         """Return the derivatives (p,) of the loss of one sample; see `slopes` for `following`."""
         s = self._structure
         local = np.zeros(s.element + s.shared)
@@ -283,7 +285,7 @@ class _Reduced:
 
 
 def _reduced(
-    module: ControlModule, grid: Grid, unknowns: Vector, held: NDArray[np.bool_], free: Any
+    module: ControlModule, grid: Grid, unknowns: Vector, held: NDArray[np.bool_], free: NDArray[np.intp]
 ) -> _Reduced | None:
     """Return the reduced Hessian of the cost with respect to the unknowns with the indices `free`.
 
@@ -351,7 +353,7 @@ def _inverse(reduced: _Reduced, values: Vector) -> _Inverse:
     return _Inverse(inverse, part > _PART, int(flat.sum()))
 
 
-def as_record(estimates: Estimates) -> dict[str, Any]:
+def as_record(estimates: Estimates) -> dict[str, object]:
     """Return the estimates as an object for JSON, in which NaN is None."""
     numbers = estimates.values, estimates.standard_errors, estimates.gauss_newton_errors, estimates.intervals
     return {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -116,7 +116,7 @@ def event_labels(metadata: Record) -> tuple[str, ...]:
     return (*metadata.events, *(f"{gap} {action}" for gap in metadata.gaps for action in _OF_GAPS))
 
 
-def label_numbers(metadata: SimulationRecord, number: NDArray[Any], action: NDArray[Any]) -> Numbers:
+def label_numbers(metadata: SimulationRecord, number: NDArray[np.float64], action: NDArray[np.float64]) -> Numbers:
     """Return the indices (M,) in `event_labels` of events, from their numbers and actions (M,), see `EventArrays`."""
     first, events = tuple(EventAction).index(_OF_GAPS[0]), len(metadata.events)
     of_gaps = events + len(_OF_GAPS) * (number - events) + action - first

@@ -364,9 +364,8 @@ class DiscretisationError:
             f"the estimated error of the discretisation is {100.0 * self.states:.2g} % of {self.quantity} at t = "
             f"{self.time:.4g}"
         )
-        if self.cost is None:
-            return f"{states}: take more --steps, or a --scheme of higher order"
-        return f"{states}, and {100.0 * self.cost:.2g} % of the cost: take more --steps, or --accuracy"
+        cost = "" if self.cost is None else f", and {100.0 * self.cost:.2g} % of the cost"
+        return f"{states}{cost}: take more --steps, or --accuracy"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError
 from codegen.runtime.record import Task, phrase
@@ -14,6 +15,9 @@ from codegen.solving.loading import ControlModule, GeneratedModule, Grid, Vector
 from codegen.solving.results.estimates import as_finite
 from codegen.solving.results.result import Derivatives, Result, Sensitivities
 from codegen.solving.results.segments import put_together, segments_of
+
+if TYPE_CHECKING:
+    from codegen.runtime.search.sensitivities import Sensitivities as UnknownRates
 
 SHARP = 1e-12
 """The tolerance of the solve that is repeated if the derivatives do not exist at a solution."""
@@ -40,7 +44,7 @@ class Rates:
     module: ControlModule
     grid: Grid
     unknowns: Vector
-    found: Any
+    found: UnknownRates
     sensitivities: Sensitivities
 
     @property
@@ -138,12 +142,12 @@ def _unknown_name(module: ControlModule, grid: Grid, index: int) -> str:
     return f"{text}{of_body} {'at node' if j < node else 'on interval'} {k}"
 
 
-def as_record(sensitivities: Sensitivities, result: Result) -> dict[str, Any]:
+def as_record(sensitivities: Sensitivities, result: Result) -> dict[str, object]:
     """Return the sensitivities as an object for JSON.
 
     For each quantity the object has the derivatives of the cost, durations, free parameters and the state at the end.
     """
-    by: dict[str, Any] = dict.fromkeys(sensitivities)
+    by: dict[str, object] = dict.fromkeys(sensitivities)
     if not sensitivities.reason:
         for name, derivatives in sensitivities.items():
             end = zip(result.names["q"], derivatives.q[-1], strict=True)
@@ -161,7 +165,7 @@ def as_record(sensitivities: Sensitivities, result: Result) -> dict[str, Any]:
     }
 
 
-def as_arrays(sensitivities: Sensitivities) -> dict[str, Any]:
+def as_arrays(sensitivities: Sensitivities) -> dict[str, NDArray[np.generic]]:
     """Return the arrays that an .npz archive stores, by name.
 
     Each array `d_...` has a row for each quantity in `d_names`, with respect to which derivatives were taken.

@@ -29,6 +29,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
     """Return names and values of the sizes that specialise loops: counts of unknowns and conditions, and flags."""
     own, shared, couplings = program.linking.own, len(program.linking.unknowns), len(program.linking.couplings)
     costs = [*(part.cost for part in program.interval_elements), program.start.cost, program.end.cost]
+    # BORDERED: block 0 is eliminated after others, because its equations may determine unknowns of these blocks.
     return (
         ("BODIES", program.model.bodies),
         ("SEVERAL", int(program.model.bodies > 1)),
@@ -48,7 +49,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("FORWARD", int(bool(_motion_indices(program)[0]))),
         ("SCALED", int(not derivatives.linear_quadratic)),
         ("BACKWARD", int(_sweeps_backward(program))),
-        ("BORDERED", int(_borders_front(program))),
+        ("BORDERED", int(bool(not _sweeps_backward(program) or _pinned(program.end) or program.only_at_ends))),
         ("TABLED", sum(table.shape.count for table in tables_of(program.model))),
     )
 
@@ -70,7 +71,12 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         f"unknowns of stages, eliminated first, as many as equations {_names(inside[stages : 2 * stages])}",
     )
     own = Line("OWN", str(number["OWN"]), f"linking variables of a body: {_names(program.linking.of_bodies)}")
-    shared, durations = [unknown.multiplier for unknown in program.linking.unknowns], _free_durations(program)
+    # Durations are linking variables with a lower bound of at least zero.
+    lengths = {phase.duration for phase in program.phases or (program.model,)}
+    free = program.model.free_parameters
+    positive = {each.symbol for each in free if each.lower is not None and not each.lower.is_negative}
+    shared = [unknown.multiplier for unknown in program.linking.unknowns]
+    durations = [i for i, symbol in enumerate(program.linking.symbols) if symbol in lengths & positive]
     lines = [
         Line("NODE", str(len(program.node)), f"unknowns of a node: {_names(program.node)}"),
         Line("CONDENSED", str(condensed), f"eliminated inside their interval: {_names(eliminated)}"),
@@ -134,17 +140,6 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         lines.append(Line("SLACKS", slacks, "unknowns of an interval that take up an inequality's distance"))
         lines.append(Line("SLACK_MULTIPLIERS", multipliers, "of the equations that define them"))
     return lines
-
-
-def _free_durations(program: ControlProgram) -> list[int]:
-    """Return the indices of the linking variables that are durations with a lower bound of at least zero.
-
-    The duration of a periodic motion has none, and an author may give a negative one.
-    """
-    lengths = {phase.duration for phase in program.phases or (program.model,)}
-    free = program.model.free_parameters
-    positive = {each.symbol for each in free if each.lower is not None and not each.lower.is_negative}
-    return [i for i, symbol in enumerate(program.linking.symbols) if symbol in lengths & positive]
 
 
 def structure(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, str], ...]:
@@ -257,14 +252,6 @@ def _sweeps_backward(program: ControlProgram) -> bool:
     """
     inner = (u for i, u in enumerate(program.node) if i not in program.only_at_ends)
     return program.method != "variational" and not any(u.multiplier for u in inner)
-
-
-def _borders_front(program: ControlProgram) -> bool:
-    """Return True if block 0 is eliminated after others, because its equations may determine unknowns of these.
-
-    If nothing is prescribed at the end where elimination begins, they determine the state there, as in other blocks.
-    """
-    return bool(not _sweeps_backward(program) or _pinned(program.end) or program.only_at_ends)
 
 
 def _pinned(end: EndElement) -> list[int]:

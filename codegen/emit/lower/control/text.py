@@ -367,6 +367,22 @@ def record(
         segments = SegmentRecord(model.segments.number, names)
     ends = (("start", program.start), ("end", program.end))
     decided = dict.fromkeys((name, where) for where, end in ends for _, name in end.determined if name)
+    # Quantities whose value at the start differs from the end of their history.
+    initial, differing = prescribed(model.authored, "start"), {}
+    for delay in model.authored.delays:
+        last = delay.history.xreplace({model.authored.time: sympy.S.Zero})
+        value = initial.get(delay.quantity, last)
+        if sympy.simplify(value - last) != 0:
+            differing[delay.quantity.name] = (sympy.sstr(value), sympy.sstr(last))
+    # One radian in the unit of each coordinate or control that is an angle inside sines or cosines.
+    radians: dict[str, float] = {}
+    for part in model.phases or (model,):
+        written = (part.function, *part.dynamics, *part.force, *((part.cost,) if part.cost is not None else ()))
+        for call in set().union(*(expression.atoms(sin, cos) for expression in written)):
+            for symbol in call.args[0].free_symbols & {*part.coordinates, *part.controls}:
+                slope = call.args[0].diff(symbol)
+                if slope.is_number and slope != 0:
+                    radians[symbol.name] = min(radians.get(symbol.name, math.inf), abs(1.0 / float(slope)))
     return ControlRecord(
         **record_fields(program, scheme.order, kernels, left_out(program, derivatives)),
         **system_fields(model, tables),
@@ -387,12 +403,12 @@ def record(
         stages=_stages(program),
         stage_abscissae=abscissae,
         scale={x.name: size for x, size in model.scales},
-        angles=_angles(model),
+        angles=dict(sorted(radians.items())),
         observations=sample_record(program),
         sensitivities=sensitivities,
         unseen_controls=_unseen_controls(program),
         maximised=model.maximised,
-        history_jumps=_history_jumps(model.authored),
+        history_jumps=tuple((name, *values) for name, values in differing.items()),
         relaxation=model.relaxation.name if model.relaxation else "",
         end_impulses=tuple(u.name for u in program.node if u.kind is Kind.END_IMPULSE),
         contact_forces=tuple(f.name for each in model.contacts for f in each.forces),
@@ -420,19 +436,6 @@ def _stages(program: ControlProgram) -> dict[str, str]:
     return {name: of for name in names if name not in quantities and (of := name.rpartition("_stage")[0]) in quantities}
 
 
-def _angles(model: Model) -> dict[str, float]:
-    """Return one radian in the unit of each coordinate or control that is an angle inside sines or cosines."""
-    radians: dict[str, float] = {}
-    for part in model.phases or (model,):
-        written = (part.function, *part.dynamics, *part.force, *((part.cost,) if part.cost is not None else ()))
-        for call in set().union(*(expression.atoms(sin, cos) for expression in written)):
-            for symbol in call.args[0].free_symbols & {*part.coordinates, *part.controls}:
-                slope = call.args[0].diff(symbol)
-                if slope.is_number and slope != 0:
-                    radians[symbol.name] = min(radians.get(symbol.name, math.inf), abs(1.0 / float(slope)))
-    return dict(sorted(radians.items()))
-
-
 def _unseen_controls(program: ControlProgram) -> tuple[str, ...]:
     """Return nodal controls that occur in the expanded discrete cost only as sums of neighbouring values.
 
@@ -445,17 +448,6 @@ def _unseen_controls(program: ControlProgram) -> tuple[str, ...]:
     total = Dummy("sum", real=True)
     alone = (expand(program.cost.xreplace({b: total - a})).has(a) for a, b in zip(left, right, strict=True))
     return tuple(u.name for u, is_seen in zip(controls, alone, strict=True) if not is_seen)
-
-
-def _history_jumps(model: Model) -> tuple[tuple[str, str, str], ...]:
-    """Return (quantity, initial value, end of its history) as text for each quantity whose two values differ."""
-    initial, differing = prescribed(model, "start"), {}
-    for delay in model.delays:
-        last = delay.history.xreplace({model.time: sympy.S.Zero})
-        value = initial.get(delay.quantity, last)
-        if sympy.simplify(value - last) != 0:
-            differing[delay.quantity.name] = (sympy.sstr(value), sympy.sstr(last))
-    return tuple((name, *values) for name, values in differing.items())
 
 
 def _integral_multipliers(program: ControlProgram) -> tuple[tuple[str, int], ...]:
