@@ -19,6 +19,7 @@ WIDTH = 100
 _LATEX_WIDTH = 90
 _DIGITS, _LONGEST_FRACTION = 7, 14
 """Significant digits of decimals, and the largest number of characters of a fraction that is shown as such."""
+_PLAIN = 10  # the largest denominator of a fraction that is never shown as a decimal
 _INDEX = re.compile(r"^(?P<base>.+?)(?:_stage(?P<stage>\d+))?(?:_k(?P<shift>1|-1)?|@(?P<end>[0T])|@(?P<side>[+-]))?$")
 _WORD = re.compile(r"[^\W\d]\w*")
 _INVISIBLE = re.compile(r"\\(left|right|frac|mathrm|operatorname)|[{}^_\s]")
@@ -76,15 +77,15 @@ class Notation:
     def translated(self, expression: Expr) -> Expr:
         """Return the expression with printed names as symbols; a prime distinguishes symbols that print alike.
 
-        Long fractions, which measured numbers have, become decimals with `_DIGITS` digits.
+        Long fractions, which measured numbers have, become decimals with `_DIGITS` digits. So do those that authors
+        usually write as decimals, such as 1/20 and 1/200000.
         """
         names = {symbol: self.name(symbol) for symbol in expression.free_symbols}
         unmarked = {name for symbol, name in names.items() if identifiers.MARK not in symbol.name}
         primed = {s for s, name in names.items() if identifiers.MARK in s.name and name in unmarked}
         shown: dict[Expr, Expr] = {s: Symbol(n + "'" * (s in primed), real=True) for s, n in names.items()}
-        shown |= {
-            r: sympy.Float(r, _DIGITS) for r in expression.atoms(sympy.Rational) if len(str(r)) > _LONGEST_FRACTION
-        }
+        numbers = expression.atoms(sympy.Rational)
+        shown |= {r: sympy.Float(r, _DIGITS) for r in numbers if len(str(r)) > _LONGEST_FRACTION or _is_decimal(r)}
         return expression.xreplace(shown)
 
     def name(self, symbol: Symbol) -> str:
@@ -200,3 +201,9 @@ def _sign(row: Expr) -> str:
 
 def _escaped(text: str) -> str:
     return re.sub(r"([_%&#$^{}])", r"\\\1", text)
+
+
+def _is_decimal(number: sympy.Rational) -> bool:
+    """Return True for a fraction in tens: its denominator has the prime factor 5, and no others than 2 and 5."""
+    primes = sympy.factorint(number.q) if number.q > _PLAIN else {}
+    return 5 in primes and {*primes} <= {2, 5}
