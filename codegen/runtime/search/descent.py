@@ -714,15 +714,21 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
 
 
 @njit(error_model="numpy")
-def is_minimum(problem, grid, system, bounds, x, g, distance, duals, tolerance, vectors):
+def is_minimum(problem, grid, system, bounds, x, g, distance, duals, tolerance, integers, vectors):
     """Return True if a stationary point is a minimum to second order.
 
     Instead of bounds, their barrier is added to the Hessian. Curvatures count as positive if they are above a small
-    negative number, which is a multiple of the tolerance.
+    negative number, which is a multiple of the tolerance. Dependent equations need a delta_c, which lowers the
+    curvature of an optimum that may move, such as a periodic motion in time, by delta_c times the square of the change
+    of its multipliers. It is therefore left out first, unless the search has met dependent equations.
     """
     shift = max(FLAT, 100.0 * tolerance)
-    fill_newton_system(grid, bounds, g, distance, duals, 0.0, shift, FLAT, vectors[RIGHT], vectors[DIAGONAL])
-    return factored(problem, grid, system, x, 1.0, vectors, False) == 0
+    for delta_c in (0.0, FLAT):
+        if delta_c > 0.0 or not integers[WAS_SINGULAR]:
+            fill_newton_system(grid, bounds, g, distance, duals, 0.0, shift, delta_c, vectors[RIGHT], vectors[DIAGONAL])
+            if factored(problem, grid, system, x, 1.0, vectors, False) == 0:
+                return True
+    return False
 
 
 @njit(error_model="numpy")
@@ -1005,7 +1011,7 @@ def descend(
             status = SOLVED
             # After descent steps with an unshifted Hessian, a stationary point is a minimum. Otherwise test it.
             if (iteration == 0 or reals[DELTA_W] > 0.0) and not is_minimum(
-                problem, grid, system, bounds, x, g, distance, duals, tolerance, vectors
+                problem, grid, system, bounds, x, g, distance, duals, tolerance, integers, vectors
             ):
                 status = SADDLE
         elif m > 0 and largest > LARGEST:
@@ -1247,7 +1253,7 @@ def descend(
                     reals[DAMPING] = damping / 2.0 if damping > LEAST_DAMPING else 0.0
         if not accepted:
             convex = not has_step or delta_w == 0.0 or is_minimum(
-                problem, grid, system, bounds, x, g, distance, duals, tolerance, vectors
+                problem, grid, system, bounds, x, g, distance, duals, tolerance, integers, vectors
             )  # fmt: skip
             if m > 0 and integers[LATE] > 0 and convex and is_acceptable(
                 problem, grid, system, x, measures, measured, tolerance, is_costless, vectors
