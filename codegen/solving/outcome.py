@@ -373,16 +373,17 @@ def _with_error(request: Request, module: GeneratedModule, driver: Driver, resul
 def _with_motion_error(request: Request, module: SimulateModule, driver: Driver, result: Result) -> Result:
     """Return a simulation with its error, from a half, a third or a fifth of its steps, else from twice as many.
 
-    Long simulations, and those of an integrator that chooses its steps, get no estimate.
+    Long simulations, and those of an integrator that chooses its steps, get no estimate. Nor does one for whose
+    comparison the memory is too small.
     """
     if result.seconds_solve > LONGEST_ESTIMATED or getattr(module.metadata, "adaptive", False):
         return result
     parts = [result.steps // divisor for divisor in (2, 3, 5) if result.steps % divisor == 0]
     for steps in (*parts[:1], 2 * result.steps):
-        other = run_and_verify(module, driver, Run(steps, request.every, tolerance=request.tolerance), 1)
-        error = motion_error(module, result, other) if other.solved else None
-        if error is not None:
-            return _with_estimate(result, error)
+        with suppress(NumericsError):
+            other = run_and_verify(module, driver, Run(steps, request.every, tolerance=request.tolerance), 1)
+            if other.solved and (error := motion_error(module, result, other)) is not None:
+                return _with_estimate(result, error)
     return result
 
 

@@ -12,7 +12,8 @@ from interpreted import of_problem
 
 from codegen import Control, Simulate, control, coordinates, free_parameter, states
 from codegen.discretise import schemes
-from codegen.solving import api
+from codegen.errors import NumericsError
+from codegen.solving import api, outcome
 from codegen.solving.arcs import discretisation_error
 from codegen.solving.compiler import build
 from codegen.solving.results import output
@@ -175,6 +176,18 @@ def test_simulations(scheme, steps):
     assert result.error.cost is None
     assert "cost_error" not in result.summary
     assert bool(result.notes) == (result.error.states > 0.01)
+
+
+def test_a_simulation_without_memory_for_more_steps_has_no_estimate(monkeypatch):
+    """Of a prime number of steps there is no part."""
+
+    def limited(numbers, steps):
+        if steps > 41:
+            raise NumericsError("too little memory", "take fewer steps")
+
+    monkeypatch.setattr(outcome, "require_memory", limited)
+    result = turning(41, scheme="midpoint")
+    assert (result.status, result.error) == ("solved", None)
 
 
 @pytest.mark.parametrize(("scheme", "request_"), [("midpoint", 1e-4), ("rk4", 1e-7), ("gauss-4", 1e-9)])
