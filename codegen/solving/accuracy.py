@@ -121,7 +121,7 @@ def simulated_to_accuracy(
     count = steps + steps % 2
     while True:
         coarse, fine = simulate(count // 2), simulate(count)
-        error = motion_error(module, fine, coarse) if coarse.solved and fine.solved else None
+        error = motion_error(module, fine, coarse, count // 2) if coarse.solved and fine.solved else None
         reached = math.inf if error is None else error.states
         levels.append(GridLevel(count, fine.status, reached, fine.iterations, fine.seconds_solve))
         failures = failures + 1 if error is None else 0

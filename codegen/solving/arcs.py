@@ -35,7 +35,7 @@ from codegen.runtime.search.solve import corrected_cost
 from codegen.solving.loading import ControlModule, Grid, Indices, Matrix, SimulateModule, Vector, time_grid
 from codegen.solving.results.control import bound_distances, free_parameters, held_at_bounds
 from codegen.solving.results.motions import ROUNDING
-from codegen.solving.results.result import DiscretisationError, Result
+from codegen.solving.results.result import DiscretisationError, Result, SimulateAttempt
 from codegen.solving.results.segments import segments_of
 
 LEAST_ARC = 4
@@ -451,13 +451,16 @@ def _error(module: ControlModule, result: Result, grid: Grid, optimum: Vector, r
     return DiscretisationError(states / factor, _relative(cost, result.cost) / factor, quantity, time)
 
 
-def motion_error(module: SimulateModule, result: Result, other: Result) -> DiscretisationError | None:
-    """Return the estimated discretisation error of a simulation, from one with a part or a multiple of its steps.
+def motion_error(
+    module: SimulateModule, result: Result, other: Result | SimulateAttempt, steps: int
+) -> DiscretisationError | None:
+    """Return the estimated discretisation error of a simulation, from another one with a number of `steps`.
 
-    Both store the states of every step, or of every k-th step with the same k. Return None if they have no common times
-    other than the start, or if a difference is not finite.
+    This number is a part or a multiple of the steps of the simulation. Both store the states of every step, or of every
+    k-th step with the same k. Return None if they have no common times other than the start, or if a difference is not
+    finite.
     """
-    ratio, multiple = max(1, result.steps // other.steps), max(1, other.steps // result.steps)
+    ratio, multiple = max(1, result.steps // steps), max(1, steps // result.steps)
     times, others = result.t[::ratio], other.t[::multiple]
     count = min(times.size, others.size)
     span = abs(float(result.t[-1] - result.t[0]))

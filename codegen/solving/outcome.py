@@ -34,7 +34,14 @@ from codegen.solving.progress import shown_from_call
 from codegen.solving.request import Option, Request, with_observations, with_tables, with_values
 from codegen.solving.results import output
 from codegen.solving.results.between_nodes import excursions, poles, stages_beyond
-from codegen.solving.results.result import UNKNOWN_ERROR, DiscretisationError, Result, Run, Watch
+from codegen.solving.results.result import (
+    UNKNOWN_ERROR,
+    DiscretisationError,
+    Result,
+    Run,
+    SimulateAttempt,
+    Watch,
+)
 from codegen.solving.results.segments import put_together, segments_of
 from codegen.solving.results.sensitivities import require_sensitive, with_sensitivities
 from codegen.solving.tasks import task_of
@@ -380,9 +387,11 @@ def _with_motion_error(request: Request, module: SimulateModule, driver: Driver,
         return result
     parts = [result.steps // divisor for divisor in (2, 3, 5) if result.steps % divisor == 0]
     for steps in (*parts[:1], 2 * result.steps):
-        with suppress(NumericsError):
-            other = run_and_verify(module, driver, Run(steps, request.every, tolerance=request.tolerance), 1)
-            if other.solved and (error := motion_error(module, result, other)) is not None:
+        run = Run(steps, request.every, tolerance=request.tolerance)
+        with suppress(NumericsError, ValueError):  # generated modules raise ValueError
+            require_memory(task_of(module).numbers(module.metadata, run), steps)
+            other: SimulateAttempt = driver.function("simulate")(module, run)
+            if other.status == "solved" and (error := motion_error(module, result, other, steps)) is not None:
                 return _with_estimate(result, error)
     return result
 
