@@ -4,18 +4,22 @@ An arc is a part of the motion on which the same bounds and inequalities are act
 switching time. On an interval with a switching time a control is the mean of two values, which causes an error of all
 later states. Intervals in gaps are made so short that this error is negligible.
 
-Two estimates of the error exist. The first one compares a solution with a solution on the bisected grid, for each
-quantity and each interval. Quantities are coordinates, momenta, and the cost up to each node, relative to their largest
-values.
+Two estimates of the error of an optimum exist. The first one compares it with the optimum on the bisected grid, for
+each quantity and each interval. Quantities are coordinates, momenta, and the cost up to each node, relative to their
+largest values.
 
 The second one uses double steps, which join two intervals. On the grid of double steps the solution has residuals, the
 defects of the steps. Newton's method with the same active bounds computes the changes that remove the defects. States
 change by the solution of a linear system with the KKT matrix. The cost changes by the sum of all defects times their
 multipliers. Both changes are 2^p - 1 times the error, where p is the order of the optima. One or two Newton steps on
 half as many intervals take no longer than one iteration of the solve. If other bounds are active on the coarser grid,
-or the solution is no minimum there, the optimum on double steps is searched for. Sources: Richardson (1911); Becker and
-Rannacher (2001), An optimal control approach to a posteriori error estimation in finite element methods, Acta Numerica
-10, section 2; Hairer, Norsett and Wanner (1993), Solving ordinary differential equations I, II.4, for double steps.
+or the solution is no minimum there, the optimum on double steps is searched for.
+
+The error of a simulation follows from a simulation with another number of steps, by Richardson extrapolation.
+
+Sources: Richardson (1911); Becker and Rannacher (2001), An optimal control approach to a posteriori error estimation in
+finite element methods, Acta Numerica 10, section 2; Hairer, Norsett and Wanner (1993), Solving ordinary differential
+equations I, II.4, for double steps.
 """
 
 from __future__ import annotations
