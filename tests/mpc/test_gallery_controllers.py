@@ -83,9 +83,19 @@ def test_the_example_of_the_site(cart_pole, tmp_path, monkeypatch, capsys):
     assert np.abs(found["loop"].states[:, 1]).max() < 0.8
 
 
-def test_the_example_of_a_delay(cart_pole, capsys):
+def test_the_example_of_a_soft_constraint():
+    """The state begins 1.5 below the constraint, and rises fastest with the greatest power."""
     found = {"codegen": codegen}
     exec(examples_of_the_site()[1], found)
+    step = 6 / 30
+    middle = 18.0 + step / 2 * (4.0 - (18.0 - 5.0) / 5.0) / (1.0 + step / 10.0)
+    assert found["heating"] == pytest.approx(4.0, abs=1e-6)
+    assert found["violation"] == pytest.approx(19.5 - middle, abs=1e-6)
+
+
+def test_the_example_of_a_delay(cart_pole, capsys):
+    found = {"codegen": codegen}
+    exec(examples_of_the_site()[2], found)
     assert "{'solved': 160} 0.3" in capsys.readouterr().out
     assert np.abs(found["loop"].states[-1]).max() < 0.1
     assert found["loop"].inputs[0] == 0.0
