@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from codegen.errors import NumericsError
 from codegen.solving.arcs import (
     FAR,
     Estimate,
@@ -120,7 +121,13 @@ def simulated_to_accuracy(
     best, least = None, DiscretisationError(math.inf, None, "", 0.0)
     count = steps + steps % 2
     while True:
-        coarse, fine = simulate(count // 2), simulate(count)
+        try:
+            coarse, fine = simulate(count // 2), simulate(count)
+        except NumericsError as failure:
+            if best is None:
+                raise
+            reason = str(failure)
+            break
         error = motion_error(module, fine, coarse, count // 2) if coarse.solved and fine.solved else None
         reached = math.inf if error is None else error.states
         levels.append(GridLevel(count, fine.status, reached, fine.iterations, fine.seconds_solve))

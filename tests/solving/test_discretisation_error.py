@@ -188,6 +188,9 @@ def test_a_simulation_without_memory_for_more_steps_has_no_estimate(monkeypatch)
     monkeypatch.setattr(outcome, "require_memory", limited)
     result = turning(41, scheme="midpoint")
     assert (result.status, result.error) == ("solved", None)
+    refined = turning(None, accuracy=1e-9, scheme="midpoint")
+    assert (refined.status, refined.steps) == ("accuracy not reached", 40)
+    assert "too little memory" in refined.message
 
 
 @pytest.mark.parametrize(("scheme", "request_"), [("midpoint", 1e-4), ("rk4", 1e-7), ("gauss-4", 1e-9)])
