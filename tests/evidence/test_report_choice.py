@@ -165,7 +165,7 @@ def test_errors_of_states_and_controls_are_those_of_the_discrete_optimum(tmp_pat
 
 def test_the_reference_is_the_closed_form_within_its_estimate(tmp_path):
     module = module_of(tmp_path, "gauss-4", "variational", "stages")
-    values = refined([("gauss-4", module)], 5, 20.0)
+    values = refined([("gauss-4", Path(module.__file__))], 5, 20.0)
     found = read_trajectory({name: np.array(value).tolist() for name, value in values.items() if name != "errors"})
     true = exact(found.nodes, found.times).errors(found)
     for name in ("states", "controls"):

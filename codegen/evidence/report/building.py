@@ -9,7 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -75,13 +75,17 @@ class Workshop:
         self.folder, self.store = folder, store
         self._paths: dict[Variant, Path] = {}
 
-    def module(self, variant: Variant) -> loading.GeneratedModule:
-        """Return the module of a variant; raise CodegenError if the variant cannot be built."""
+    def path(self, variant: Variant) -> Path:
+        """Return the file of a variant's module; raise CodegenError if the variant cannot be built."""
         if variant not in self._paths:
             values = self.store.get(MODULES, variant.case)
             path = self.folder / values["file"] if values is not None and values.get("file") else None
             self._paths[variant] = path if path is not None and path.is_file() else _derived(variant, self.folder)
-        return loading.load(self._paths[variant])
+        return self._paths[variant]
+
+    def module(self, variant: Variant) -> loading.GeneratedModule:
+        """Return the module of a variant; raise CodegenError if the variant cannot be built."""
+        return loading.load(self.path(variant))
 
     def control(self, variant: Variant) -> loading.ControlModule:
         """Return the module of an optimal control problem."""
@@ -111,17 +115,14 @@ def workers() -> Iterator[ProcessPoolExecutor]:
 
 
 def gather(
-    pool: ProcessPoolExecutor,
-    store: Store,
-    section: str,
-    jobs: Mapping[str, Callable[[], Values]],
-    report_progress: Callable[[str], None],
+    pool: ProcessPoolExecutor, store: Store, cases: Iterable[Case], report_progress: Callable[[str], None]
 ) -> None:
-    """Call each function of `jobs` (by case name) in the pool unless the store has its values; store the values."""
-    pending = {name: pool.submit(job) for name, job in jobs.items() if store.get(section, name) is None}
-    for number, (name, future) in enumerate(pending.items(), start=1):
-        report_progress(f"{name} ({number} of {len(pending)})")
-        store.measured(Case(section, name, future.result))
+    """Measure in the pool all cases that the store does not contain, and store them."""
+    new = {(case.section, case.name): case for case in cases if store.get(case.section, case.name) is None}
+    pending = [(case, pool.submit(case.measure)) for case in new.values()]
+    for number, (case, future) in enumerate(pending, start=1):
+        report_progress(f"{case.name} ({number} of {len(pending)})")
+        store.measured(Case(case.section, case.name, future.result))
 
 
 def _prepare_worker() -> None:
@@ -219,11 +220,11 @@ def build_one(variant: Variant, folder: Path) -> Values:
     # Processor seconds of the derivation of each form, while sympy's caches contain the problem.
     times = {}
     for name, general in (("plain", False), ("general", True)) if variant.general else ():
-        begin = time.process_time()
+        busy = time.process_time()
         generate(
             variant.problem, dict(variant.arguments), Choices(variant.scheme, variant.method, variant.controls, general)
         )
-        times[f"{name} derivation processor seconds"] = time.process_time() - begin
+        times[f"{name} derivation processor seconds"] = time.process_time() - busy
     # Kernel lines are the first part of the module, which is specific to the problem.
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines()

@@ -33,17 +33,21 @@ Row: TypeAlias = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Kind:
-    """The functions that measure and show problems of one task; `error` names the quantity whose error is measured."""
+    """The functions that measure and show problems of one task; `error` names the quantity whose error is measured.
+
+    Cases that are `untimed` are measured side by side. They have to be independent of each other.
+    """
 
     cases: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterator[Case]]
     sections: Callable[[Store, Path, Sequence[Variant], str], list[Section]]
     measured: Callable[[Store, Path, Variant], Measured]
     error: str
+    untimed: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterable[Case]] = lambda *_: ()
 
 
 KINDS = {
     "simulate": Kind(simulations.cases, simulations.sections, simulations.measured, "trajectory"),
-    "control": Kind(optima.cases, optima.sections, optima.measured, "cost"),
+    "control": Kind(optima.cases, optima.sections, optima.measured, "cost", optima.untimed),
 }
 """The measurements by task; landmark registration is one of the EXTRAS."""
 
@@ -127,15 +131,22 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
     workshop = Workshop(folder / "modules", store)
     with progress("", len(problems) + 2) as report_progress:
         with workers() as pool:
-            surveys = {problem.stem: partial(survey_of, problem) for problem in problems}
-            gather(pool, store, SURVEYS, surveys, lambda name: report_progress(0, f"reading {name}"))
+            surveys = (Case(SURVEYS, problem.stem, partial(survey_of, problem)) for problem in problems)
+            gather(pool, store, surveys, lambda name: report_progress(0, f"reading {name}"))
             selection = [choose(problem, store, extent) for problem in problems]
             plain = [v for c in selection for v in (*c.variants, *(c.extra.variants(c.problem) if c.extra else ()))]
             general = (v for c in selection for v in modules.general_forms(store, c.problem, c.variants, extent))
             groups: tuple[Iterable[Variant], ...] = (plain, general)  # sizes of plain modules select general forms
             for variants in groups:
-                builds = {v.case: partial(build_one, v, workshop.folder) for v in variants}
-                gather(pool, store, MODULES, builds, lambda name: report_progress(1, f"building {name}"))
+                builds = (Case(MODULES, v.case, partial(build_one, v, workshop.folder)) for v in variants)
+                gather(pool, store, builds, lambda name: report_progress(1, f"building {name}"))
+            untimed = (
+                case
+                for c in selection
+                if c.task in KINDS
+                for case in KINDS[c.task].untimed(c.problem, c.variants, workshop, extent)
+            )
+            gather(pool, store, untimed, lambda name: report_progress(1, f"solving {name}"))
         for done, chosen in enumerate(selection):
             for case in _cases(chosen, workshop, extent):
                 report_progress(done + 2, f"{chosen.problem.stem}: {case.name}")

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
@@ -62,7 +62,7 @@ from codegen.evidence.report.store import Case, Extent, Store, Values, section_o
 from codegen.runtime.search import point
 from codegen.solving import api
 from codegen.solving.arcs import order_of_optima
-from codegen.solving.loading import ControlModule, Vector
+from codegen.solving.loading import ControlModule, Vector, is_control, load
 from codegen.solving.results.control import bound_distances
 from codegen.solving.results.result import Result
 
@@ -76,20 +76,39 @@ STRANGE = 2.0  # iterations are strange if they exceed this multiple of those of
 OTHER_OPTIMUM = 0.1  # the relative error of the cost on the finest grid above which a remark names possible reasons
 
 
+def untimed(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
+    """Yield cases: the reference motion, and the mesh sequence of every scheme."""
+    modules = {v: workshop.control(v) for v in workshop.built(variants)}
+    if not modules:
+        return
+    first = _first_steps(modules)
+    if next(iter(modules.values())).metadata.phases == 1:
+        candidates = [(v.label, workshop.path(v)) for v in _trusted(modules)[:MOST_TRIED]]
+        refined = partial(reference.refined, candidates, first, extent.reference_seconds)
+        yield Case(section_of(problem, "reference"), "motion", refined)
+    for variant in modules:
+        sequenced = partial(sequence, workshop.path(variant), first, extent.sequence_seconds)
+        yield Case(section_of(problem, "mesh sequences"), variant.label, sequenced)
+
+
+def _first_steps(modules: Mapping[Variant, ControlModule]) -> int:
+    """Return the number of intervals with which mesh sequences and drivers begin: a quarter of the problem's own."""
+    return max(LEAST_STEPS, min(MOST_STEPS, next(iter(modules.values())).metadata.steps) // 4)
+
+
+def _trusted(modules: Mapping[Variant, ControlModule]) -> list[Variant]:
+    """Return the variants by decreasing order of the optimum; the problem's own scheme is the first of its order."""
+    default = next(iter(modules))
+    return sorted(modules, key=lambda v: (-order_of_optima(modules[v]), v != default))
+
+
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Yield cases: the references, every scheme on ever finer grids, mesh sequences, drivers, times, iterations."""
+    """Yield cases: every scheme on ever finer grids, the reference of the cost, drivers, times, iterations."""
     store, modules = workshop.store, {v: workshop.control(v) for v in workshop.built(variants)}
     if not modules:
         return
     optima, references = section_of(problem, "optima"), section_of(problem, "reference")
-    # Controls at stages converge with the order of the scheme. Among equal orders the problem's own scheme comes first.
-    default = next(iter(modules))
-    trusted = sorted(modules, key=lambda v: (-order_of_optima(modules[v]), v != default))
-    # Mesh sequences and drivers begin with a quarter of the problem's own number of intervals.
-    first = max(LEAST_STEPS, min(MOST_STEPS, modules[default].metadata.steps) // 4)
-    if modules[default].metadata.phases == 1:
-        candidates = [(v.label, modules[v]) for v in trusted[:MOST_TRIED]]
-        yield Case(references, "motion", partial(reference.refined, candidates, first, extent.reference_seconds))
+    default, first, trusted = next(iter(modules)), _first_steps(modules), _trusted(modules)
     motion = store.get(references, "motion") or {}
     trajectory = reference.read_trajectory(motion) if motion.get("label") else None
     runs: dict[str, Callable[[], object]] = {}
@@ -103,9 +122,6 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
             worst = max((values[key] for key in ("states", "controls") if values.get(key) is not None), default=1.0)
             if (values["seconds of first solve"] or 0.0) > extent.limit or worst < ROUNDING:
                 break
-    for variant, module in modules.items():
-        sequenced = partial(sequence, module, first, extent.sequence_seconds)
-        yield Case(section_of(problem, "mesh sequences"), variant.label, sequenced)
     exact = (store.get(SURVEYS, problem.stem) or {}).get("exact cost")
     yield Case(references, "cost", partial(_reference, store, problem, trusted, exact))
     module = modules[default]
@@ -347,12 +363,14 @@ class _Sequence:
         return order < 2 or limit_of(costs, order).error < ACCURATE * scale
 
 
-def sequence(module: ControlModule, first: int, seconds: float) -> Values:
+def sequence(path: Path, first: int, seconds: float) -> Values:
     """Return the grids and costs of a mesh sequence, and the unknowns whose bounds become active or inactive.
 
-    `first` is the number of intervals of the first grid. No grid starts after `seconds` of processor time, which does
-    not depend on the load of the machine.
+    `path` is the file of the module, and `first` is the number of intervals of the first grid. No grid starts after
+    `seconds` of processor time, which does not depend on the load of the machine.
     """
+    module = load(path)
+    assert is_control(module)
     grids = _Sequence(module, seconds)
     steps, changes = first, list[str]()
     while steps <= MOST_INTERVALS and grids.seconds > 0.0:

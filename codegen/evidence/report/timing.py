@@ -25,6 +25,7 @@ from codegen.solving.results.result import Run
 
 LEAST_SECONDS = 1e-3
 """The least processor time of a sample; shorter solves are repeated in it. The clock resolves a thousandth of it."""
+LONG_SECONDS = 1e-2  # a solve that takes longer is not repeated before a sample: the caches are full within 0.1 ms
 LEAST_SAMPLES, MOST_SAMPLES, SPREAD = 5, 15, 0.03
 """Limits of samples, and the spread below which no more are taken: interquartile range / (median sqrt(samples))."""
 RULE = (
@@ -97,10 +98,11 @@ def _round(runs: Mapping[str, Callable[[], object]], earlier: Mapping[str, Seque
 def _sample(run: Callable[[], object], earlier: Sequence[Values]) -> Values:
     """Return the mean processor and wall seconds of a solve over so many solves that the clock resolves them.
 
-    A solve before the sample fills the processor's caches, which hold other solves.
+    A solve before the sample fills the processor's caches, which hold other solves. A long solve fills them itself.
     """
     count = int(earlier[-1]["solves"]) if earlier else 1
-    run()
+    if not earlier or earlier[-1]["wall seconds"] < LONG_SECONDS:
+        run()
     is_enabled = gc.isenabled()
     gc.disable()
     try:
