@@ -85,7 +85,7 @@ def test_errors_that_vary_with_the_grid_have_a_fitted_order(order):
 
 def test_a_mesh_sequence_has_the_optima_of_its_grids(tmp_path):
     module = module_of(tmp_path, EFFORT.replace("BOUNDS", "{}"), "midpoint", "variational")
-    values = sequence(Path(module.__file__), 5, 60.0)
+    values = sequence(module, 5, 60.0)
     assert values["switching"] == []
     assert values["steps"] == [5 * 2**k for k in range(len(values["steps"]))]
     for n, cost in zip(*all_grids(values), strict=True):

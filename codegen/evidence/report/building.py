@@ -89,9 +89,7 @@ class Workshop:
 
     def control(self, variant: Variant) -> loading.ControlModule:
         """Return the module of an optimal control problem."""
-        module = self.module(variant)
-        assert loading.is_control(module)
-        return module
+        return load_control(self.path(variant))
 
     def simulation(self, variant: Variant) -> loading.SimulateModule:
         """Return the module of a simulation."""
@@ -102,6 +100,13 @@ class Workshop:
     def built(self, variants: Iterable[Variant]) -> list[Variant]:
         """Return the variants that were built without an error."""
         return [v for v in variants if (self.store.get(MODULES, v.case) or {}).get("status") == "built"]
+
+
+def load_control(path: Path) -> loading.ControlModule:
+    """Return the module of an optimal control problem by its file."""
+    module = loading.load(path)
+    assert loading.is_control(module)
+    return module
 
 
 @contextmanager

@@ -34,7 +34,7 @@ import numpy as np
 from codegen.errors import CodegenError
 from codegen.evidence.report import comparison as compare
 from codegen.evidence.report import peers, reference, timing
-from codegen.evidence.report.building import SURVEYS, Variant, Workshop
+from codegen.evidence.report.building import SURVEYS, Variant, Workshop, load_control
 from codegen.evidence.report.comparison import (
     ABOVE_REFERENCE,
     LARGE,
@@ -62,7 +62,7 @@ from codegen.evidence.report.store import Case, Extent, Store, Values, section_o
 from codegen.runtime.search import point
 from codegen.solving import api
 from codegen.solving.arcs import order_of_optima
-from codegen.solving.loading import ControlModule, Vector, is_control, load
+from codegen.solving.loading import ControlModule, Vector
 from codegen.solving.results.control import bound_distances
 from codegen.solving.results.result import Result
 
@@ -84,11 +84,19 @@ def untimed(problem: Path, variants: Sequence[Variant], workshop: Workshop, exte
     first = _first_steps(modules)
     if next(iter(modules.values())).metadata.phases == 1:
         candidates = [(v.label, workshop.path(v)) for v in _trusted(modules)[:MOST_TRIED]]
-        refined = partial(reference.refined, candidates, first, extent.reference_seconds)
+        refined = partial(_refined, candidates, first, extent.reference_seconds)
         yield Case(section_of(problem, "reference"), "motion", refined)
     for variant in modules:
-        sequenced = partial(sequence, workshop.path(variant), first, extent.sequence_seconds)
+        sequenced = partial(_sequenced, workshop.path(variant), first, extent.sequence_seconds)
         yield Case(section_of(problem, "mesh sequences"), variant.label, sequenced)
+
+
+def _refined(candidates: Sequence[tuple[str, Path]], first: int, seconds: float) -> Values:
+    return reference.refined(((label, load_control(path)) for label, path in candidates), first, seconds)
+
+
+def _sequenced(path: Path, first: int, seconds: float) -> Values:
+    return sequence(load_control(path), first, seconds)
 
 
 def _first_steps(modules: Mapping[Variant, ControlModule]) -> int:
@@ -363,14 +371,12 @@ class _Sequence:
         return order < 2 or limit_of(costs, order).error < ACCURATE * scale
 
 
-def sequence(path: Path, first: int, seconds: float) -> Values:
+def sequence(module: ControlModule, first: int, seconds: float) -> Values:
     """Return the grids and costs of a mesh sequence, and the unknowns whose bounds become active or inactive.
 
-    `path` is the file of the module, and `first` is the number of intervals of the first grid. No grid starts after
-    `seconds` of processor time, which does not depend on the load of the machine.
+    `first` is the number of intervals of the first grid. No grid starts after `seconds` of processor time, which does
+    not depend on the load of the machine.
     """
-    module = load(path)
-    assert is_control(module)
     grids = _Sequence(module, seconds)
     steps, changes = first, list[str]()
     while steps <= MOST_INTERVALS and grids.seconds > 0.0:

@@ -1,25 +1,35 @@
-"""Other programs on the problem of a report, where they are installed: CasADi with IPOPT, and with fatrop.
+"""Other programs on the problem of a report, where they are installed: CasADi with IPOPT or fatrop, opty, and dymos.
 
-CasADi uses multiple shooting by rk4. With a control u_k that is constant on each interval, and the Runge-Kutta method
-rk4 for states and cost,
+All programs have the same unknowns: states x, which are coordinates with velocities or momenta, and controls u. The
+right-hand sides and the cost are those of the author's problem.
+
+CasADi uses multiple shooting. With a control u_k that is constant on each interval, and one step F of the Runge-Kutta
+method rk4 for states and cost,
 
     minimise    sum_k (cost of step k) + terminal cost
     subject to  x_{k+1} - F(x_k, u_k, t_k, h) = 0,  prescribed states at both ends,  bounds on states and controls
 
-The right-hand sides are those of the author's problem, printed by sympy for CasADi. States are coordinates with
-velocities or momenta. The unknowns are x_0, u_0, x_1, ..., x_N, and the constraints of a node follow those of its
-interval, as fatrop needs them. A process of its own runs each peer. So neither sympy nor CasADi disturbs other
-measurements, and a solve without an end is killed.
+The unknowns are x_0, u_0, x_1, ..., x_N, and the constraints of a node follow those of its interval, as fatrop needs
+them. opty replaces the equations of motion by the midpoint rule, with controls at nodes, and calls IPOPT with an
+approximate Hessian, which reaches no smaller tolerance than 1e-8. Its functions are those of numpy, since a C compiler
+takes more than ten seconds for each grid. dymos collocates at three Radau points on each interval, where controls are
+quadratic, and calls SLSQP of scipy.
+
+A process of its own runs each peer. So neither sympy nor the peer disturbs other measurements, and a solve without an
+end is killed.
 """
 
 from __future__ import annotations
 
+import io
+import os
+import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
-from functools import partial
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import redirect_stderr, suppress
+from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
 from math import inf
@@ -40,31 +50,20 @@ from codegen.solving.loading import Matrix, Vector
 
 @dataclass(frozen=True)
 class Peer:
-    """A solver of CasADi: its name on the page, its name in CasADi, and its options."""
+    """Another program: its name on the page, its package, its class, its order, and the options of its solver."""
 
     name: str
-    solver: str
-    options: Values
-    order: int = 4
+    package: str
+    program: type[_Program]
+    order: int
+    options: Values = field(default_factory=dict)
 
 
-PEERS = (
-    Peer("CasADi + IPOPT, rk4", "ipopt",
-         {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10, "ipopt.max_iter": 1000}),
-    Peer("CasADi + fatrop, rk4", "fatrop",
-         {"structure_detection": "auto", "fatrop": {"print_level": 0, "tolerance": 1e-10, "max_iter": 1000}}),
-)  # fmt: skip
-"""The peers; one that is not installed, or whose solver this CasADi has not, has no curve."""
 ANSWER_SECONDS = 15.0
 """The time after which a solve, with its derivation, has no end: fatrop may repeat a step for ever."""
 _ABSENT = ("path", "integrals", "inner_conditions", "start_conditions", "end_conditions", "holonomic", "rolling",
            "periodic", "joined", "delays", "free_parameters", "phases", "measurements")  # fmt: skip
-"""Features of a model that the program has not."""
-
-
-def installed() -> tuple[Peer, ...]:
-    """Return the peers that may be measured."""
-    return PEERS if find_spec("casadi") is not None else ()
+"""Features of a model that the programs have not."""
 
 
 @dataclass(frozen=True)
@@ -111,125 +110,393 @@ def _serve(connection: Connection) -> None:
     from codegen.discretise.model.from_problem import load_problem
 
     program: _Program | None = None
-    with suppress(EOFError, KeyboardInterrupt):
+    with tempfile.TemporaryDirectory() as folder, suppress(EOFError, KeyboardInterrupt):
         while True:
             match connection.recv():
                 case None:
                     connection.send(None)
                 case Peer() as peer, Path() as problem:
                     try:
-                        program = _Program(peer, load_problem(problem, {}))
+                        model = load_problem(problem, {})
+                        os.chdir(folder)  # dymos and opty write files
+                        program = peer.program(peer, model)
                         connection.send(None)
-                    except (CodegenError, NotImplementedError, NameError, TypeError, AttributeError) as error:
-                        connection.send(str(error))
+                    except (CodegenError, ImportError, NotImplementedError, NameError, TypeError, AttributeError) as e:
+                        connection.send(str(e))
                 case Guess() as guess, float() as budget:
                     assert program is not None
                     connection.send(program.row(guess, budget))
 
 
-class _Program:
-    """The dynamics and the cost of a problem as functions of CasADi, for the solver of a peer."""
+@dataclass(frozen=True)
+class _Found:
+    """The end of a solve: its status and iterations, the cost, states at fractions of the duration, and controls."""
+
+    status: str
+    iterations: int
+    cost: float
+    nodes: Vector
+    states: Matrix
+    times: Vector
+    controls: Matrix
+
+
+class _Program(ABC):
+    """The dynamics and the cost of a problem with numbers for its parameters, and their program by a peer."""
 
     def __init__(self, peer: Peer, model: Any) -> None:
-        """Print the right-hand sides; raise NotImplementedError with the feature that the program has not."""
-        import sympy
-
+        """Read the model; raise NotImplementedError with the feature that the program has not."""
         from codegen.evidence.analysis.maximum_principle import dynamics_of
 
         features = [name for name in _ABSENT if getattr(model, name)] + (["bodies"] if model.bodies > 1 else [])
         if features:
             raise NotImplementedError(f"no program for problems with {', '.join(features).replace('_', ' ')}")
-        self.ca, self.peer, self.model = import_module("casadi"), peer, model
-        if not self.ca.has_nlpsol(peer.solver):
-            raise NotImplementedError(f"this CasADi has no {peer.solver}")
-        if hasattr(self.ca.GlobalOptions, "setNumpyMode"):
-            self.ca.GlobalOptions.setNumpyMode(-1)  # functions of numpy accept symbols of CasADi without a warning
-        self.values = model.default_values
-        self.states = (*model.coordinates, *model.rates)
-        self.duration = float(model.duration.xreplace(self.values))
-        arguments = (*self.states, *model.controls, model.time)
-
-        def printed(expressions: Sequence[Any], module: Any) -> Callable[..., Any]:
-            numeric = [expression.xreplace(self.values) for expression in expressions]
-            return sympy.lambdify(arguments, numeric, modules=module, cse=True)  # type: ignore[no-any-return]
-
-        self.rates = printed([*dynamics_of(model), model.cost], self.ca)
-        self.terminal_cost = printed([model.terminal_cost], self.ca)
+        self.peer, self.model, values = peer, model, model.default_values
+        self.states, self.controls = (*model.coordinates, *model.rates), tuple(model.controls)
+        self.symbols = (*self.states, *self.controls, model.time)
+        self.duration = float(model.duration.xreplace(values))
+        self.rates = [rate.xreplace(values) for rate in dynamics_of(model)]
+        self.cost, self.terminal_cost = model.cost.xreplace(values), model.terminal_cost.xreplace(values)
+        names = self.symbols[:-1]
+        self.low, self.high = np.full(len(names), -inf), np.full(len(names), inf)
+        for bound in model.bounds:
+            for side, limit in ((self.low, bound.lower), (self.high, bound.upper)):
+                if limit is not None:
+                    side[names.index(bound.symbol)] = float(limit.xreplace(values))
+        self.start, self.end = (
+            {i: float(v.xreplace(values)) for i, v in enumerate((*end.positions, *end.rates)) if v is not None}
+            for end in (model.start, model.end)
+        )
         momenta = model.rates if model.form == "hamiltonian" else [model.function.diff(v) for v in model.rates]
-        self.momenta = printed(momenta, "numpy")
+        self.momenta = self.printed([p.xreplace(values) for p in momenta], "numpy")
+
+    def printed(self, expressions: Sequence[Any], module: Any) -> Callable[..., Any]:
+        """Return expressions as a function of states, controls and time in the language of a module."""
+        import sympy
+
+        return sympy.lambdify(self.symbols, expressions, modules=module, cse=True)  # type: ignore[no-any-return]
+
+    @abstractmethod
+    def on_grid(self, nodes: Matrix, u: Matrix) -> Callable[[], Callable[[], _Found]]:
+        """Return the function that solves from states (N + 1, n) at nodes and controls (N, m) on intervals.
+
+        It returns a function that reads the result, which takes no part in the measured time.
+        """
 
     def row(self, guess: Guess, budget: float) -> tuple[Values, Trajectory | None]:
         """Return the solve from a guess, with its time if it is solved, and its trajectory."""
-        run = self.on_grid(guess)
+        steps, rates = len(guess.u), guess.p
+        if self.model.form == "lagrangian":
+            rates = np.gradient(guess.q, self.duration / steps, axis=0)
+        nodes = np.hstack([guess.q, rates])
+        for node, prescribed in ((0, self.start), (-1, self.end)):
+            nodes[node, list(prescribed)] = list(prescribed.values())
         with quiet_single_thread():
-            solution, status, iterations = run()
-            row: Values = {"steps": len(guess.u), "status": status, "iterations": iterations}
-            if status != "solved":
+            run = self.on_grid(nodes, guess.u)
+            found = run()()
+            row: Values = {"steps": steps, "status": found.status, "iterations": found.iterations}
+            if found.status != "solved":
                 return row, None
             time = timed(run, budget)
-        row = {**row, "cost": float(solution["f"]), "seconds": time.processor, "wall seconds": time.wall}
-        return row, self.trajectory(np.asarray(solution["x"]).ravel(), len(guess.u))
+        row = {**row, "cost": found.cost, "seconds": time.processor, "wall seconds": time.wall}
+        none = np.zeros((len(self.controls), 1))
+        momenta = self.momenta(*found.states.T, *none, self.duration * found.nodes)
+        half = len(self.model.coordinates)
+        columns = [found.states[:, :half], *(np.broadcast_to(p, found.nodes.shape)[:, None] for p in momenta)]
+        return row, Trajectory(self.duration, found.nodes, np.hstack(columns), found.times, found.controls)
 
-    def on_grid(self, guess: Guess) -> Callable[[], tuple[Any, str, int]]:
-        """Return the function that solves from a guess; it returns the solution, the status and the iterations."""
-        ca, model, n, m, steps = self.ca, self.model, len(self.states), len(self.model.controls), len(guess.u)
+
+class _Casadi(_Program):
+    """Multiple shooting by rk4 with a solver of CasADi."""
+
+    solver: str
+
+    def __init__(self, peer: Peer, model: Any) -> None:
+        """Print the right-hand sides."""
+        super().__init__(peer, model)
+        self.ca = import_module("casadi")
+        if not self.ca.has_nlpsol(self.solver):
+            raise NotImplementedError(f"this CasADi has no {self.solver}")
+        if hasattr(self.ca.GlobalOptions, "setNumpyMode"):
+            self.ca.GlobalOptions.setNumpyMode(-1)  # functions of numpy accept symbols of CasADi without a warning
+        self.rates_and_cost = self.printed([*self.rates, self.cost], self.ca)
+        self.final = self.printed([self.terminal_cost], self.ca)
+
+    def options(self, constraints: int) -> Values:
+        """Return the options of the solver for a number of constraints."""
+        return self.peer.options
+
+    def on_grid(self, nodes: Matrix, u: Matrix) -> Callable[[], Callable[[], _Found]]:
+        """Return the function that solves from a guess; the guess of controls is that of intervals."""
+        ca, n, m, steps = self.ca, len(self.states), len(self.controls), len(u)
         h = self.duration / steps
-        x, u, t = ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("t")
+        x, control, t = ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("t")
 
         def rate(state: Any, time: Any) -> Any:
-            return ca.vertcat(*self.rates(*ca.vertsplit(state[:n]), *ca.vertsplit(u), time))
+            return ca.vertcat(*self.rates_and_cost(*ca.vertsplit(state[:n]), *ca.vertsplit(control), time))
 
         state = ca.vertcat(x, 0)
         first = rate(state, t)
         second = rate(state + h / 2 * first, t + h / 2)
         third = rate(state + h / 2 * second, t + h / 2)
         end = state + h / 6 * (first + 2 * second + 2 * third + rate(state + h * third, t + h))
-        step = ca.Function("step", [x, u, t], [end[:n], end[n]], {"cse": True})
+        step = ca.Function("step", [x, control, t], [end[:n], end[n]], {"cse": True})
         w = ca.MX.sym("w", (n + m) * steps + n)
         table, last = ca.reshape(w[: (n + m) * steps], n + m, steps), w[(n + m) * steps :]
         following, costs = step.map(steps)(table[:n, :], table[n:, :], ca.DM(h * np.arange(steps)).T)
         gaps = ca.horzcat(table[:n, 1:], last) - following
-        final = self.terminal_cost(*ca.vertsplit(last), *[0] * m, self.duration)[0]
-        rates = guess.p
-        if model.form == "lagrangian":
-            rates = np.gradient(guess.q, h, axis=0)
-        nodes = np.hstack([guess.q, rates])
-        low, high = np.full((steps + 1, n + m), -inf), np.full((steps + 1, n + m), inf)
-        names = (*self.states, *model.controls)
-        for bound in model.bounds:
-            for side, limit in ((low, bound.lower), (high, bound.upper)):
-                if limit is not None:
-                    side[:, names.index(bound.symbol)] = float(limit.xreplace(self.values))
+        final = self.final(*ca.vertsplit(last), *[0] * m, self.duration)[0]
+        low, high = np.tile(self.low, (steps + 1, 1)), np.tile(self.high, (steps + 1, 1))
         prescribed = []
-        for node, boundary, symbols in ((0, model.start, table[:n, 0]), (-1, model.end, last)):
-            given = {i: value for i, value in enumerate((*boundary.positions, *boundary.rates)) if value is not None}
-            nodes[node, list(given)] = values = [float(value.xreplace(self.values)) for value in given.values()]
+        for node, given, symbols in ((0, self.start, table[:n, 0]), (-1, self.end, last)):
             low[node, list(given)], high[node, list(given)] = -inf, inf
-            prescribed.append(symbols[list(given)] - ca.DM(values))
-        begin = np.append(np.hstack([nodes[:-1], guess.u]).ravel(), nodes[-1])
+            prescribed.append(symbols[list(given)] - ca.DM(list(given.values())))
+        begin = np.append(np.hstack([nodes[:-1], u]).ravel(), nodes[-1])
         lower, upper = (side.ravel()[: begin.size] for side in (low, high))
         constraints = ca.vertcat(gaps[:, 0], prescribed[0], ca.vec(gaps[:, 1:]), prescribed[1])
-        options = {"print_time": False, "expand": True, "error_on_fail": False, **self.peer.options}
-        if self.peer.solver == "fatrop":
-            options["equality"] = [True] * constraints.numel()
+        options = {"print_time": False, "expand": True, "error_on_fail": False, **self.options(constraints.numel())}
         nlp = {"x": w, "f": ca.sum2(costs) + final, "g": constraints}
-        solver = ca.nlpsol("solver", self.peer.solver, nlp, options)
-        solve = partial(solver, x0=begin, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0)
+        solver = ca.nlpsol("solver", self.solver, nlp, options)
 
-        def run() -> tuple[Any, str, int]:
-            solution, statistics = solve(), solver.stats()
-            status = "solved" if statistics["success"] else str(statistics["return_status"])
-            return solution, status, int(statistics["iter_count"])
+        def run() -> Callable[[], _Found]:
+            solution, statistics = solver(x0=begin, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0), solver.stats()
+
+            def found() -> _Found:
+                status = "solved" if statistics["success"] else str(statistics["return_status"])
+                unknowns = np.asarray(solution["x"]).ravel()
+                values, ends = unknowns[: (n + m) * steps].reshape(steps, n + m), unknowns[(n + m) * steps :]
+                fractions, states = np.linspace(0.0, 1.0, steps + 1), np.vstack([values[:, :n], ends])
+                return _Found(
+                    status, int(statistics["iter_count"]), float(solution["f"]), fractions, states,
+                    fractions[:-1] + 0.5 / steps, values[:, n:],
+                )  # fmt: skip
+
+            return found
 
         return run
 
-    def trajectory(self, unknowns: Vector, steps: int) -> Trajectory:
-        """Return states (q, p) at the nodes and controls at the midpoints of a solution."""
-        n, m, half = len(self.states), len(self.model.controls), len(self.model.coordinates)
-        table = unknowns[: (n + m) * steps].reshape(steps, n + m)
-        states, controls = np.vstack([table[:, :n], unknowns[(n + m) * steps :]]), table[:, n:]
+
+class _Ipopt(_Casadi):
+    solver = "ipopt"
+
+
+class _Fatrop(_Casadi):
+    solver = "fatrop"
+
+    def options(self, constraints: int) -> Values:
+        """Return the options with the kinds of constraints: all are equalities."""
+        return {**self.peer.options, "equality": [True] * constraints}
+
+
+class _Opty(_Program):
+    """The midpoint rule of opty, with controls at nodes, and IPOPT.
+
+    The cost is that of the trapezoidal rule. By the midpoint rule, a control that alternates from node to node would
+    cost nothing.
+    """
+
+    def __init__(self, peer: Peer, model: Any) -> None:
+        """Write the equations of motion with functions of time, and differentiate the cost."""
+        import sympy
+
+        super().__init__(peer, model)
+        self.opty = import_module("opty")
+        if any(rate.has(model.time) for rate in self.rates):
+            raise NotImplementedError("no program of opty for dynamics that depend on time")
+        self.time, variables = sympy.Symbol("t"), self.symbols[:-1]
+        self.functions = [sympy.Function(f"f{i}")(self.time) for i in range(len(variables))]
+        written = dict(zip(variables, self.functions, strict=True))
+        states = self.functions[: len(self.states)]
+        self.equations = sympy.Matrix(
+            [f.diff(self.time) - rate.xreplace(written) for f, rate in zip(states, self.rates, strict=True)]
+        )
+        costs = self.cost, self.terminal_cost
+        self.costs, self.slopes = (
+            [self.printed([cost, *(cost.diff(x) for x in variables)][part], "numpy") for cost in costs]
+            for part in (slice(1), slice(1, None))
+        )
+
+    def objective(self, count: int) -> tuple[Callable[[Vector], float], Callable[[Vector], Vector]]:
+        """Return the cost on `count` nodes, and its gradient, as functions of opty's unknowns."""
+        weights, times = np.full(count, self.duration / (count - 1)), np.linspace(0.0, self.duration, count)
+        weights[[0, -1]] /= 2.0
+
+        def cost(unknowns: Vector) -> float:
+            values = unknowns.reshape(-1, count)
+            return float(
+                np.sum(weights * self.costs[0](*values, times)[0]) + self.costs[1](*values[:, -1], times[-1])[0]
+            )
+
+        def gradient(unknowns: Vector) -> Vector:
+            values = unknowns.reshape(-1, count)
+            slopes = np.array([weights * slope for slope in self.slopes[0](*values, times)])
+            slopes[:, -1] += self.slopes[1](*values[:, -1], times[-1])
+            return slopes.ravel()
+
+        return cost, gradient
+
+    def on_grid(self, nodes: Matrix, u: Matrix) -> Callable[[], Callable[[], _Found]]:
+        """Return the function that solves from a guess; a guess at an inner node is the mean of its intervals."""
+        import sympy
+
+        n, count, h = len(self.states), len(nodes), self.duration / len(u)
+        states = self.functions[:n]
+        ends = [
+            states[i].func(at) - sympy.Float(value)
+            for at, given in ((0, self.start), (sympy.Float(self.duration), self.end))
+            for i, value in given.items()
+        ]
+        rows = zip(self.functions, self.low, self.high, strict=True)
+        problem = self.opty.Problem(
+            *self.objective(count), self.equations, states, count, h, instance_constraints=tuple(ends),
+            time_symbol=self.time, integration_method="midpoint", backend="numpy",
+            bounds={f: (low, high) for f, low, high in rows if low > -inf or high < inf},
+        )  # fmt: skip
+        for name, value in self.peer.options.items():
+            problem.add_option(name, value)
+        at_nodes = 0.5 * (np.vstack([u[:1], u]) + np.vstack([u, u[-1:]]))
+        begin = np.hstack([nodes, at_nodes]).T.ravel()
+
+        def run() -> Callable[[], _Found]:
+            earlier = len(problem.obj_value)
+            solution, information = problem.solve(begin)
+            iterations = len(problem.obj_value) - earlier - 1
+
+            def found() -> _Found:
+                status = "solved" if information["status"] == 0 else information["status_msg"].decode()
+                values, fractions = solution.reshape(-1, count), np.linspace(0.0, 1.0, count)
+                means = 0.5 * (values[n:, 1:] + values[n:, :-1])  # the controls of the midpoint rule
+                return _Found(
+                    status, iterations, float(information["obj_val"]), fractions, values[:n].T,
+                    0.5 * (fractions[1:] + fractions[:-1]), means.T,
+                )  # fmt: skip
+
+            return found
+
+        return run
+
+
+class _Dymos(_Program):
+    """Radau collocation of dymos with three points on each interval, and SLSQP of scipy."""
+
+    def __init__(self, peer: Peer, model: Any) -> None:
+        """Differentiate rates and cost."""
+        super().__init__(peer, model)
+        with redirect_stderr(io.StringIO()):  # OpenMDAO warns about its own names
+            self.dymos, self.om = import_module("dymos"), import_module("openmdao.api")
+        outputs = [*self.rates, self.cost]
+        self.values = self.printed(outputs, "numpy")
+        self.pairs = [
+            (row, column)
+            for row, output in enumerate(outputs)
+            for column, symbol in enumerate(self.symbols)
+            if output.has(symbol)
+        ]
+        self.slopes = self.printed([outputs[i].diff(self.symbols[j]) for i, j in self.pairs], "numpy")
+        self.final = self.printed([self.terminal_cost], "numpy")
+        if self.terminal_cost != 0:
+            raise NotImplementedError("no program of dymos for a terminal cost")
+
+    def component(self) -> type:
+        """Return the class of the OpenMDAO component: inputs i0, i1, ... and outputs o0, o1, ..."""
+        program = self
+
+        class Dynamics(self.om.ExplicitComponent):  # type: ignore[misc, name-defined]
+            def initialize(self) -> None:
+                self.options.declare("num_nodes", types=int)
+
+            def setup(self) -> None:
+                nodes = self.options["num_nodes"]
+                for i in range(len(program.symbols)):
+                    self.add_input(f"i{i}", shape=nodes)
+                for i in range(len(program.states) + 1):
+                    self.add_output(f"o{i}", shape=nodes)
+                for i, j in program.pairs:
+                    self.declare_partials(f"o{i}", f"i{j}", rows=np.arange(nodes), cols=np.arange(nodes))
+
+            def arguments(self, inputs: Any) -> Iterator[Vector]:
+                return (inputs[f"i{i}"] for i in range(len(program.symbols)))
+
+            def compute(self, inputs: Any, outputs: Any) -> None:
+                for i, value in enumerate(program.values(*self.arguments(inputs))):
+                    outputs[f"o{i}"] = value
+
+            def compute_partials(self, inputs: Any, partials: Any) -> None:
+                slopes = program.slopes(*self.arguments(inputs))
+                for (i, j), value in zip(program.pairs, slopes, strict=True):
+                    partials[f"o{i}", f"i{j}"] = value
+
+        return Dynamics
+
+    def on_grid(self, nodes: Matrix, u: Matrix) -> Callable[[], Callable[[], _Found]]:
+        """Return the function that solves from a guess, which is linear between nodes and between midpoints."""
+        steps, n = len(u), len(self.states)
+        problem = self.om.Problem(model=self.om.Group(), reports=False)
+        problem.driver = self.om.ScipyOptimizeDriver(optimizer="SLSQP", **self.peer.options)
+        problem.driver.declare_coloring(show_summary=False)
+        transcription = self.dymos.Radau(num_segments=steps, order=3)
+        phase = self.dymos.Phase(ode_class=self.component(), transcription=transcription)
+        problem.model.add_subsystem("trajectory", self.dymos.Trajectory()).add_phase("motion", phase)
+        phase.set_time_options(fix_initial=True, fix_duration=True, targets=f"i{len(self.symbols) - 1}")
+        limits = [
+            {side: value for side, value in (("lower", low), ("upper", high)) if np.isfinite(value)}
+            for low, high in zip(self.low, self.high, strict=True)
+        ]
+        for i in range(n):
+            phase.add_state(
+                f"x{i}", rate_source=f"o{i}", targets=f"i{i}", fix_initial=i in self.start, fix_final=i in self.end,
+                **limits[i],
+            )  # fmt: skip
+        for i in range(len(self.controls)):
+            phase.add_control(f"u{i}", targets=f"i{n + i}", continuity=False, rate_continuity=False, **limits[n + i])
+        phase.add_state("cost", rate_source=f"o{n}", fix_initial=True)
+        phase.add_objective("cost", loc="final")
+        problem.setup()
         times = np.linspace(0.0, self.duration, steps + 1)
-        momenta = self.momenta(*states.T, *np.zeros((m, 1)), times)
-        columns = [states[:, :half], *(np.broadcast_to(p, times.shape)[:, None] for p in momenta)]
-        fractions = np.linspace(0.0, 1.0, steps + 1)
-        return Trajectory(self.duration, fractions, np.hstack(columns), fractions[:-1] + 0.5 / steps, controls)
+        middles = np.concatenate([times[:1], 0.5 * (times[1:] + times[:-1]), times[-1:]])
+
+        def run() -> Callable[[], _Found]:
+            phase.set_time_val(0.0, self.duration)
+            phase.set_state_val("cost", [0.0, 0.0])
+            for i in range(n):
+                phase.set_state_val(f"x{i}", nodes[:, i], times)
+            for i in range(len(self.controls)):
+                phase.set_control_val(f"u{i}", np.concatenate([u[:1, i], u[:, i], u[-1:, i]]), middles)
+            self.dymos.run_problem(problem, run_driver=True)
+
+            def found() -> _Found:
+                result = problem.driver.result
+
+                def values(name: str) -> Vector:
+                    return np.asarray(problem.get_val(f"trajectory.motion.timeseries.{name}")).ravel()
+
+                fractions, index = np.unique(values("time") / self.duration, return_index=True)
+                tables = [
+                    [values(f"{kind}{i}")[index] for i in range(size)] for kind, size in (("x", n), ("u", u.shape[1]))
+                ]
+                status = "solved" if result.success else str(result.exit_status)
+                x, controls = (np.column_stack(table) for table in tables)
+                return _Found(status, int(result.iter_count), values("cost")[-1], fractions, x, fractions, controls)
+
+            return found
+
+        return run
+
+
+TOLERANCE, MOST_ITERATIONS = 1e-10, 1000
+PEERS = (
+    Peer("CasADi + IPOPT, rk4", "casadi", _Ipopt, 4,
+         {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": TOLERANCE, "ipopt.max_iter": MOST_ITERATIONS}),
+    Peer("CasADi + fatrop, rk4", "casadi", _Fatrop, 4,
+         {"structure_detection": "auto",
+          "fatrop": {"print_level": 0, "tolerance": TOLERANCE, "max_iter": MOST_ITERATIONS}}),
+    Peer("opty + IPOPT, midpoint", "opty", _Opty, 2,
+         {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": MOST_ITERATIONS}),
+    Peer("dymos + SLSQP, Radau", "dymos", _Dymos, 5, {"tol": TOLERANCE, "maxiter": MOST_ITERATIONS, "disp": False}),
+)  # fmt: skip
+"""The peers; one that is not installed, or whose solver this CasADi has not, has no curve."""
+
+
+def installed() -> tuple[Peer, ...]:
+    """Return the peers that may be measured."""
+    return tuple(peer for peer in PEERS if find_spec(peer.package) is not None)

@@ -8,10 +8,9 @@ error. It exceeds the error of the last grid as long as the sequence converges.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
@@ -19,7 +18,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from codegen.errors import CodegenError
 from codegen.evidence.report.store import Values
 from codegen.solving import api
-from codegen.solving.loading import ControlModule, Matrix, Vector, is_control, load
+from codegen.solving.loading import ControlModule, Matrix, Vector
 from codegen.solving.results.result import Result
 
 DEGREE = 5
@@ -94,14 +93,12 @@ def read_trajectory(values: Values) -> Trajectory:
     return Trajectory(values["duration"], nodes, states, times, controls.reshape(len(times), -1))
 
 
-def refined(modules: Sequence[tuple[str, Path]], first: int, budget: float) -> Values:
-    """Return the reference by the first of the `modules`, labels and files, that has optima on two grids.
+def refined(modules: Iterable[tuple[str, ControlModule]], first: int, budget: float) -> Values:
+    """Return the reference by the first of the `modules`, with their labels, that has optima on two grids.
 
     No grid starts after `budget` seconds of processor time since the first grid of a module.
     """
-    for label, path in modules:
-        module = load(path)
-        assert is_control(module)
+    for label, module in modules:
         steps, earlier, begin = max(first, COARSEST), None, 0.0
         best: Values = {}
         while steps <= MOST_INTERVALS and (earlier is None or time.process_time() - begin < budget):
