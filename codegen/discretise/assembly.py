@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from sympy import Add, Expr, S, Symbol
 
+from codegen.discretise import schemes
 from codegen.discretise.conditions.ends import End, indexed, pinned_at_zero, with_bounds
 from codegen.discretise.conditions.inner_times import clock_of, inner_terms
 from codegen.discretise.conditions.integral import end_share, integral_equations, own_unknowns
@@ -53,6 +54,7 @@ class Motion:
     node_guess: tuple[Expr, ...]
     left_rates: Callable[[], tuple[Expr, ...]]
     stage_guess: tuple[Expr, ...] = ()
+    stage_times: tuple[Expr, ...] = ()
     contacts: tuple[PathValue, ...] = ()
 
 
@@ -117,6 +119,7 @@ def assemble(
     first = len(before) - len(at_inner_times.unknowns)
     guess = dict(model.guess)
     of_controls = tuple(at_guess(model, guess.get(u, S.Zero)) for u in model.controls)
+    control_times = schemes.find(motion.scheme, motion.method).point_times if sites.stage_controls else (S.Half,)
     quadratures = (Equation(value, f"Gd_{i}") for i, value in enumerate(discrete.integrals, start=1))
     program = ControlProgram(
         model=model,
@@ -139,6 +142,8 @@ def assemble(
             motion.node_guess,
             motion.stage_guess,
             of_controls * max(1, len(sites.stage_controls)),
+            motion.stage_times,
+            tuple(c for c in control_times for _ in model.controls),
             tuple(replace(h, unknowns=tuple(len(motion.node) + i for i in h.unknowns)) for h in nodal.holding),
         ),
         slacks=path.slacks,

@@ -464,17 +464,15 @@ class _Chain:
             filling = Add(*(self.symbols[i] ** 2 / 2 for i in absent))
             return IntervalElement(element.xreplace(scales) + filling, cost.xreplace(scales), absent)
 
-        def by_index(guesses: Iterable[tuple[str, Expr]]) -> tuple[tuple[int, Expr], ...]:
-            return tuple((_index(self.inside, name), value) for name, value in guesses)
-
         at_switch = None
         if switch is not None and (switch.values or switch.element != 0):
             own = {unknown.name for unknown in switch.unknowns}
             first, cost = (part.xreplace(dict(switch.values)) for part in (element, program.cost))
             at_switch = scaled(first + switch.element, cost + switch.cost, present | own)
         unknowns = {u.name: u for u in (*program.node, *program.interval, *program.controls, *program.slacks)}
-        guesses = [(u.name, value) for u, value in zip(program.interval, program.guess.stages, strict=False)]
-        guesses += [(u.name, value) for u, value in zip(program.controls, program.guess.controls, strict=True)]
+        guess = program.guess
+        guesses = [*zip(program.interval, guess.stages, guess.stage_times, strict=False)]
+        guesses += zip(program.controls, guess.controls, guess.control_times, strict=True)
         return Phase(
             duration=model.duration,
             regular=scaled(element, program.cost, present),
@@ -484,12 +482,12 @@ class _Chain:
             jumping=() if switch is None else tuple(_index(self.node, name) for name in switch.jumping),
             given=() if switch is None else tuple(_index(self.node, name) for name in switch.given),
             broken=() if switch is None else switch.broken,
-            node_guess=program.guess.node,
-            inside_guess=by_index(pair for pair in guesses if pair[0] in present),
-            switch_guess=() if switch is None else by_index(switch.guess),
+            node_guess=guess.node,
+            inside_guess=tuple((_index(self.inside, u.name), v, c) for u, v, c in guesses if u.name in present),
+            switch_guess=() if switch is None else tuple((_index(self.inside, n), value) for n, value in switch.guess),
             holding=tuple(
                 replace(each, unknowns=tuple(_index(self.node, program.node[i].name) for i in each.unknowns))
-                for each in program.guess.holding
+                for each in guess.holding
             ),
             equations=in_scales(program.equations, scales),
             switch_equations=() if switch is None else in_scales(switch.equations, scales),

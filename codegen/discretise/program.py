@@ -175,12 +175,15 @@ class HoldingForces:
 class InitialGuess:
     """The initial guess of the primal unknowns of a node, of the stages, and of the controls of an interval or a node.
 
-    The guesses are expressions in time, duration and parameters. `holding` are guesses of constraint forces.
+    The guesses are expressions in time, duration and parameters. Those of stages and controls are evaluated at the
+    fractions `stage_times` and `control_times` of an interval. `holding` are guesses of constraint forces.
     """
 
     node: tuple[Expr, ...]
     stages: tuple[Expr, ...]
     controls: tuple[Expr, ...]
+    stage_times: tuple[Expr, ...]
+    control_times: tuple[Expr, ...]
     holding: tuple[HoldingForces, ...] = ()
 
 
@@ -289,8 +292,8 @@ class Phase:
     switch before the phase, `jumping` are indices in a node of quantities that change: bounds of this phase do not hold
     before. `given` are indices of quantities with a prescribed value, which need no bounds, and `broken` names
     quantities with another value after the switch. Guesses are expressions in the time of the whole problem:
-    `node_guess` for the primal unknowns of a node, `holding` for constraint forces, the others as pairs (index in
-    `inside`, value).
+    `node_guess` for the primal unknowns of a node, `holding` for constraint forces, the others with the index in
+    `inside`; those of stages also with the fraction of the interval at which they are evaluated.
     """
 
     duration: Expr
@@ -302,7 +305,7 @@ class Phase:
     given: tuple[int, ...]
     broken: tuple[str, ...]
     node_guess: tuple[Expr, ...]
-    inside_guess: tuple[tuple[int, Expr], ...]
+    inside_guess: tuple[tuple[int, Expr, Expr], ...]
     switch_guess: tuple[tuple[int, Expr], ...]
     holding: tuple[HoldingForces, ...]
     equations: tuple[Equation, ...]

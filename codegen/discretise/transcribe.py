@@ -193,6 +193,9 @@ def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> Contro
             node_guess=guesses,
             left_rates=lambda: at_nodes(phase.rates, "_k"),
             stage_guess=tuple(guesses[state_names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),
+            stage_times=tuple(
+                scheme.step().abscissae[int(s.name.rpartition("_stage")[2]) - 1] for s in interval.stages
+            ),
         ),
         boundary_values,
         path.nodal_equalities(placed, nodal_conditions(phase, equality=True), "y", names),

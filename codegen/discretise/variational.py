@@ -222,6 +222,7 @@ def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraint
         node_guess=guess,
         left_rates=lambda: _left_velocities(model, interval),
         stage_guess=guess * (len(interval.inner) // len(names)),
+        stage_times=interval.inner_abscissae,
         contacts=contact.laws(model),
     )
 

@@ -149,14 +149,22 @@ class Scheme:
         return 0 if self.order <= 2 else 1 if self.order <= 4 else 2
 
     @property
+    def _points(self) -> tuple[FieldPoint, ...] | tuple[QuadraturePoint, ...]:
+        return self.discrete_lagrangian().points if self.variational else self.step().points
+
+    @property
+    def point_times(self) -> tuple[Expr, ...]:
+        """The fractions of a step at which the scheme evaluates dynamics and cost."""
+        return tuple(point.abscissa for point in self._points)
+
+    @property
     def resolves_lines(self) -> bool:
         """True if the quadrature of the scheme distinguishes both ends of a function that is linear on an interval.
 
         The quadrature of the square of a (1-c) + b c is then a positive definite form in a and b. Otherwise the mode
         a = -b, as in the midpoint rule, or the value at one end, as in the Euler methods, has no effect.
         """
-        points = self.discrete_lagrangian().points if self.variational else self.step().points
-        weighted = [(float(point.weight), float(point.abscissa)) for point in points]
+        weighted = [(float(point.weight), float(point.abscissa)) for point in self._points]
         left = sum(w * (1.0 - c) ** 2 for w, c in weighted)
         right = sum(w * c**2 for w, c in weighted)
         mixed = sum(w * (1.0 - c) * c for w, c in weighted)

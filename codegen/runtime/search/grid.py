@@ -233,10 +233,10 @@ def node_times(grid, unknowns):
     return np.interp(grid.nodes / (grid.steps // phases), np.arange(phases + 1), switches)
 
 
-def interval_times(grid, unknowns):
-    """Return the times (N,) of the midpoints of all intervals of a problem with several phases."""
+def interval_times(grid, unknowns, fraction=0.5):
+    """Return the times (N,) at a fraction of all intervals of a problem with several phases; default: midpoints."""
     t = node_times(grid, unknowns)
-    return 0.5 * (t[:-1] + t[1:])
+    return (1.0 - fraction) * t[:-1] + fraction * t[1:]
 
 
 def least_duration(grid, unknowns):

@@ -45,7 +45,7 @@ def lower_control(
     )
     guessed = tables_of(
         program.guess.node, program.guess.stages, program.guess.controls,
-        [(p.node_guess, [v for _, v in (*p.inside_guess, *p.switch_guess)]) for p in program.phases],
+        [(p.node_guess, [v for _, v, *_ in (*p.inside_guess, *p.switch_guess)]) for p in program.phases],
         [h.expressions for h in (*program.guess.holding, *(each for p in program.phases for each in p.holding))],
     )  # fmt: skip
     quantities = sensitivities.quantities(program) if by_data else None

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Sequence
 
 import sympy
-from sympy import Expr, Symbol
+from sympy import Expr, S, Symbol
 
 from codegen.discretise.model.guesses import DURATION
 from codegen.discretise.program import ControlProgram, EndElement, HoldingForces, Unknown
@@ -398,9 +398,18 @@ def _phase_guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
     lines, read, node_times = [*phase_steps(program)], list[Expr](), "node_times(grid, unknowns)"
     for i, phase in enumerate(program.phases):
         nodes, intervals = phase_slice(program, i, at_nodes=True), phase_slice(program, i)
+        of_stages: dict[Expr, list[tuple[int, Expr]]] = {}
+        for index, value, c in phase.inside_guess:
+            of_stages.setdefault(c, []).append((index, value))
+        of_intervals = []
+        for c, group in of_stages.items():
+            fraction = "" if c == S.Half else f", {float(c)!r}"
+            of_intervals.append(
+                ("intervals", f"interval_times(grid, unknowns{fraction})", intervals, phase.inside, tuple(group))
+            )
         for view, times, part, unknowns, guess in (
             ("nodes", node_times, nodes, program.node, tuple(enumerate(phase.node_guess))),
-            ("intervals", "interval_times(grid, unknowns)", intervals, phase.inside, phase.inside_guess),
+            *of_intervals,
             ("intervals", node_times, phase_start(i), phase.inside, phase.switch_guess),
         ):
             nonzero = [(j, value) for j, value in guess if value != 0]
@@ -425,48 +434,50 @@ def _holding_line(target: str, holding: HoldingForces, prepared: Callable[[Expr]
 
 def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
     """Return lines that guess the unknowns of nodes and intervals without phases, and the expressions in them."""
-    at_nodes = [(i, program.node[i].name, value) for i, value in enumerate(program.guess.node)]
-    stages = enumerate(zip(program.interval_symbols, program.guess.stages, strict=False))
-    inside = [(i, symbol.name, value) for i, (symbol, value) in stages]
+    guess = program.guess
+    at_nodes = [(i, program.node[i].name, value) for i, value in enumerate(guess.node)]
+    inside = dict[Expr, list[tuple[int, str, Expr]]]()  # guesses by the fraction of the interval
+    for i, (symbol, value, c) in enumerate(
+        zip(program.interval_symbols, guess.stages, guess.stage_times, strict=False)
+    ):
+        inside.setdefault(c, []).append((i, symbol.name, value))
     first = len(program.node) - len(program.model.controls) if program.nodal_controls else len(program.interval)
     symbols = program.model.controls if program.nodal_controls else program.control_symbols
-    pairs = enumerate(zip(symbols, program.guess.controls, strict=True), start=first)
-    controls = [(i, symbol.name, value) for i, (symbol, value) in pairs]
-    if program.nodal_controls:
-        at_nodes += controls
-    else:
-        inside += controls
+    for i, (symbol, value, c) in enumerate(zip(symbols, guess.controls, guess.control_times, strict=True), start=first):
+        of_place = at_nodes if program.nodal_controls else inside.setdefault(c, [])
+        of_place.append((i, symbol.name, value))
 
     def relative(value: Expr) -> Expr:
         """Return a guess in the fraction of the duration, unless the duration occurs otherwise."""
         changed = value.xreplace({program.model.time: FRACTION * DURATION})
         return value if changed.has(DURATION) else changed
 
-    groups = []
-    for view, guessed in (("nodes", at_nodes), ("intervals", inside)):
-        lines = [Line(f"{view}[:, :, {i}]", array_code(relative(value)), name) for i, name, value in guessed]
-        groups.append([line for line in lines if line.code != "0"])
-    node_lines, interval_lines = groups
-    for holding in program.guess.holding:
+    def guessed(view: str, values: Sequence[tuple[int, str, Expr]]) -> list[Line]:
+        lines = [Line(f"{view}[:, :, {i}]", array_code(relative(value)), name) for i, name, value in values]
+        return [line for line in lines if line.code != "0"]
+
+    node_lines = guessed("nodes", at_nodes)
+    interval_lines = {c: guessed("intervals", values) for c, values in inside.items()}
+    for holding in guess.holding:
         node_lines.append(_holding_line(f"nodes[:, :, {[*holding.unknowns]}]", holding, relative))
-    # Guesses interpolate the samples at nodes, and the mean of both nodes at stages inside intervals.
+    # Guesses interpolate the samples at nodes, and both nodes at stages inside intervals.
     prescribed = [{index for index, *_ in (*end.pins, *end.shared)} for end in (program.start, program.end)]
     straight = []
-    for guess in program.sample.guess if program.sample else ():
-        index, name, target = guess.index, program.node[guess.index].name, f"nodes[:, :, {guess.index}]"
-        arguments = [target, guess.column, index in prescribed[0], index in prescribed[1]]
-        if (guess.offset, guess.slope) != (0, 1):
-            arguments += map(array_code, (guess.offset, guess.slope))
+    for sample in program.sample.guess if program.sample else ():
+        index, name, target = sample.index, program.node[sample.index].name, f"nodes[:, :, {sample.index}]"
+        arguments = [target, sample.column, index in prescribed[0], index in prescribed[1]]
+        if (sample.offset, sample.slope) != (0, 1):
+            arguments += map(array_code, (sample.offset, sample.slope))
         call = f"through_samples(grid, {', '.join(map(str, arguments))})"
         node_lines.append(Line(target, call, f"{name}, as measured"))
-        mean = f"0.5 * (nodes[:, :-1, {index}] + nodes[:, 1:, {index}])"
-        for j, stage in enumerate(program.interval[: len(program.guess.stages)]):
+        left, right = f"nodes[:, :-1, {index}]", f"nodes[:, 1:, {index}]"
+        for j, (stage, c) in enumerate(zip(program.interval, guess.stage_times, strict=False)):
             if stage.name.rpartition("_")[0] == name:
-                straight.append(Line(f"intervals[:, :, {j}]", mean, stage.name))
-    read = [*program.guess.node, *program.guess.stages, *program.guess.controls]
-    read += [value for holding in program.guess.holding for value in holding.expressions]
+                straight.append(Line(f"intervals[:, :, {j}]", _between(left, right, c), stage.name))
+    read = [*guess.node, *guess.stages, *guess.controls]
+    read += [value for holding in guess.holding for value in holding.expressions]
     read += [
-        value for guess in (program.sample.guess if program.sample else ()) for value in (guess.offset, guess.slope)
+        value for sample in (program.sample.guess if program.sample else ()) for value in (sample.offset, sample.slope)
     ]
     for index, values, at_start, at_end in program.inner.guess:
         numbers, codes = [number for number, _ in values], ", ".join(array_code(value) for _, value in values)
@@ -475,17 +486,26 @@ def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
         node_lines.append(Line(target, call))
         read += [value for _, value in values]
     targets = {line.target for line in straight}
-    interval_lines = [line for line in interval_lines if line.target not in targets] + straight
     lines = []
-    for nodes, group in (("grid.nodes", node_lines), ("(0.5 * (grid.nodes[:-1] + grid.nodes[1:]))", interval_lines)):
+    places = {c: f"({_between('grid.nodes[:-1]', 'grid.nodes[1:]', c)})" for c in interval_lines}
+    for nodes, group in (
+        ("grid.nodes", node_lines),
+        *((places[c], [line for line in group if line.target not in targets]) for c, group in interval_lines.items()),
+    ):
         if _is_read(FRACTION.name, group):
             lines.append(Line(FRACTION.name, f"{nodes} / grid.steps"))
         if _is_read("t", group):
             lines.append(Line("t", f"duration * {nodes} / grid.steps"))
         lines += group
+    lines += straight
     if _is_read("duration", lines):
         lines.insert(0, Line("duration", "duration_of(grid, unknowns)"))
     return lines, read
+
+
+def _between(left: str, right: str, c: Expr) -> str:
+    """Return code for the value at the fraction c between `left` and `right`."""
+    return f"0.5 * ({left} + {right})" if c == S.Half else f"{float(1 - c)!r} * {left} + {float(c)!r} * {right}"
 
 
 def _is_read(name: str, lines: Sequence[Line]) -> bool:

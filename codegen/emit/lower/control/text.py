@@ -348,10 +348,7 @@ def record(
         for p in program.phases
     )
     scheme = schemes.find(program.scheme, program.method)
-    abscissae = tuple[float, ...]()
-    if program.controlled == "stages":
-        points = scheme.discrete_lagrangian().points if scheme.variational else scheme.step().points
-        abscissae = tuple(float(point.abscissa) for point in points)
+    abscissae = tuple(map(float, scheme.point_times)) if program.controlled == "stages" else ()
     bends, discontinuities = dict[str, None](), dict[str, None]()
     for part in models:
         moving = (*part.coordinates, *part.rates, *part.controls)
