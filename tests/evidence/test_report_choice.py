@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -188,11 +190,10 @@ def least_effort(n: int) -> tuple[float, np.ndarray]:
 
 @pytest.mark.parametrize("peer", peers.PEERS, ids=lambda peer: peer.name)
 def test_other_programs_solve_the_problem_as_the_author_wrote_it(tmp_path, peer):
-    package = pytest.importorskip(peer.package)
-    if peer.package == "casadi" and not package.has_nlpsol(peer.program.solver):
+    if find_spec(peer.package) is None or (peer.package == "opty" and find_spec("cyipopt") is None):
+        pytest.skip(f"{peer.package} is not installed")  # without an import: that of dymos warns
+    if peer.package == "casadi" and not importlib.import_module("casadi").has_nlpsol(peer.program.solver):
         pytest.skip(f"this CasADi has no {peer.program.solver}")
-    if peer.package == "opty":
-        pytest.importorskip("cyipopt")
     path, n = tmp_path / "effort.py", 8
     path.write_text(EFFORT)
     fine = np.linspace(0.0, 1.0, 101)

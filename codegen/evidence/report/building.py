@@ -26,7 +26,10 @@ if TYPE_CHECKING:
 
 WORKERS = 2
 _PLACES = {"interval": "", "stages": ", controls at stages", "linear": ", linear controls", "nodal": ", nodal controls"}
-MODULES, SURVEYS = "modules", "surveys"  # the sections of the store with the properties of modules and of problem files
+MODULES, SURVEYS = (
+    "modules",
+    "problem files",
+)  # the sections of the store with the properties of modules and of problem files
 
 
 @dataclass(frozen=True)
@@ -144,10 +147,10 @@ def _prepare_worker() -> None:
 def survey_of(problem: Path) -> Values:
     """Return the properties of a problem file for the store: task, form, number of phases, schemes, optimal cost.
 
-    A scheme is a row (method, name, order, True if it is symplectic, place of controls); the default of the problem
-    comes first. Only a build shows if a scheme applies. The optimal cost is None unless the maximum principle has a
-    closed-form solution. For a file that cannot be read, the status is "refused". The function runs in a worker
-    process.
+    A scheme is a row (method, name, order, True if it is symplectic, place of controls, number of steps of another
+    scheme of which it consists); the default of the problem comes first. Only a build shows if a scheme applies. The
+    optimal cost is None unless the maximum principle has a closed-form solution. For a file that cannot be read, the
+    status is "refused". The function runs in a worker process.
     """
     from codegen.discretise import schemes
     from codegen.discretise.model.definitions import Model
@@ -168,7 +171,7 @@ def survey_of(problem: Path) -> Values:
             rows = [(method, scheme) for method in methods for scheme in usable]
         rows.sort(key=lambda row: (row[0] != methods[0], row[1].name != "midpoint"))
         listed = [
-            [method, scheme.name, scheme.order, scheme.symplectic, place]
+            [method, scheme.name, scheme.order, scheme.symplectic, place, len(scheme.parts)]
             for method, scheme in rows
             for place in (_places(scheme) if model.task == "control" and not phases else ("interval",))
         ]

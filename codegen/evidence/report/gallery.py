@@ -100,13 +100,15 @@ def choose(problem: Path, store: Store, extent: Extent) -> Chosen:
     task = survey.get("task", "")
     if task not in KINDS:
         return Chosen(problem, task, (), ())
-    rows = [
-        Variant(problem, method, scheme, order, controls=place) for method, scheme, order, _, place in survey["schemes"]
-    ]
+    parts = {
+        Variant(problem, method, scheme, order, controls=place): parts
+        for method, scheme, order, _, place, parts in survey["schemes"]
+    }
+    rows = list(parts)
     most = extent.most_simulated if task == "simulate" else extent.most_schemes
     if survey["phases"] and extent.only_default_of_phases:
         most = 1
-    usable = [v for v in rows if task == "simulate" or v.order <= extent.most_order]
+    usable = [v for v in rows if task == "simulate" or (v.order <= extent.most_order and parts[v] <= extent.most_parts)]
     lowest = min(usable, key=lambda v: (v.order, v.scheme != "explicit-euler"))
     highest = max(usable, key=lambda v: (v.order, v.method == rows[0].method, v.controls == "stages"))
     first = [rows[0], highest, lowest]

@@ -541,7 +541,7 @@ def drift_section(store: Store, problem: Path, variants: Sequence[Variant], titl
     }
     if not measured:
         return []
-    symplectic = {(m, s) for m, s, _, claimed, _ in (store.get(SURVEYS, problem.stem) or {})["schemes"] if claimed}
+    symplectic = {(m, s) for m, s, _, claimed, *_ in (store.get(SURVEYS, problem.stem) or {})["schemes"] if claimed}
     rows = []
     for variant, values in measured.items():
         claim = "yes" if (variant.method, variant.scheme) in symplectic else "no"

@@ -111,13 +111,13 @@ class Extent:
     Numbers of steps are doubled `simulation_doublings` or `control_doublings` times, but not after a solve of more
     than `limit` seconds. A solve is repeated for at most `time_budget` seconds (see timing.py). A simulation is
     measured with at most `most_simulated` schemes. A control problem is measured with at most `most_schemes` schemes
-    of order `most_order` or less, since modules of schemes with many stages take long to build. With
-    `only_default_of_phases` a problem with several phases has only the default scheme. The reference of an optimum
-    takes about `reference_seconds` for each scheme that is tried. A mesh sequence, which measures the order of an
-    optimum, starts no grid after `sequence_seconds`. The drivers are compared if there are at most `driver_unknowns`
-    unknowns. The general form is built for modules with at most `general_operations` operations. The energy of a
-    simulation is observed over `drift_steps` steps, or not at all for 0. Without `peers`, other programs are not
-    measured.
+    of order `most_order` or less, and with compositions of at most `most_parts` steps, since modules of schemes with
+    many stages take long to build. With `only_default_of_phases` a problem with several phases has only the default
+    scheme. The reference of an optimum takes about `reference_seconds` for each scheme that is tried. A mesh sequence,
+    which measures the order of an optimum, starts no grid after `sequence_seconds`. The drivers are compared if there
+    are at most `driver_unknowns` unknowns. The general form is built for modules with at most `general_operations`
+    operations. The energy of a simulation is observed over `drift_steps` steps, or not at all for 0. Without `peers`,
+    other programs are not measured.
     """
 
     quick: bool = False
@@ -128,6 +128,7 @@ class Extent:
     most_schemes: int = 99
     most_simulated: int = 99
     most_order: int = 99
+    most_parts: int = 5
     only_default_of_phases: bool = False
     limit: float = 0.5
     time_budget: float = 0.5
