@@ -40,6 +40,7 @@ _REPLACED = {
     "import math\n": "from interpreted import silent_math as math\n",
     "\nfrom numba import ": "\nfrom interpreted import ",
     "\nfrom codegen.runtime.kernels import ": "\nfrom interpreted import ",
+    "\nfrom codegen.runtime.formulas import ": "\nfrom interpreted import ",
     "import ControlProblem, Loop": "import ControlProblem\nfrom interpreted import Loop",
     "import ControlProblem, DataDerivatives, Loop": (
         "import ControlProblem, DataDerivatives\nfrom interpreted import Loop"
@@ -121,6 +122,11 @@ config = types.SimpleNamespace()  # of numba, for what is compiled
 def njit(*_args, **_options):
     """A decorator that leaves a function as it is."""
     return lambda function: function
+
+
+def inner_kernel(function):
+    """A decorator that leaves a function as it is."""
+    return function
 
 
 def text_of(problem: Control | Phases, **choices: str) -> str:

@@ -44,7 +44,7 @@ _PUBLIC = (
 """Public names of a module that solves an optimal control problem."""
 
 
-_OF_KERNELS = ("record", "special", "tabulated")
+_OF_KERNELS = ("record", "special", "tabulated", "formulas")
 _OF_PAIRS = ("record", "kernels", "arithmetic", "particles.problem")
 _IMPORTED = {
     "control.py.j2": (

@@ -28,7 +28,8 @@ def name_by_text(function):
         return ""
     sys.modules.setdefault(name, ModuleType(name))
     space = function.__globals__
-    compiled = [getattr(value, "py_func", None) or getattr(value, "function", None) for value in list(space.values())]
+    values = list(space.values())
+    compiled = [getattr(value, name, None) for value in values for name in ("py_func", "function", "caller")]
     for other in (function, *compiled):
         if isinstance(other, FunctionType) and other.__globals__ is space and not identity_of(other):
             other.__module__ = name

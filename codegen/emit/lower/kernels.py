@@ -24,7 +24,7 @@ from codegen.symbolic.tables import KINDS, ORDERS, OUTSIDE, TableData
 
 CACHED = ('@njit(cache=True, error_model="numpy")',)
 """Decorator of functions that Python code calls; division by zero gives infinity, as in numpy."""
-INNER = ('@njit(error_model="numpy")',)
+INNER = ("@inner_kernel",)
 """Decorator of functions that only compiled functions call: their machine code is cached with the caller's."""
 
 KERNEL, VALUE = ("@Kernel",), ("@Value",)

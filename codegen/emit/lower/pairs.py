@@ -15,7 +15,7 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.discretise.model.pairwise import FRACTION, PairwiseModel
-from codegen.emit.lower.kernels import INNER, Kernel, Line, Output, kernel, needed
+from codegen.emit.lower.kernels import Kernel, Line, Output, kernel, needed
 from codegen.emit.lower.printer import scalar_code
 from codegen.emit.pairwise_derivatives import PairDerivatives, TermDerivatives
 from codegen.symbolic.graph import Assignment
@@ -411,7 +411,7 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
             ParticleLoop(
                 "single_values",
                 f"Scalars of particles at `z`, shape (2, n, d), that all their pairs share, shape (n, {size}).", ("z",),
-                INNER[0], (),
+                '@njit(error_model="numpy")', (),
                 (Line("singles", f"np.empty((z.shape[1], {size}))"),), ("for i in range(z.shape[1]):",),
                 tuple(Line(f"singles[i, {k}]", code) for k, code in enumerate(singles)), ("singles",),
             )

@@ -160,7 +160,8 @@ class Text:
         module = str(node.module)
         included = "codegen.runtime.arithmetic", "codegen.runtime.particles.", "codegen.runtime.tabulated"
         if not module.startswith(included):
-            self._imports += [node] if module not in ("numba", "codegen.runtime.kernels") else []
+            if module not in ("numba", "codegen.runtime.kernels", "codegen.runtime.formulas"):
+                self._imports.append(node)
             return
         *folders, name = module.split(".")[1:]
         file = resources.files("codegen").joinpath(*folders, f"{name}.py")
@@ -181,6 +182,7 @@ class Text:
         namespace: dict[str, Operand] = {"prange": range, "__name__": "emitted", "carray": _carray}
         namespace |= dict.fromkeys(("Kernel", "Value", "Contracted"), _with_counts)
         namespace["njit"] = lambda **_: lambda function: function
+        namespace["inner_kernel"] = lambda function: function
         namespace["_interpreted"] = lambda loop: lambda function: loop(function, is_interpreted=True)
         body = [*self._imports, *ast.parse("Loop = _interpreted(globals().get('Loop'))").body, *self._needed(names)]
         exec(compile(ast.Module(body=body, type_ignores=[]), "<emitted>", "exec"), namespace)
