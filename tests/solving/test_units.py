@@ -101,6 +101,7 @@ def test_where_factors_do_not_help_the_problem_s_own_units_are_tried(failure, mo
     solution = module.solve(10, length_unit=100.0)
     assert solution.status == "solved"
     assert solution.iterations > 3
+    assert not solution.scaled.sizes.size  # the result is judged in the units in which the search has succeeded
 
 
 @pytest.mark.parametrize("arguments", [{"tolerance": 0.0}, {"tolerance": "tight"}, {"max_iterations": 0}])

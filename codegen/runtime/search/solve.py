@@ -109,8 +109,8 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
 
     `scaled` is the grid with the scaling factors of the guess. If equations or cost have much larger factors at the
     guess than at the solution, the tolerance means little. The search then continues from the solution, with the
-    factors there. After a failure the problem is solved in its own units. For an explicit scheme, the searches have no
-    stages, see `shooting`; `point` and `scaled` have them.
+    factors there. After a failure the problem is solved in its own units. If that succeeds, `scaled` has no factors.
+    For an explicit scheme, the searches have no stages, see `shooting`; `point` and `scaled` have them.
     """
     if scaling not in ("auto", "none"):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
@@ -158,6 +158,8 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
         status, point, further = minimise(searched, guess, tolerance, max_iterations - iterations, warm, log)
         iterations += further
         status = corrected_status(searched, guess, point, status)
+        if status == "solved":
+            at_guess = grid
     cost = corrected_cost(searched, point) if status == "solved" else None
     return *described(grid, scaled, unknowns, searched, point, status, cost), iterations, at_guess
 
