@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from codegen.cli import options
-from codegen.errors import ArgumentError
+from codegen.errors import ArgumentError, clause
 from codegen.terminal import console, progress, working
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from codegen.batch.executors import Tally
 
 EXAMPLES = {
     "sweep": (
@@ -99,7 +104,7 @@ def sweep(
 ) -> None:
     """Solve a problem for many values of its parameters, in parallel."""
     from codegen.batch.cases import assigned, axis_of
-    from codegen.batch.executors.chunks import counted, table_of
+    from codegen.batch.executors import counted
     from codegen.batch.layout import FITS
     from codegen.batch.request import sweep_request
     from codegen.batch.sweep import outcome_of
@@ -144,7 +149,7 @@ def sweep(
     if json:
         typer.echo(as_json(outcome.record))
     else:
-        console().print(table_of(tally))
+        console().print(_table_of(tally))
         new = counted(tally.cases - outcome.before, "case")
         before = f", {outcome.before} of {tally.cases} were there already" if outcome.before else ""
         console().print(f"{new} in {outcome.seconds:.3g} s{before}: {outcome.out}", markup=False)
@@ -166,3 +171,22 @@ def sweep(
         message = f"codegen: {failed} failed; see status and message in {outcome.out}"
         typer.echo(message + options.on_statuses(*tally.failed), err=True)
         raise typer.Exit(1)
+
+
+def _table_of(tally: Tally) -> Table:
+    """Return a table for the terminal, with a row for each status and an example of its messages."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    from codegen.batch.executors import SOLVED
+
+    table = Table(box=box.SIMPLE_HEAD)
+    table.add_column("status", no_wrap=True)
+    table.add_column("cases", justify="right")
+    table.add_column("for example")
+    for status, count in {SOLVED: tally.solved, **tally.failed}.items():
+        style = "green" if status == SOLVED else "bold red"
+        example = "" if status == SOLVED else escape(clause(tally.messages.get(status, "")))
+        table.add_row(f"[{style}]{status}[/]", str(count), example)
+    return table

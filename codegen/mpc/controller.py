@@ -173,7 +173,7 @@ class Controller:
         delay: int = 0,
     ) -> None:
         self.options = interface.Options(steps, horizon, sample, tolerance, newton_steps, deadline, scaling, delay)
-        self.module: ControlModule = interface.module_of(problem, arguments or {}, scheme, method)
+        self.module: ControlModule = interface.control_module(problem, arguments or {}, scheme, method)
         self._interface = interface.interface_of(self.module)
         self.states, self.inputs = self._interface.states, self._interface.inputs
         self._attitudes = attitudes_of(tuple(self.module.metadata.attitudes), self.states)

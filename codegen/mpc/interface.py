@@ -11,25 +11,21 @@ optimal feedback control, SIAM J. Control Optim. 43.
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from numbers import Integral
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from codegen.errors import ArgumentError, NumericsError, clause
+from codegen.errors import ArgumentError, NumericsError, clause, is_count, nearest
 from codegen.runtime.record import Sites, Task
 from codegen.runtime.search.bounds import contradictory_bounds
 from codegen.runtime.search.iterates import Search, on_grid, search_on
-from codegen.solving import compiler, loading
 from codegen.solving.loading import ControlModule, Grid, Vector
-from codegen.solving.machine_code import processes
-from codegen.solving.progress import building, shown_from_call
+from codegen.solving.outcome import module_of
+from codegen.solving.progress import building
 from codegen.solving.request import SCALINGS, Request, as_number, parameter_arguments
 from codegen.solving.results.result import component_names
 
@@ -64,8 +60,7 @@ class Interface:
         known = (*self.keys, *(f"end.{name}" for name in self.ends))
         for name in names:
             if name not in known:
-                close = difflib.get_close_matches(str(name), known, 1)
-                remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(known) or 'none'}"
+                remedy = nearest(name, known, f"use one of {', '.join(known) or 'none'}")
                 raise ArgumentError(clause(f"{what} has no parameter {name!r}"), clause(remedy))
 
     @property
@@ -111,7 +106,7 @@ def number(value: object, what: str) -> float:
 
 def require_count(name: str, value: object, least: int) -> None:
     """Raise NumericsError if the value of the option `name` is no whole number, or is smaller than `least`."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+    if not is_count(value, least):
         remedy = "a positive integer" if least else "a whole number that is not negative"
         raise NumericsError(f"{name} is {value!r}", f"give {remedy}")
 
@@ -146,28 +141,16 @@ def interface_of(module: Any) -> Interface:
     return Interface(metadata.start, inputs, parameter_arguments(module), metadata.end)
 
 
-def module_of(problem: Any, arguments: Mapping[str, object], scheme: str | None, method: str | None) -> ControlModule:
+def control_module(
+    problem: Any, arguments: Mapping[str, object], scheme: str | None, method: str | None
+) -> ControlModule:
     """Return a loaded and compiled module, from a problem, the file of a module, or a module.
 
     Raises the errors of `codegen.solve` for a problem that cannot be read, derived or stored.
     """
-    request = Request(problem, arguments=arguments, scheme=scheme, method=method)
-    if request.compiled is not None:
-        return request.compiled  # type: ignore[return-value]
-    if request.is_built and not isinstance(problem, Path | str):
-        return problem  # type: ignore[no-any-return]
-    if request.is_built:
-        path, is_new = Path(problem), False
-    else:
-        with shown_from_call(building, "Deriving") as deriving:
-            build = compiler.build(
-                request.source, request.arguments, scheme=request.scheme, method=request.method,
-                controls=request.controls, deriving=deriving,
-            )  # fmt: skip
-        path, is_new = build.path, build.written
-    module: Any = loading.load(path)
-    processes.require(path, module, is_new, building)
-    return module  # type: ignore[no-any-return]
+    made = module_of(Request(problem, arguments=arguments, scheme=scheme, method=method), building)
+    made.require(building)
+    return made.module  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)

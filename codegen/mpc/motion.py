@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
-from codegen.mpc.interface import WHOLE, Arguments, Grids, Interface, Moving, Values, module_of, vector
+from codegen.mpc.interface import WHOLE, Arguments, Grids, Interface, Moving, Values, control_module, vector
 from codegen.runtime.record import Form
 from codegen.runtime.search.linear_system import allocate_system, filled_entries
 from codegen.runtime.search.point import evaluate
@@ -201,7 +201,7 @@ def plant_of(
             finding = "disturbances beside a plant that is a function"
             raise ArgumentError(finding, "have the function disturb itself, or give a module")
         return _of_function(plant, names[0])
-    module: Any = module_of(plant, arguments, None, None)
+    module: Any = control_module(plant, arguments, None, None)
     metadata, (states, inputs) = module.metadata, names
     is_free = is_control(module) and (metadata.control_names or metadata.form == Form.LAGRANGIAN)
     if is_of_particles(module) or is_free:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -19,8 +18,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors import Progress, Team, Working, silent
-from codegen.batch.executors.chunks import LOST, SOLVED, Abandoned, Done, Tally
+from codegen.batch.executors import LOST, SOLVED, Abandoned, Done, Progress, Tally, Team, Working, silent
 from codegen.errors import ArgumentError, CodegenError, LandmarkError, PointsError
 from codegen.files import replacing
 from codegen.registration.formats.base import Source
@@ -253,9 +251,8 @@ class DistanceWork:
 
 
 def _done(rows: Sequence[tuple[float, str]], failure: str, seconds: float) -> Done:
-    counts = Counter(failure if message else SOLVED for _, message in rows)
-    messages = {failure: next(message for _, message in rows if message)} if failure in counts else {}
-    return Done(Tally(counts, messages, seconds), rows)
+    statuses = [failure if message else SOLVED for _, message in rows]
+    return Done(Tally.of(statuses, [message for _, message in rows], seconds), rows)
 
 
 def write_distances(path: Path, distances: Distances) -> None:

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -146,20 +146,16 @@ def outcome_of(
     """
     with processes.compilers() as compilers:
         start = start_of(request.warm)
-        module: Any = request.compiled
-        known = None if module is None else (Path(module.__file__), False, 0.0)
-        path, is_new, build_seconds = known or _built(request, working, compilers)
-        begin = time.perf_counter()
-        module = module or (request.problem if path is None else loading.load(path))
-        load_seconds = time.perf_counter() - begin
+        made = module_of(request, working, compilers=compilers)
+        module, build_seconds, load_seconds = made.module, made.build_seconds, made.load_seconds
         values = dict(request.parameters or {})
         module = with_values(with_observations(with_tables(module, request.tables), request.observations), values)
         driver, warm, points = request.driver_for(module), start(module), points_of(request, module)
         if request.sensitivities:
             require_sensitive(module)
         notices: list[str] = []
-        if path is not None and driver.generated and (is_new or module.__name__ not in _LOADED):
-            seconds, notices = processes.require(path, module, is_new, working, compilers)
+        if driver.generated and (made.is_new or module.__name__ not in _LOADED):
+            seconds, notices = made.require(working, compilers)
             build_seconds += seconds
         segments, steps = segments_of(module.metadata), request.steps or module.metadata.steps
         if segments and request.steps:
@@ -182,35 +178,71 @@ def outcome_of(
         return Outcome(module, result, build_seconds, load_seconds + result.seconds_code, notices, untried)
 
 
-def _built(request: Request, working: Working, compilers: Compilers) -> tuple[Path | None, bool, float]:
-    """Return the file of the module, True if the file is new or has changed, and the seconds of the derivation.
+class Made(NamedTuple):
+    """The module of a request, its file, and the times for derivation and loading in seconds.
 
-    The file is None if the request has a loaded module. If an accuracy but no scheme is requested, the scheme is
-    `ACCURATE_SCHEME`, unless the problem does not allow it or has path inequalities. Path inequalities hold at all
-    stages, so the strictest stage limits a control that is constant on an interval. This error has order one.
+    `path` is None for a loaded module without a build. `is_new` is True if the file is new or has changed.
     """
-    if request.is_built:
-        return (Path(request.problem) if isinstance(request.problem, Path | str) else None), False, 0.0
-    with shown_from_call(working, "Deriving") as show:
 
-        def deriving() -> None:
-            show()
-            if DRIVERS[request.driver].generated:
-                compilers.start()
+    module: Any
+    path: Path | None = None
+    is_new: bool = False
+    build_seconds: float = 0.0
+    load_seconds: float = 0.0
 
-        build = partial(
-            compiler.build, request.source, request.settings, method=request.method, controls=request.controls,
-            out=request.out, sensitivities=request.sensitivities, deriving=deriving,
-        )  # fmt: skip
-        if request.accuracy is not None and request.scheme is None:
-            with suppress(SchemeError):
-                made = build(scheme=ACCURATE_SCHEME)
-                meanings = getattr(loading.load(made.path).metadata, "meanings", {})
-                slacks = {m.kind for m in meanings.values() if m.kind.role == Role.SLACK}
-                if slacks <= {Kind.INTEGRAL_SLACK, Kind.BOUND_SLACK}:
-                    return made.path, made.written, made.seconds
-        made = build(scheme=request.scheme)
-    return made.path, made.written, made.seconds
+    def require(self, working: Working, compilers: Compilers | None = None) -> tuple[float, list[str]]:
+        """Compile what is not on the disk; return the seconds, and lines for the user. See `processes.require`."""
+        if self.path is None:
+            return 0.0, []
+        return processes.require(self.path, self.module, self.is_new, working, compilers)
+
+
+def module_of(
+    request: Request,
+    working: Working,
+    what: str = "Deriving",
+    varied: Mapping[str, str] | None = None,
+    compilers: Compilers | None = None,
+) -> Made:
+    """Return the module of a request: a loaded module, a compiled problem, the file of a module, or a new build.
+
+    `varied` are values of arguments of problem() in addition to those of the request. `compilers` start at the same
+    time as a derivation. `working` displays `what` during a derivation.
+
+    If an accuracy but no scheme is requested, the scheme is `ACCURATE_SCHEME`, unless the problem does not allow it or
+    has path inequalities. Path inequalities hold at all stages, so the strictest stage limits a control that is
+    constant on an interval. This error has order one.
+    """
+    module: Any = None if varied else request.compiled
+    if module is not None:
+        return Made(module, Path(module.__file__))
+    if request.is_built and not isinstance(request.problem, Path | str):
+        return Made(request.problem)
+    path, is_new, build_seconds = Path(str(request.problem)), False, 0.0
+    if not request.is_built:
+        with shown_from_call(working, what) as show:
+
+            def deriving() -> None:
+                show()
+                if compilers is not None and DRIVERS[request.driver].generated:
+                    compilers.start()
+
+            build = partial(
+                compiler.build, request.source, {**request.arguments, **varied} if varied else request.settings,
+                method=request.method, controls=request.controls, out=request.out,
+                sensitivities=request.sensitivities, deriving=deriving,
+            )  # fmt: skip
+            made = None
+            if request.accuracy is not None and request.scheme is None:
+                with suppress(SchemeError):
+                    made = build(scheme=ACCURATE_SCHEME)
+                    meanings = getattr(loading.load(made.path).metadata, "meanings", {})
+                    slacks = {meaning.kind for meaning in meanings.values() if meaning.kind.role == Role.SLACK}
+                    made = made if slacks <= {Kind.INTEGRAL_SLACK, Kind.BOUND_SLACK} else None
+            made = made or build(scheme=request.scheme)
+        path, is_new, build_seconds = made.path, made.written, made.seconds
+    begin = time.perf_counter()
+    return Made(loading.load(path), path, is_new, build_seconds, time.perf_counter() - begin)
 
 
 def points_of(request: Request, module: GeneratedModule) -> PointSet | None:

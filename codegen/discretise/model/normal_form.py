@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from numbers import Integral
 
 import sympy
 
@@ -21,7 +20,7 @@ from codegen.discretise.model.scope import Kinds, kinds_of, require_keys, requir
 from codegen.discretise.model.smoothness import with_regular_guesses
 from codegen.discretise.model.units import units_of
 from codegen.discretise.model.written import maximises, used_quantities, written_costs, written_entries
-from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
+from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError, is_count
 from codegen.problem import symbols
 from codegen.problem.bodies import require_body
 from codegen.problem.problem import FORMS, Control, Problem, Simulate, form_of
@@ -154,7 +153,7 @@ def require_unique_names(quantities: Sequence[Quantity]) -> None:
 def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
     """Raise an error for arguments that contradict each other, whatever the numbers are."""
     for what, number in [("steps", problem.steps), ("bodies", getattr(problem, "bodies", 1))]:
-        if isinstance(number, bool) or not isinstance(number, Integral) or number < 1:
+        if not is_count(number):
             raise ExpressionError(f"{what} is {number!r}", "give a positive integer")
     if isinstance(problem, Simulate):
         # Coordinates determine the velocities in which a Lagrangian is linear.

@@ -6,13 +6,12 @@ comparison. To start quickly, this file imports no driver, and neither numpy nor
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from codegen.errors import ArgumentError
+from codegen.errors import ArgumentError, nearest
 
 
 @dataclass(frozen=True)
@@ -76,9 +75,7 @@ DRIVERS: dict[str, Driver] = {driver.name: driver for driver in _ROWS}
 def find(name: str, task: str | None = None) -> Driver:
     """Return the driver with a name; raise ArgumentError if the driver does not exist or does not apply to the task."""
     if not isinstance(name, str) or name not in DRIVERS:
-        close = difflib.get_close_matches(str(name), DRIVERS, 1)
-        remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(DRIVERS)}"
-        raise ArgumentError(f"there is no driver {name!r}", remedy)
+        raise ArgumentError(f"there is no driver {name!r}", nearest(name, DRIVERS, f"use one of {', '.join(DRIVERS)}"))
     driver = DRIVERS[name]
     if task is not None and task not in driver.tasks:
         names = [other.name for other in DRIVERS.values() if task in other.tasks]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from codegen.deferred import Deferred
-from codegen.errors import ArgumentError, ExtraError
+from codegen.errors import ArgumentError, ExtraError, nearest
 from codegen.runtime.record import Form
 from codegen.solving.results import attitudes
 
@@ -93,10 +92,9 @@ class Display:
                     "velocities",
                     f"use {momentum}",
                 )
-        close = difflib.get_close_matches(str(name), columns, 1)
         if name in result.summary:
             raise ArgumentError(f"{name} is one number, and no column", f'write summary["{name}"]')
-        remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(columns)}"
+        remedy = nearest(name, columns, f"use one of {', '.join(columns)}")
         raise ArgumentError(f"the result of {result.problem} has no column {name!r}", remedy)
 
     if not TYPE_CHECKING:  # with this method visible, a type checker would accept misspelt fields
