@@ -30,14 +30,14 @@ from codegen.batch.results import UNUSABLE, Limits, unusable_message
 from codegen.errors import CodegenError, one_line
 from codegen.runtime.search.problem import ControlProblem
 from codegen.runtime.stepping.problem import StepProblem
-from codegen.solving.drivers import find
+from codegen.solving import loading
+from codegen.solving.drivers import find, task_of
 from codegen.solving.drivers.newton import TOLERANCE
-from codegen.solving.loading import ControlModule, GeneratedModule, Matrix, Vector, is_connect, load
+from codegen.solving.loading import ControlModule, GeneratedModule, Matrix, Vector, is_connect
 from codegen.solving.request import with_arguments
 from codegen.solving.results.control import outline_of_optimum
 from codegen.solving.results.result import STATUSES, ControlAttempt, Outline, Run
 from codegen.solving.results.segments import segments_of
-from codegen.solving.tasks import task_of
 from codegen.solving.warm_start import transferred
 from codegen.solving.warm_start import varied as varied_guess
 
@@ -147,7 +147,7 @@ class Variant:
 
     def load(self) -> GeneratedModule | None:
         """Return the module, loaded in this process; None if it could not be derived."""
-        return self.unfiled if self.path is None else load(self.path)
+        return self.unfiled if self.path is None else loading.load(self.path)
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from codegen.batch.results import THREADS, Limits, require_place
 from codegen.errors import ArgumentError, NumericsError, clause, one_line
 from codegen.problem.problem import Control, Phases, Simulate
 from codegen.runtime.search.problem import ControlProblem
+from codegen.solving.api import module_of
 from codegen.solving.loading import GeneratedModule, Vector, is_control, is_simulation
-from codegen.solving.outcome import module_of
 from codegen.solving.progress import building
 from codegen.solving.request import Request, require_options, with_values
 from codegen.solving.results.segments import segments_of

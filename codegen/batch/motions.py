@@ -137,7 +137,7 @@ class Motions(Cases):
     def _solve(self, own: slice, is_wanted: Callable[[], bool]) -> None:
         follow: Callable[..., tuple[Happened, EventLog] | None] = follow_ensemble
         if self.limits.is_on_device:
-            from codegen.runtime.cuda import motions as of_device
+            from codegen.runtime.cuda import batches as of_device
 
             follow = partial(of_device.follow_ensemble, is_kept=self.limits.is_kept)
         followed = followed_in(self.path[own], self.every)

@@ -117,7 +117,7 @@ class Solutions(Cases):
 
         on_device, limits, module = None, self.limits, self.module
         if limits.is_on_device:
-            from codegen.runtime.cuda import optima as of_device
+            from codegen.runtime.cuda import batches as of_device
 
             on_device = of_device.solve_cases
         options = Options(

@@ -72,7 +72,7 @@ def errors_of_device() -> Iterator[None]:
     from numba.core.errors import NumbaError
     from numba.cuda.cudadrv.driver import CudaAPIError
 
-    from codegen.runtime.cuda.optima import Full
+    from codegen.runtime.cuda.batches import Full
 
     try:
         yield

@@ -32,11 +32,11 @@ from codegen.errors import ArgumentError, ExtraError
 from codegen.files import only_one
 from codegen.machine import versions
 from codegen.problem.sources import ProblemFile, ProblemObject
+from codegen.solving.api import require_memory
 from codegen.solving.compiler import workers_folder
-from codegen.solving.outcome import require_memory
+from codegen.solving.drivers import task_of
 from codegen.solving.progress import building
 from codegen.solving.results.result import Run, component_units
-from codegen.solving.tasks import task_of
 
 if TYPE_CHECKING:
     from xarray import Dataset

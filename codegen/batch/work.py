@@ -43,12 +43,12 @@ from codegen.batch.request import GUESS, STEPS, Quantity, Wanted, as_argument, q
 from codegen.errors import ArgumentError, CodegenError
 from codegen.files import alone, write_text
 from codegen.solving import loading
+from codegen.solving.api import Made, module_of, points_of
 from codegen.solving.compiler import workers_folder
 from codegen.solving.drivers import DRIVERS
 from codegen.solving.loading import is_simulation
 from codegen.solving.machine_code import processes
 from codegen.solving.machine_code.processes import Target, compiled_note, target
-from codegen.solving.outcome import Made, module_of, points_of
 from codegen.solving.request import Request, require_apart_from_arrays, require_apart_from_delays
 from codegen.solving.results.result import Run
 from codegen.solving.results.sensitivities import UNSOLVED, require_sensitive

@@ -17,7 +17,7 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError
 from codegen.mpc import interface
 from codegen.mpc.acceptance import BestIterate, Pace, better, holds
-from codegen.mpc.motion import Delay, Motion
+from codegen.mpc.interface import Delay, Motion
 from codegen.runtime.search.cascade import factor_nearby, minimise
 from codegen.runtime.search.messages import describe, reached
 from codegen.runtime.search.point import Point, evaluate

@@ -113,8 +113,8 @@ def normal(points: Array) -> Array:
     return np.asarray(centred / np.linalg.norm(centred))
 
 
-def classical_scaling(distances: Array, dimensions: int = 2) -> tuple[Array, float]:
-    """Return points, shape (m, dimensions), whose distances approximate a table (m, m), and the share they explain.
+def classical_scaling(distances: Array) -> tuple[Array, float]:
+    """Return points, shape (m, 2), whose distances approximate a table (m, m), and the share they explain.
 
     The points are the leading eigenvectors of -1/2 J D^2 J (Torgerson 1952, Psychometrika 17(4)). The largest entry of
     each eigenvector is positive. The share is the sum of the leading eigenvalues over the sum of all absolute values.
@@ -124,9 +124,9 @@ def classical_scaling(distances: Array, dimensions: int = 2) -> tuple[Array, flo
     values, vectors = np.linalg.eigh(-0.5 * centring @ np.asarray(distances) ** 2 @ centring)
     values, vectors = values[::-1], vectors[:, ::-1]
     vectors = vectors * np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(count)])
-    leading = np.maximum(values[:dimensions], 0.0)
+    leading = np.maximum(values[:2], 0.0)
     whole = float(np.abs(values).sum())
-    return vectors[:, :dimensions] * np.sqrt(leading), float(leading.sum()) / whole if whole > 0.0 else 1.0
+    return vectors[:, :2] * np.sqrt(leading), float(leading.sum()) / whole if whole > 0.0 else 1.0
 
 
 def pairs_of(count: int) -> list[tuple[int, int]]:

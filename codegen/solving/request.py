@@ -21,7 +21,7 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError, TableError, clause, is_count, nearest
 from codegen.problem import AuthorObject
 from codegen.problem.sources import ProblemFile, ProblemObject, Settings, Source, settings_of, source_of
-from codegen.solving.drivers import DRIVERS, Driver, find
+from codegen.solving.drivers import DRIVERS, TASKS, Driver, find, task_of
 from codegen.solving.loading import (
     GeneratedModule,
     Matrix,
@@ -33,7 +33,6 @@ from codegen.solving.loading import (
 )
 from codegen.solving.results.display import Background
 from codegen.solving.results.segments import segments_of
-from codegen.solving.tasks import TASKS, task_of
 from codegen.symbolic.tables import Layout, given_measurements, read_measurements, read_table
 
 if TYPE_CHECKING:
