@@ -183,7 +183,8 @@ def require_fitting(varied: Iterable[Quantity], cases: Cases) -> None:
     for quantity in varied:
         column = cases.columns[quantity.name]
         if quantity.kind != "argument" and column.dtype.kind == "U":
-            row, word = next((row, word) for row, word in enumerate(column.tolist()) if not _is_number(word))
+            words = column.tolist()
+            row, word = next(((row, word) for row, word in enumerate(words) if not _is_number(word)), (0, words[0]))
             finding = f"{cases.origin(row)}{quantity.name} takes numbers, not {word!r}"
             raise ArgumentError(clause(finding), "give finite numbers")
         if quantity.kind in COUNTS:

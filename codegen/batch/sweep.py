@@ -22,7 +22,7 @@ import numpy as np
 
 from codegen.batch import store
 from codegen.batch.cases import Cases
-from codegen.batch.executors import Done, Progress, Tally, Team, Working, connected, counted, silent
+from codegen.batch.executors import Done, Progress, Tally, Team, connected, counted, silent
 from codegen.batch.jumps import Costs, along, jumps_of
 from codegen.batch.layout import MOST, Chunks, Layout, Rows, about_a_second, blocks_of, layout_of
 from codegen.batch.request import GUESS, OPTIONS, STEPS, STORES, SweepRequest, sweep_request
@@ -35,7 +35,7 @@ from codegen.problem.sources import ProblemFile, ProblemObject
 from codegen.solving.api import require_memory
 from codegen.solving.compiler import workers_folder
 from codegen.solving.drivers import task_of
-from codegen.solving.progress import building
+from codegen.solving.progress import Working, building
 from codegen.solving.results.result import Run, component_units
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from codegen.batch.case import NOT_BUILT, Attempt, Continuation, Start, Variant, Varied, failed
 from codegen.batch.cases import Cases, rows_of
-from codegen.batch.executors import LOST, Abandoned, Done, Tally, Working
+from codegen.batch.executors import LOST, Abandoned, Done, Tally
 from codegen.batch.jumps import Grid, Neighbours, along_dimensions, improved, is_better, scattered
 from codegen.batch.layout import (
     JUMPS,
@@ -49,6 +49,7 @@ from codegen.solving.drivers import DRIVERS
 from codegen.solving.loading import is_simulation
 from codegen.solving.machine_code import processes
 from codegen.solving.machine_code.processes import Target, compiled_note, target
+from codegen.solving.progress import Working
 from codegen.solving.request import Request, require_apart_from_arrays, require_apart_from_delays
 from codegen.solving.results.result import Run
 from codegen.solving.results.sensitivities import UNSOLVED, require_sensitive

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from codegen.batch.executors import LOST, SOLVED, Done, Progress, Tally, Team, Working, connected, silent
+from codegen.batch.executors import LOST, SOLVED, Done, Progress, Tally, Team, connected, silent
 from codegen.errors import ArgumentError
 from codegen.files import journal_of, new_journal, read_journal, remove_leftovers, rendered, write_text
 from codegen.registration import batch_pairs
@@ -25,6 +25,7 @@ from codegen.registration.job import Job, Options, run
 from codegen.registration.pair_report import Outcome, Record, facts, number
 from codegen.registration.solver import registration_module
 from codegen.registration.volumes import is_volume
+from codegen.solving.progress import Working
 
 if TYPE_CHECKING:
     from rich.table import Table

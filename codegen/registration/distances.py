@@ -18,7 +18,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors import LOST, SOLVED, Abandoned, Done, Progress, Tally, Team, Working, silent
+from codegen.batch.executors import LOST, SOLVED, Abandoned, Done, Progress, Tally, Team, silent
 from codegen.errors import ArgumentError, CodegenError, LandmarkError, PointsError
 from codegen.files import replacing
 from codegen.registration.formats.base import Source
@@ -26,6 +26,7 @@ from codegen.registration.formats.tps import specimens_of
 from codegen.registration.pairs import LandmarkPairs, align
 from codegen.registration.register import register
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
+from codegen.solving.progress import Working
 
 COLUMNS = ("specimen", "x", "y")
 SIDE = 1000  # the side, in pixels, of the square that contains all specimens, so that all pairs have the same disc

@@ -31,7 +31,7 @@ from codegen.solving.loading import GeneratedModule, SimulateModule, Vector, is_
 from codegen.solving.machine_code import processes
 from codegen.solving.machine_code.compilation import seconds_of_machine_code
 from codegen.solving.machine_code.processes import Compilers
-from codegen.solving.progress import building, shown_from_call
+from codegen.solving.progress import Working, building, shown_from_call
 from codegen.solving.request import Option, Request, require_options, with_observations, with_tables, with_values
 from codegen.solving.results import output
 from codegen.solving.results.between_nodes import excursions, poles, stages_beyond
@@ -177,8 +177,6 @@ _ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relat
 _LOADED: set[str] = set()
 """The import names of generated modules whose machine code this process has loaded."""
 
-Working: TypeAlias = Callable[[str], AbstractContextManager[object]]
-"""A function that returns a context manager, which displays a text while a slow operation runs."""
 Following: TypeAlias = Callable[[], AbstractContextManager[Watch | None]]
 """A function that returns a context manager, whose value displays the iterates of a driver."""
 

@@ -19,6 +19,7 @@ from importlib.util import find_spec
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from codegen.errors import ArgumentError, ExtraError, NumericsError, clause, is_count
+from codegen.solving.progress import Working
 
 SOLVED = "solved"
 LOST = "worker lost"  # status of a case whose chunk ended several worker processes
@@ -184,8 +185,6 @@ def connected(cluster: object) -> AbstractContextManager[object]:
 
 Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]
 """A function (action, number of parts) -> context manager of a function (finished parts, text) that shows progress."""
-Working: TypeAlias = Callable[[str], AbstractContextManager[object]]
-"""A function (action) -> context manager, which shows activity during a long step."""
 
 
 @contextmanager
