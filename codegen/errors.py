@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from numbers import Integral
+from typing import TypeGuard
+
 from codegen.identifiers import plain
 
 INTERRUPTED = "codegen: interrupted; no file was left half written"
@@ -21,6 +25,19 @@ def one_line(text: str, limit: int = 1000) -> str:
 def clause(text: str) -> str:
     """Return a part of a message without line breaks, cut at 400 characters."""
     return one_line(text, 400)
+
+
+def nearest(name: object, known: Iterable[str], otherwise: str = "", most: int = 1, cutoff: float = 0.6) -> str:
+    """Return the question "did you mean NAME?" with at most so many of the most similar names, or else `otherwise`."""
+    import difflib  # slow to import, and not needed without an error
+
+    similar = difflib.get_close_matches(str(name), list(known), most, cutoff)
+    return f"did you mean {' or '.join(similar)}?" if similar else otherwise
+
+
+def is_count(value: object, least: int = 1) -> TypeGuard[int]:
+    """Return True for a whole number, but no truth value, that is not smaller than `least`."""
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
 
 
 class CodegenError(Exception):

@@ -1,16 +1,26 @@
-"""Atomic writing of files, errors of the file system with a remedy, and HTML templates."""
+"""Atomic writing of files, errors of the file system with a remedy, locks, journals and HTML templates.
+
+A journal file lists the finished chunks of some work as lines of JSON: a header with the digest of the work, then one
+line for each chunk. A line is written after the results of its chunk, so an interrupt loses only chunks in progress.
+An incomplete last line is ignored.
+"""
 
 from __future__ import annotations
 
 import errno
+import hashlib
+import json
 import os
+import platform
 import re
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TextIO
 
-from codegen.errors import FileError
+from codegen.errors import ArgumentError, CodegenError, FileError
 
 _REMEDIES = {
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "make room on that disk, or choose another folder"),
@@ -99,3 +109,104 @@ def rendered(template: Path, **values: object) -> str:
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     return environment.get_template(template.name).render(values)
+
+
+@contextmanager
+def alone(folder: Path, name: str) -> Iterator[None]:
+    """Run a block when no other process has the lock `name` of a folder, if the system has file locks."""
+    try:
+        with _lock_file(folder, name) as file:
+            with suppress(ImportError, OSError):  # without locks all processes compile, with the same result
+                import fcntl
+
+                fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+    except OSError as error:
+        remedy = f"let CODEGEN_CACHE_DIR name a folder that may be written to on {platform.node()}"
+        raise refused(error, folder, remedy) from error
+
+
+@contextmanager
+def only_one(folder: Path, name: str, taken: CodegenError) -> Iterator[None]:
+    """Run a block with the lock `name` of a folder; raise `taken` if another process has the lock.
+
+    The lock ends with its process.
+    """
+    try:
+        file = _lock_file(folder, name)
+    except OSError:  # without a cache folder there is no lock
+        yield
+        return
+    with file:
+        with suppress(ImportError):
+            import fcntl
+
+            try:
+                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # forks do not inherit this kind of lock
+            except OSError as error:
+                if error.errno in (errno.EACCES, errno.EAGAIN):  # disks without locks raise other numbers
+                    raise taken from None
+        yield
+
+
+def _lock_file(folder: Path, name: str) -> TextIO:
+    folder.mkdir(parents=True, exist_ok=True)
+    return (folder / f"{hashlib.sha256(name.encode()).hexdigest()[:20]}.lock").open("a")
+
+
+def journal_of(path: Path) -> Path:
+    """Return the path of the journal of a store or table."""
+    return path.with_name(f"{path.name}.journal")
+
+
+@dataclass(frozen=True)
+class Journal:
+    """A journal file, its header, and the records that the file had when it was opened."""
+
+    path: Path
+    header: Mapping[str, Any]
+    records: tuple[dict[str, Any], ...] = ()
+
+    def add(self, records: Iterable[Mapping[str, object]]) -> None:
+        """Append records to the file; raises FileError when the file system refuses."""
+        try:
+            with self.path.open("a", encoding="utf-8", newline="\n") as file:
+                file.write("".join(json.dumps(record) + "\n" for record in records))
+        except OSError as error:
+            raise refused(error, self.path) from error
+
+
+def new_journal(path: Path, header: Mapping[str, object]) -> Journal:
+    """Write and return a journal without records."""
+    write_text(path, json.dumps(header) + "\n")
+    return Journal(path, header)
+
+
+def read_journal(path: Path, kind: str, digest: str, another: str) -> Journal:
+    """Return the journal in a file whose header maps `kind` to `digest`, and truncate an incomplete last line.
+
+    Raises ArgumentError for a damaged journal, and with the remedy `another` for the journal of other work.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    except (OSError, UnicodeDecodeError):
+        raise ArgumentError(f"--resume: {path} cannot be read", another) from None
+    try:
+        complete = [json.loads(line) for line in lines if line.endswith("\n")]  # only the last line can be cut off
+    except ValueError:
+        raise damaged_journal(path) from None
+    if not complete or not all(isinstance(record, dict) for record in complete):
+        raise damaged_journal(path)
+    header, *records = complete
+    if header.get(kind) != digest:
+        raise ArgumentError(f"--resume: {path} tells of another {kind}", another)
+    data = path.read_bytes()
+    complete_bytes = data.rfind(b"\n") + 1
+    if complete_bytes < len(data):
+        os.truncate(path, complete_bytes)
+    return Journal(path, header, tuple(records))
+
+
+def damaged_journal(path: Path) -> ArgumentError:
+    """Return the error for a journal with invalid lines."""
+    return ArgumentError(f"--resume: {path} is damaged", "begin anew under another name")

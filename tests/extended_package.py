@@ -234,7 +234,7 @@ def problem():
 '''
 COMMANDS = """
 import json, os, sys
-import codegen.cli.solve, codegen.emit.verify, codegen.evidence.checks, codegen.solving.outcome
+import codegen.cli.solve, codegen.emit.verify, codegen.evidence.checks, codegen.solving.api
 from codegen.__main__ import run
 for line in sys.stdin:
     words, *files = json.loads(line)

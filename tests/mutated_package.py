@@ -169,7 +169,7 @@ _FORM = "discretise/model/normal_form.py"
 _INTERVAL = "discretise/interval.py"
 _DIFFERENTIATION = "emit/differentiation.py"
 _LAYOUT = "emit/lower/control/layout.py"
-_BOUNDS = "emit/lower/control/bounds.py"
+_BOUNDS = "emit/lower/control/layout.py"
 _KERNELS = "emit/lower/control/kernels.py"
 _PRINTER = "emit/lower/printer.py"
 _RATES = "tuple(map(fixed.get, rates))"
@@ -266,7 +266,7 @@ def _reading() -> Iterator[Mutant]:
         f"{entry}.replace(lambda e: e.is_Rational and not e.is_Integer, lambda e: sympy.Rational(round(e, 1)))",
         "cart_pole_balance",
     )
-    written = "discretise/model/written.py"
+    written = "discretise/model/normal_form.py"
     yield Mutant(
         stage, "a maximum read as a minimum", written,
         "yield replace(written, expression=-written.expression) if is_maximised else written",

@@ -38,7 +38,6 @@ FLOORS = (
 NUMERIC = (
     "symbolic/tables",
     "drawing",
-    "solving/tasks",
     "solving/loading",
     "solving/machine_code",
     "solving/results",
@@ -236,7 +235,7 @@ def test_after_lowering_there_is_no_sympy():
         ("import codegen", ("sympy", "numba", "scipy", "matplotlib")),
         ("import codegen.cli", ("sympy", "numba", "scipy", "matplotlib")),
         ("import codegen.solving.loading, codegen.solving.drivers", ("sympy",)),
-        ("import codegen.solving.outcome", ("sympy", "scipy.interpolate")),
+        ("import codegen.solving.api", ("sympy", "scipy.interpolate")),
         ("import codegen.registration", ("sympy", "numba", "nibabel", "SimpleITK", "skimage")),
         pytest.param("import codegen.registration.app.server", ("sympy", "numba"), marks=pytest.mark.slow),
         pytest.param(

@@ -9,8 +9,7 @@ import pytest
 from codegen.deferred import Deferred
 from codegen.problem.particles import Connect
 from codegen.problem.problem import Control, Simulate
-from codegen.solving.drivers import DRIVERS
-from codegen.solving.tasks import TASKS, task_of
+from codegen.solving.drivers import DRIVERS, TASKS, task_of
 
 
 def homes(task):

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors.chunks import LOST, SOLVED
+from codegen.batch.executors import LOST, SOLVED
 from codegen.batch.layout import Shapes
 from codegen.batch.motions import Motions, empty_motions
 from codegen.batch.optima import Solutions, empty_solutions
@@ -30,14 +30,14 @@ from codegen.batch.results import UNUSABLE, Limits, unusable_message
 from codegen.errors import CodegenError, one_line
 from codegen.runtime.search.problem import ControlProblem
 from codegen.runtime.stepping.problem import StepProblem
-from codegen.solving.drivers import find
+from codegen.solving import loading
+from codegen.solving.drivers import find, task_of
 from codegen.solving.drivers.newton import TOLERANCE
-from codegen.solving.loading import ControlModule, Matrix, Vector, is_connect
+from codegen.solving.loading import ControlModule, GeneratedModule, Matrix, Vector, is_connect
 from codegen.solving.request import with_arguments
 from codegen.solving.results.control import outline_of_optimum
 from codegen.solving.results.result import STATUSES, ControlAttempt, Outline, Run
 from codegen.solving.results.segments import segments_of
-from codegen.solving.tasks import task_of
 from codegen.solving.warm_start import transferred
 from codegen.solving.warm_start import varied as varied_guess
 
@@ -135,7 +135,7 @@ MEANINGS = {**STATUSES, **OF_SWEEPS}
 
 @dataclass(frozen=True)
 class Variant:
-    """The module for one combination of arguments of problem(): its file, or None without a file, and its arrays.
+    """The module for one combination of arguments of problem(): its file, or a module without a file, and its arrays.
 
     `shapes` is None if the module could not be derived; then `message` gives the reason.
     """
@@ -143,6 +143,11 @@ class Variant:
     path: Path | None
     shapes: Shapes | None
     message: str = ""
+    unfiled: GeneratedModule | None = None
+
+    def load(self) -> GeneratedModule | None:
+        """Return the module, loaded in this process; None if it could not be derived."""
+        return self.unfiled if self.path is None else loading.load(self.path)
 
 
 @dataclass(frozen=True)

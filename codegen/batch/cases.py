@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import ast
 import csv
-import difflib
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -23,8 +22,8 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors.chunks import counted
-from codegen.errors import ArgumentError, NumericsError, clause, one_line
+from codegen.batch.executors import counted
+from codegen.errors import ArgumentError, NumericsError, clause, is_count, nearest, one_line
 
 Values: TypeAlias = NDArray[np.float64] | NDArray[np.str_]
 MOST_CASES = 100_000_000
@@ -308,9 +307,9 @@ def samples(distributions: Mapping[str, object], number: int, sampling: str, see
     invalid distribution, sampling method, number or seed.
     """
     require_sampling(sampling)
-    if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= MOST_CASES:
+    if not is_count(number) or number > MOST_CASES:
         raise ArgumentError(f"{clause(repr(number))} samples", f"give a number of --cases from 1 to {MOST_CASES}")
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+    if not is_count(seed, 0):
         raise ArgumentError(f"--seed {clause(repr(seed))}", "give a whole number that is not negative")
     frozen = {name: _distribution(name, text) for name, text in distributions.items()}
     points = SAMPLINGS[sampling](number, len(frozen), np.random.default_rng(seed))
@@ -350,8 +349,7 @@ def _distribution(name: str, distribution: object) -> Distribution:
     family = call.func.id
     known = {key for key in dir(stats) if callable(getattr(getattr(stats, key), "ppf", None))} | set(PLAIN)
     if family not in known:
-        close = difflib.get_close_matches(family, known, 3)
-        remedy = f"did you mean {' or '.join(close)}?" if close else "take one of scipy.stats, such as lognorm"
+        remedy = nearest(family, known, "take one of scipy.stats, such as lognorm", 3)
         raise ArgumentError(clause(f"--sample {name}: there is no distribution {family}"), remedy)
     try:
         name_there, *plain = PLAIN[family](*positional, **named) if family in PLAIN else (family, *positional)

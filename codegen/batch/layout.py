@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
 from codegen.runtime.record import Form, Task
-from codegen.solving.drivers import DRIVERS
+from codegen.solving.drivers import DRIVERS, task_of
 from codegen.solving.loading import GeneratedModule, Matrix, few_steps, is_of_particles
 from codegen.solving.results.motions import FIRST_TIMES, event_labels, particle_names
 from codegen.solving.results.result import Run, component_names
 from codegen.solving.results.segments import multiplier_names, segments_of
-from codegen.solving.tasks import task_of
 
 Rows = dict[str, NDArray[Any]]
 """The results of a chunk: arrays by name, with a row for each case in the order of the cases."""

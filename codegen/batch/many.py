@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
@@ -21,11 +20,9 @@ from codegen.batch.results import THREADS, Limits, require_place
 from codegen.errors import ArgumentError, NumericsError, clause, one_line
 from codegen.problem.problem import Control, Phases, Simulate
 from codegen.runtime.search.problem import ControlProblem
-from codegen.solving import compiler, loading
+from codegen.solving.api import module_of
 from codegen.solving.loading import GeneratedModule, Vector, is_control, is_simulation
-from codegen.solving.machine_code import processes
-from codegen.solving.outcome import Working
-from codegen.solving.progress import building, shown_from_call
+from codegen.solving.progress import building
 from codegen.solving.request import Request, require_options, with_values
 from codegen.solving.results.segments import segments_of
 from codegen.solving.results.sensitivities import require_sensitive
@@ -111,7 +108,9 @@ def solve_many(
         raise ArgumentError(f"codegen.solve_many takes no {other}", f"use one of {', '.join(_OPTIONS)}")
     is_on_device, request = require_place(executor), Request(problem, steps=steps, **options)
     workers = 1 if is_on_device else team_size(threads, None)
-    module, build = _module(request, building)
+    made = module_of(request, building)
+    module = made.module
+    _require_many(request, module)
     columns = _columns(module, parameters)
     if on_device and not (is_on_device and is_simulation(module)):
         raise ArgumentError("on_device keeps states of simulations on a GPU", 'give a simulation and executor="cuda"')
@@ -120,8 +119,7 @@ def solve_many(
             raise ArgumentError("a guess for a simulation", "leave it out")
         require_motions(module, is_on_device)
     varied = dict(zip(quantities(columns, module, ()), columns.values(), strict=True))
-    if build is not None:  # an unusable request is refused without compilation
-        processes.require(build.path, module, build.written, building)
+    made.require(building)  # an unusable request is refused without compilation
     number = next((column.size for column in columns.values()), 1)
     count = module.metadata.steps if steps is None else steps
     limits = Limits(
@@ -151,21 +149,8 @@ def solve_many(
     return found
 
 
-def _module(request: Request, working: Working) -> tuple[Any, compiler.Build | None]:
-    """Return the module of a request, and the build if there is one; or raise ArgumentError."""
-    build: compiler.Build | None = None
-    module: Any = request.compiled
-    if request.is_built:
-        module = request.problem
-        if isinstance(module, str | Path):
-            module = loading.load(module)
-    elif module is None:
-        with shown_from_call(working, "Deriving") as deriving:
-            build = compiler.build(
-                request.source, request.settings, scheme=request.scheme, method=request.method,
-                controls=request.controls, out=request.out, sensitivities=request.sensitivities, deriving=deriving,
-            )  # fmt: skip
-        module = loading.load(build.path)
+def _require_many(request: Request, module: Any) -> None:
+    """Raise ArgumentError for a module, or for options, with which only one case can be solved at a time."""
     request.driver_for(module)
     if not (is_control(module) or is_simulation(module)):
         finding = f"{module.metadata.problem} is a {module.metadata.task} problem"
@@ -174,7 +159,6 @@ def _module(request: Request, working: Working) -> tuple[Any, compiler.Build | N
         require_sensitive(module)
     if not (isinstance(module.problem, ControlProblem) or is_simulation(module)):
         raise ArgumentError("a standalone module solves one case at a time", "build it without --standalone")
-    return module, build
 
 
 def _columns(module: GeneratedModule, parameters: Mapping[str, ArrayLike]) -> dict[str, Vector]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,10 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors.chunks import Abandoned
 from codegen.batch.request import STEPS, Quantity, given_to
 from codegen.batch.results import UNUSABLE, Cases, Limits, errors_of_device, unusable_message
-from codegen.errors import ArgumentError, DeviceError, NumericsError, clause
+from codegen.errors import ArgumentError, DeviceError, NumericsError, clause, is_count
 from codegen.runtime.search.batch import LONGEST_STATUS, SOLVED
 from codegen.runtime.stepping.ensembles import (
     Ensemble,
@@ -133,28 +131,23 @@ class Motions(Cases):
         """True if the machine code that `fill` needs is on the disk, or if a GPU follows the motions."""
         return self.limits.is_on_device or are_motions_ready(self.module.problem)
 
-    def fill(self, part: slice, is_wanted: Callable[[], bool]) -> None:
-        """Follow the motions of a part, block by block; raises Abandoned once `is_wanted` returns False."""
-        problem, (_, rows, state), is_on_device = self.module.problem, self.path.shape, self.limits.is_on_device
-        size = max(1, NUMBERS // (rows * state))
-        follow: Callable[..., tuple[Happened, EventLog] | None] = follow_ensemble
-        if is_on_device:
-            from codegen.runtime.cuda import motions as of_device
+    def _block(self, number: int) -> int:
+        return number if self.limits.is_on_device else max(1, NUMBERS // math.prod(self.path.shape[1:]))
 
-            size, follow = part.stop - part.start, partial(of_device.follow_ensemble, is_kept=self.limits.is_kept)
-        for first in range(part.start, part.stop, size):
-            if not is_wanted():
-                raise Abandoned
-            own = slice(first, min(part.stop, first + size))
-            followed = followed_in(self.path[own], self.every)
-            with errors_of_device() if is_on_device else nullcontext():
-                happened = follow(
-                    problem, own_cases(self.numbers, own), self.steps, self.every, followed,
-                    most=self.limits.max_iterations or MOST,
-                )  # fmt: skip
-            made, _, iterations, outcome = followed.numbers.T
-            self.made[own], self.iterations[own], self.residual[own] = made, iterations, followed.residual
-            self._judge(own, outcome, *(happened or (None, None)))
+    def _solve(self, own: slice, is_wanted: Callable[[], bool]) -> None:
+        follow: Callable[..., tuple[Happened, EventLog] | None] = follow_ensemble
+        if self.limits.is_on_device:
+            from codegen.runtime.cuda import batches as of_device
+
+            follow = partial(of_device.follow_ensemble, is_kept=self.limits.is_kept)
+        followed = followed_in(self.path[own], self.every)
+        happened = follow(
+            self.module.problem, own_cases(self.numbers, own), self.steps, self.every, followed,
+            most=self.limits.max_iterations or MOST,
+        )  # fmt: skip
+        made, _, iterations, outcome = followed.numbers.T
+        self.made[own], self.iterations[own], self.residual[own] = made, iterations, followed.residual
+        self._judge(own, outcome, *(happened or (None, None)))
 
     def _judge(self, own: slice, outcome: NDArray[np.int64], happened: Happened | None, log: EventLog | None) -> None:
         """Set the statuses of followed cases as `codegen.solve` does, and store their events."""
@@ -298,7 +291,7 @@ def empty_motions(
     module: SimulateModule, columns: Mapping[Quantity, Vector], steps: int, every: int, limits: Limits, number: int
 ) -> Motions:
     """Return Motions without results, with a message for each case with unusable numbers."""
-    if isinstance(every, bool) or not isinstance(every, int) or every < 1:
+    if not is_count(every):
         raise NumericsError(f"every {clause(repr(every))}", "give a positive integer")
     numbers, errors = ensemble_of(module, steps, given_to(columns), number)
     every = min(every, steps)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors.chunks import Abandoned
+from codegen.batch.executors import Abandoned
 from codegen.batch.request import Quantity, given_to
-from codegen.batch.results import UNUSABLE, Cases, Limits, errors_of_device, unusable_message
+from codegen.batch.results import UNUSABLE, Cases, Limits, unusable_message
 from codegen.runtime.search.batch import (
     LONGEST_STATUS,
     SOLVED,
@@ -105,19 +105,11 @@ class Solutions(Cases):
         """True if the machine code that `fill` needs is on the disk, or if a GPU solves the cases."""
         return self.limits.is_on_device or is_ready()
 
-    def fill(self, part: slice, is_wanted: Callable[[], bool]) -> None:
-        """Solve the cases of a part, block by block; raises Abandoned once `is_wanted` returns False."""
-        is_on_device = self.limits.is_on_device
-        size = max(1, (BLOCK_ON_DEVICE if is_on_device else BLOCK) // max(1, self.unknowns.shape[1]))
-        for first in range(part.start, part.stop, size):
-            if not is_wanted():
-                raise Abandoned
-            with errors_of_device() if is_on_device else nullcontext():
-                self._solve(slice(first, min(part.stop, first + size)), is_wanted)
+    def _block(self, number: int) -> int:
+        numbers = BLOCK_ON_DEVICE if self.limits.is_on_device else BLOCK
+        return max(1, numbers // max(1, int(self.unknowns.shape[1])))
 
     def _solve(self, own: slice, is_wanted: Callable[[], bool]) -> None:
-        """Solve a block of cases."""
-
         def log() -> Log:
             if not is_wanted():
                 raise Abandoned
@@ -125,7 +117,7 @@ class Solutions(Cases):
 
         on_device, limits, module = None, self.limits, self.module
         if limits.is_on_device:
-            from codegen.runtime.cuda import optima as of_device
+            from codegen.runtime.cuda import batches as of_device
 
             on_device = of_device.solve_cases
         options = Options(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
@@ -14,11 +13,10 @@ from numpy.typing import NDArray
 
 from codegen.batch.cases import NUMBER, Cases, grid, require_sampling, table
 from codegen.batch.cases import samples as sampled
-from codegen.batch.executors import team_size
-from codegen.batch.executors.chunks import counted
+from codegen.batch.executors import counted, team_size
 from codegen.batch.layout import RATE, free_label
 from codegen.batch.results import CUDA, THREADS, require_place
-from codegen.errors import ArgumentError, NumericsError, clause
+from codegen.errors import ArgumentError, NumericsError, clause, is_count, nearest
 from codegen.solving.loading import Matrix, Vector, is_control
 from codegen.solving.request import Request, apart_from_delays, duration_arguments, parameter_arguments, prescribed_ends
 from codegen.solving.results.control import control_result
@@ -84,8 +82,7 @@ def sweep_request(
     """
     for name in options:
         if name not in OPTIONS:
-            close = difflib.get_close_matches(name, OPTIONS, 1)
-            remedy = f"did you mean {close[0]}?" if close else f"use some of {', '.join(OPTIONS)}"
+            remedy = nearest(name, OPTIONS, f"use some of {', '.join(OPTIONS)}")
             raise ArgumentError(f"codegen.sweep has no option {clause(name)}", remedy)
     if not isinstance(out, str | PathLike | None):
         raise ArgumentError(f"--out {clause(repr(out))} is no path", 'give one, such as "sweep.zarr"')
@@ -126,7 +123,7 @@ def sweep_request(
         all_cases, origin = table(cases), "table"
     if keep is not None and (isinstance(keep, str) or not all(isinstance(name, str) for name in keep)):
         raise ArgumentError(f"--keep {clause(repr(keep))}", 'give names of arrays, such as ("q", "u")')
-    if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
+    if chunk is not None and not is_count(chunk):
         raise NumericsError(f"--chunk {clause(repr(chunk))}", "give a positive integer")
     is_on_device = require_place(executor)
     if is_on_device and (workers is not None or cluster is not None):
@@ -176,10 +173,8 @@ def quantities(names: Collection[str], module: GeneratedModule, arguments: Seque
             # The duration of a problem with delays has derivatives but cannot vary.
             refused = {*duration_arguments(module)} - {*apart_from_delays(module)}
             offered = [word for word in by_name if word not in refused]
-            close = difflib.get_close_matches(name, offered, 3, 0.5)
-            nearest = f"did you mean {' or '.join(close)}? " if close else ""
-            remedy = f"{nearest}{module.metadata.problem} has {', '.join(offered)}"
-            raise ArgumentError(clause(f"{name} is nothing that can be varied"), clause(remedy))
+            remedy = f"{nearest(name, offered, '', 3, 0.5)} {module.metadata.problem} has {', '.join(offered)}"
+            raise ArgumentError(clause(f"{name} is nothing that can be varied"), clause(remedy.strip()))
     return tuple(by_name[name] for name in names)
 
 
@@ -188,7 +183,8 @@ def require_fitting(varied: Iterable[Quantity], cases: Cases) -> None:
     for quantity in varied:
         column = cases.columns[quantity.name]
         if quantity.kind != "argument" and column.dtype.kind == "U":
-            row, word = next((row, word) for row, word in enumerate(column.tolist()) if not _is_number(word))
+            words = column.tolist()
+            row, word = next(((row, word) for row, word in enumerate(words) if not _is_number(word)), (0, words[0]))
             finding = f"{cases.origin(row)}{quantity.name} takes numbers, not {word!r}"
             raise ArgumentError(clause(finding), "give finite numbers")
         if quantity.kind in COUNTS:

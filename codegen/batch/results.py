@@ -6,13 +6,14 @@ import math
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from codegen.batch.executors import Abandoned
 from codegen.batch.layout import COLUMNS
 from codegen.errors import ArgumentError, DeviceError, ExtraError, NumericsError, clause, one_line
 from codegen.runtime.search.batch import SOLVED
@@ -71,7 +72,7 @@ def errors_of_device() -> Iterator[None]:
     from numba.core.errors import NumbaError
     from numba.cuda.cudadrv.driver import CudaAPIError
 
-    from codegen.runtime.cuda.optima import Full
+    from codegen.runtime.cuda.batches import Full
 
     try:
         yield
@@ -92,17 +93,31 @@ class Cases(ABC):
     parameters: Mapping[str, Vector]
     module: ControlModule | SimulateModule
     steps: int
+    limits: Limits
     background: Background | None
     numbers_of_cases: ClassVar[tuple[str, ...]]
 
     @property
     @abstractmethod
     def is_ready(self) -> bool:
-        """True if the machine code that `fill` needs is on the disk."""
+        """True if the machine code that `fill` needs is on the disk, or if a GPU solves the cases."""
 
-    @abstractmethod
     def fill(self, part: slice, is_wanted: Callable[[], bool]) -> None:
         """Solve the cases of a part, block by block; raises Abandoned once `is_wanted` returns False."""
+        size = self._block(part.stop - part.start)
+        for first in range(part.start, part.stop, size):
+            if not is_wanted():
+                raise Abandoned
+            with errors_of_device() if self.limits.is_on_device else nullcontext():
+                self._solve(slice(first, min(part.stop, first + size)), is_wanted)
+
+    @abstractmethod
+    def _block(self, number: int) -> int:
+        """Return the number of cases of a block, for a part of `number` cases."""
+
+    @abstractmethod
+    def _solve(self, own: slice, is_wanted: Callable[[], bool]) -> None:
+        """Solve a block of cases."""
 
     @property
     @abstractmethod

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.batch.cases import Cases
-from codegen.batch.executors.chunks import Journal, Tally, damaged_journal, journal_of, new_journal, read_journal
+from codegen.batch.executors import Tally
 from codegen.batch.layout import RESERVED, Chunks, Layout, Rows
 from codegen.errors import ArgumentError, ClusterError, DeviceError, FileError, Interrupted
-from codegen.files import refused, replacing
+from codegen.files import Journal, damaged_journal, journal_of, new_journal, read_journal, refused, replacing
 
 if TYPE_CHECKING:
     from xarray import Dataset

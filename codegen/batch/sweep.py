@@ -22,20 +22,21 @@ import numpy as np
 
 from codegen.batch import store
 from codegen.batch.cases import Cases
-from codegen.batch.executors import Progress, Team, Working, connected, silent
-from codegen.batch.executors.chunks import Done, Tally, counted, only_one
+from codegen.batch.executors import Done, Progress, Tally, Team, connected, counted, silent
 from codegen.batch.jumps import Costs, along, jumps_of
 from codegen.batch.layout import MOST, Chunks, Layout, Rows, about_a_second, blocks_of, layout_of
 from codegen.batch.request import GUESS, OPTIONS, STEPS, STORES, SweepRequest, sweep_request
 from codegen.batch.store import Frame, Store, resumable, write_netcdf
 from codegen.batch.work import Modules, Work, modules_of
 from codegen.errors import ArgumentError, ExtraError
+from codegen.files import only_one
 from codegen.machine import versions
 from codegen.problem.sources import ProblemFile, ProblemObject
-from codegen.solving.outcome import require_memory
-from codegen.solving.progress import building
+from codegen.solving.api import require_memory
+from codegen.solving.compiler import workers_folder
+from codegen.solving.drivers import task_of
+from codegen.solving.progress import Working, building
 from codegen.solving.results.result import Run, component_units
-from codegen.solving.tasks import task_of
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -188,10 +189,9 @@ def outcome_of(
         has_jumps = task.name == "control" and GUESS not in kinds
         layout = replace(layout_of(shapes, steps, request.keep, cases.number), has_jumps=has_jumps)
         warm = request.warm_starts and task.name == "control"
-        loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
         single = Chunks(cases.shape, (1,) * len(cases.shape))
         work = Work(
-            solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded,
+            solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm,
             is_on_device=request.is_on_device,
         )  # fmt: skip
         if request.is_on_device:
@@ -247,7 +247,7 @@ def _into_store(
     taken = ArgumentError(
         f"--out {request.out}: another process is at work on it", "wait until it ends, or choose another name"
     )
-    with only_one(str(request.out.resolve()), taken):
+    with only_one(workers_folder(), str(request.out.resolve()), taken):
         is_resumed = request.resume and request.out.exists()
         if is_resumed:
             journal = store.resumed(request.out, frame, digest)
@@ -297,7 +297,7 @@ def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Done) ->
     Dimensions of arguments of problem() are cut into single values, because each value has its own module.
     """
     cases = work.cases
-    arguments = {cases.axes[name] for name in modules.arguments}
+    arguments = {cases.axes[own.name] for own in work.quantities if own.kind == "argument"}
     whole = [axis not in arguments or not cases.is_grid for axis in range(len(cases.shape))]
     iterations = max(0, int(tried.rows["iterations"].item()))
     size = request.chunk or about_a_second(modules.first, work.driver, work.run, iterations, work.layout.has_rates)

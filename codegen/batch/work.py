@@ -10,32 +10,20 @@ import hashlib
 import math
 import platform
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codegen.batch.case import NOT_BUILT, Attempt, Continuation, Start, Variant, Varied, failed
 from codegen.batch.cases import Cases, rows_of
-from codegen.batch.executors import Working
-from codegen.batch.executors.chunks import (
-    LOST,
-    Abandoned,
-    Done,
-    Tally,
-    Target,
-    alone,
-    compiled_note,
-    target,
-    workers_folder,
-)
+from codegen.batch.executors import LOST, Abandoned, Done, Tally
 from codegen.batch.jumps import Grid, Neighbours, along_dimensions, improved, is_better, scattered
 from codegen.batch.layout import (
     JUMPS,
@@ -53,13 +41,15 @@ from codegen.batch.layout import (
 from codegen.batch.motions import require_motions
 from codegen.batch.request import GUESS, STEPS, Quantity, Wanted, as_argument, quantities, require_fitting
 from codegen.errors import ArgumentError, CodegenError
-from codegen.files import write_text
-from codegen.solving import compiler, loading
+from codegen.files import alone, write_text
+from codegen.solving import loading
+from codegen.solving.api import Made, module_of, points_of
+from codegen.solving.compiler import workers_folder
 from codegen.solving.drivers import DRIVERS
 from codegen.solving.loading import is_simulation
 from codegen.solving.machine_code import processes
-from codegen.solving.outcome import points_of
-from codegen.solving.progress import shown_from_call
+from codegen.solving.machine_code.processes import Target, compiled_note, target
+from codegen.solving.progress import Working
 from codegen.solving.request import Request, require_apart_from_arrays, require_apart_from_delays
 from codegen.solving.results.result import Run
 from codegen.solving.results.sensitivities import UNSOLVED, require_sensitive
@@ -81,7 +71,6 @@ class Modules:
     `first` is the first module that could be derived; `points` are the points of particles to connect, or None.
     """
 
-    arguments: tuple[str, ...]
     quantities: tuple[Quantity, ...]
     variants: dict[tuple[str, ...], Variant]
     first: GeneratedModule
@@ -95,57 +84,38 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
     A combination of arguments that cannot be derived becomes a variant without a module; if all fail, the first error
     is raised. Raises ArgumentError for unknown names, and for a value that an argument does not take.
     """
-    derived: dict[tuple[str, ...], tuple[GeneratedModule, compiler.Build | None]] = {}
+    derived: dict[tuple[str, ...], Made] = {}
     errors: dict[tuple[str, ...], CodegenError] = {}
-    names: tuple[str, ...] = ()
-    combinations: list[tuple[str, ...]] = [()]
     varied: tuple[Quantity, ...] = ()
-    if request.is_built:
-        module: Any = loading.load(request.problem) if isinstance(request.problem, str | Path) else request.problem
-        varied = _checked_quantities(request, cases, module, ())
-        derived[()] = module, None
-    else:
-        names, combinations = _combinations(request, cases)
-        for number, key in enumerate(combinations, start=1):
-            count = f" (module {number} of {len(combinations)})" if len(combinations) > 1 else ""
-            if not names and request.compiled is not None:
-                derived[key] = request.compiled, None
-                varied = _checked_quantities(request, cases, request.compiled, names)
-                continue
-            try:
-                with shown_from_call(working, f"Deriving{count}") as deriving:
-                    arguments = {**request.arguments, **dict(zip(names, key, strict=True))}
-                    build = compiler.build(
-                        request.source, arguments, scheme=request.scheme, method=request.method,
-                        controls=request.controls, sensitivities=request.sensitivities, deriving=deriving,
-                    )  # fmt: skip
-                    module = loading.load(build.path)
-            except CodegenError as error:
-                if isinstance(error, ArgumentError):
-                    raise
-                errors[key] = error
-                continue
-            varied = _checked_quantities(request, cases, module, names)
-            derived[key] = module, build
+    names, combinations = ((), [()]) if request.is_built else _combinations(request, cases)
+    for number, key in enumerate(combinations, start=1):
+        count = f" (module {number} of {len(combinations)})" if len(combinations) > 1 else ""
+        try:
+            made = module_of(request, working, f"Deriving{count}", dict(zip(names, key, strict=True)))
+        except ArgumentError:
+            raise
+        except CodegenError as error:
+            errors[key] = error
+            continue
+        varied = _checked_quantities(request, cases, made.module, names)
+        derived[key] = made
     if not derived:
         raise next(iter(errors.values()))
     # All cases must connect the same points.
-    points, *others = (points_of(request, module) for module, _ in derived.values())
+    points, *others = (points_of(request, made.module) for made in derived.values())
     for other in others:
         if points is not None and other is not None and not np.array_equal(points.table, other.table):
             raise ArgumentError("the points differ among values of an argument", "sweep over each value by itself")
-    messages = list[str]()
-    for module, built in derived.values():
-        if built is not None and DRIVERS[request.driver].generated:
-            messages += processes.require(built.path, module, built.written, working)[1]
-    particles = 0 if points is None else len(points.start)
+    messages, particles = list[str](), 0 if points is None else len(points.start)
     variants = {key: Variant(None, None, str(error)) for key, error in errors.items()}
-    for key, (module, built) in derived.items():
-        file = getattr(module, "__file__", None) if built is None else built.path
-        shapes = shapes_of(module, request.every, request.sensitivities, particles)
-        variants[key] = Variant(Path(file) if file else None, shapes)
+    for key, made in derived.items():
+        if DRIVERS[request.driver].generated:
+            messages += made.require(working)[1]
+        file = made.path or getattr(made.module, "__file__", None)
+        shapes = shapes_of(made.module, request.every, request.sensitivities, particles)
+        variants[key] = Variant(Path(file), shapes) if file else Variant(None, shapes, unfiled=made.module)
     ordered = {key: variants[key] for key in combinations}
-    return Modules(names, varied, ordered, next(iter(derived.values()))[0], tuple(messages), points)
+    return Modules(varied, ordered, next(iter(derived.values())).module, tuple(messages), points)
 
 
 def _combinations(request: Request, cases: Cases) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
@@ -189,8 +159,8 @@ class Work:
     """The data that the solves of all chunks need.
 
     `run` are the options of all solves. `steps` is the largest number of steps, or None for each module's own number.
-    `variants` has the modules by the texts of the varied arguments of problem(); `module` is a module without a file.
-    `is_on_device` is True if a GPU solves batches.
+    `variants` has the modules by the texts of the varied arguments of problem(). `is_on_device` is True if a GPU solves
+    batches.
     """
 
     driver: str
@@ -203,8 +173,12 @@ class Work:
     chunks: Chunks
     warm_starts: bool
     sink: Store | None = None
-    module: GeneratedModule | None = None
     is_on_device: bool = False
+
+    @cached_property
+    def numeric(self) -> tuple[Quantity, ...]:
+        """The quantities whose values a module takes; the others are arguments of problem()."""
+        return tuple(quantity for quantity in self.quantities if quantity.kind != "argument")
 
     @property
     def is_compiled(self) -> bool:
@@ -219,7 +193,7 @@ class Work:
             finding = "a GPU solves simulations, and optimal control without warm starts and sensitivities, by newton"
             raise ArgumentError(f"--executor cuda: {finding}", "leave --executor out")
         for variant in self.variants.values():
-            if (module := self._module(variant)) is not None and is_simulation(module):
+            if (module := variant.load()) is not None and is_simulation(module):
                 require_motions(module, is_on_device=True)
 
     def piece(self, number: int) -> Piece:
@@ -230,7 +204,7 @@ class Work:
 
     def parcel(self) -> Parcel:
         """Return the work without its cases, for other machines; raises ArgumentError for a module without a file."""
-        if self.module is not None:
+        if any(variant.unfiled for variant in self.variants.values()):
             remedy = "build it, and give its path"
             raise ArgumentError("a module that is in no file cannot be sent to a cluster", remedy)
         bare = replace(self, cases=Cases((), (), {}, {}), chunks=Chunks((), ()))
@@ -251,7 +225,7 @@ class Work:
     def loaded(self) -> Work:
         """Load every module in this process, and return the work."""
         for variant in self.variants.values():
-            self._module(variant)
+            variant.load()
         return self
 
     def lost(self, number: int, reason: str) -> Done:
@@ -266,9 +240,8 @@ class Work:
             varied = self._varied(variant)
             assert varied is not None, "a case that is solved has a module"
             varied.task.warm_up(varied.module, varied.run.steps)
-        own = tuple(quantity for quantity in self.quantities if quantity.kind != "argument")
         single = Chunks(self.cases.shape, (1,) * len(self.cases.shape))
-        work = replace(self, quantities=own, variants={(): variant}, chunks=single, sink=None)
+        work = replace(self, quantities=self.numeric, variants={(): variant}, chunks=single, sink=None)
         return work.solve(work.piece(index))
 
     def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
@@ -300,8 +273,7 @@ class Work:
         """Follow the motions of the cases with these indices, and write their rows."""
         assert variant.shapes is not None, "motions have a module"
         begin = time.perf_counter()
-        own = [quantity for quantity in self.quantities if quantity.kind != "argument"]
-        columns = {quantity: np.asarray(piece.columns[quantity.name], float)[places] for quantity in own}
+        columns = {own: np.asarray(piece.columns[own.name], float)[places] for own in self.numeric}
         motions = varied.follow(columns, places.size, is_wanted)
         for name in (*WORDS, "residual", "iterations"):
             rows[name][places] = getattr(motions, name)
@@ -325,7 +297,7 @@ class Work:
 
         Cases of one group in `groups` have the same module, from `keys`, and the same number of steps.
         """
-        values = [self._module_values(of_case) for of_case in rows_of(piece.columns)]
+        values = [{own: float(row[own.name]) for own in self.numeric} for row in rows_of(piece.columns)]
         guesses = [own for own in self.quantities if own.kind == GUESS]
         # Cases of one family may start from each other: they have the same module and the same guess.
         labels = [(key, *(of_case[own] for own in guesses)) for key, of_case in zip(keys, values, strict=True)]
@@ -407,23 +379,12 @@ class Work:
         rows["jump"][[worse for worse, _ in neighbours.jumps(costs, certain=True)]] = 1
         return [index for index in further if attempts[index][-1] is not outcomes[index]]
 
-    def _module_values(self, values: Mapping[str, float | str]) -> dict[Quantity, float]:
-        return {own: float(values[own.name]) for own in self.quantities if own.kind != "argument"}
-
-    def _module(self, variant: Variant) -> GeneratedModule | None:
-        if variant.shapes is None:
-            return None
-        return self.module if variant.path is None else loading.load(variant.path)
-
     def _varied(self, variant: Variant) -> Varied | None:
         if variant.shapes is None:
             return None
         run = replace(self.run, steps=self.steps or variant.shapes.steps)
-        wanted = None
-        if variant.shapes.by:
-            varied = tuple(own for own in self.quantities if own.kind != "argument")
-            wanted = Wanted(varied, self.layout.rates, self.warm_starts)
-        return Varied(self._module(variant), self.driver, run, wanted, self.is_on_device)
+        wanted = Wanted(self.numeric, self.layout.rates, self.warm_starts) if variant.shapes.by else None
+        return Varied(variant.load(), self.driver, run, wanted, self.is_on_device)
 
     def _write_arrays(self, rows: Rows, index: int, variant: Variant, outcome: Attempt) -> None:
         """Write the arrays and derivatives of a solution into the row `index`."""
@@ -445,10 +406,9 @@ class Work:
 
     def _finished(self, region: tuple[slice, ...], rows: Rows) -> Done:
         """Write the rows to the sink and return their tally; without a sink the rows are returned, too."""
-        statuses = rows["status"].tolist()
-        messages = dict(zip(reversed(statuses), reversed(rows["message"].tolist())))  # the first of each status
-        won, jumps = (int((rows[name] > 0).sum()) if name in rows else 0 for name in JUMPS)
-        tally = Tally(Counter(statuses), messages, float(np.nansum(rows["seconds"])), won, jumps)
+        counts = (int((rows[name] > 0).sum()) if name in rows else 0 for name in JUMPS)
+        seconds = float(np.nansum(rows["seconds"]))
+        tally = Tally.of(rows["status"].tolist(), rows["message"].tolist(), seconds, *counts)
         extent = tuple(part.stop - part.start for part in region)
         shaped = {name: array.reshape(*extent, *array.shape[1:]) for name, array in rows.items()}
         if self.sink is None:
@@ -490,14 +450,14 @@ class Parcel:
             if local != self.origin or not _has_text(path, text):  # several machines may share a disk
                 path = workers_folder() / machine / hashlib.sha256(text.encode()).hexdigest()[:20] / path.name
             seconds = 0.0
-            with alone(str(path)):
+            with alone(workers_folder(), str(path)):
                 if not _has_text(path, text):
                     path.parent.mkdir(parents=True, exist_ok=True)
                     write_text(path, text)
                 if DRIVERS[self.work.driver].generated:
                     seconds, _ = processes.require(path, loading.load(path), False, lambda what: nullcontext())
             if seconds > 0.0:
-                notes.append(compiled_note(path.stem, local, self.origin, "the sweep"))
+                notes.append(compiled_note(path.stem, self.origin, "the sweep"))
             variants[key] = replace(variants[key], path=path)
         sink = self.work.sink
         has_store = sink is not None and bool(self.mark) and sink.mark() == self.mark

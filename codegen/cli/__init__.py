@@ -21,8 +21,8 @@ main = typer.Typer(
     rich_markup_mode=None,  # plain help does not import rich
 )
 COMMANDS = {
-    "new": "problems", "build": "problems", "solve": "solve", "sweep": "sweep", "check": "evidence", "show": "problems",
-    "analyse": "evidence", "report": "evidence", "stress": "evidence", "warp": "registration",
+    "new": "problems", "build": "problems", "solve": "solve", "sweep": "solve", "check": "problems", "show": "problems",
+    "analyse": "problems", "report": "problems", "stress": "problems", "warp": "registration",
     "distances": "registration", "app": "registration",
 }  # fmt: skip
 """The commands in the order of the help text, and their files.

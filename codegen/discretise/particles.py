@@ -13,7 +13,6 @@ of H at each point where the field F = (H_p, -H_q) is evaluated. Methods of the 
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 
 from sympy import Expr, Rational, S
@@ -21,7 +20,7 @@ from sympy import Expr, Rational, S
 from codegen.discretise import schemes
 from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.discretise.schemes.base import PARTICLES, Scheme
-from codegen.errors import ArgumentError, SchemeError
+from codegen.errors import ArgumentError, SchemeError, nearest
 
 CONNECT_METHODS = ("stepping", "full", "action")
 DEFAULT_SCHEME = "midpoint"
@@ -86,6 +85,5 @@ def particle_scheme(name: str, task: str) -> Scheme:
         return PARTICLE_SCHEMES[name]
     if "-of-" in name or (schemes.is_known(name, "hamiltonian") and schemes.find(name, "hamiltonian").parts):
         return schemes.find(name, "hamiltonian")
-    close = difflib.get_close_matches(name, offered, 1)
-    hint = f"did you mean {close[0]}?" if close else f"use one of {', '.join(offered)}"
+    hint = nearest(name, offered, f"use one of {', '.join(offered)}")
     raise SchemeError(f"there is no scheme {name!r} for particles and task {task}", hint)

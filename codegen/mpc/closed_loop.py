@@ -1,4 +1,9 @@
-"""The closed loop of a controller and a plant, which may differ from the model by disturbances, noise or a delay."""
+"""The closed loop of a controller and a plant, which may differ from the model by disturbances, noise or a delay.
+
+A plant is a function of the state, or a generated module. The module is a simulation, whose velocities follow from its
+momenta, or an optimisation without controls and cost, as for systems of first order. Inputs and disturbances are
+parameters of the module.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +11,120 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.mpc.controller import Controller, Feedback
-from codegen.mpc.interface import Moving, number, require_count, vector
-from codegen.mpc.motion import PlantFailed, plant_of
-from codegen.solving.loading import Matrix, Vector
+from codegen.mpc.interface import (
+    Interface,
+    Moving,
+    Values,
+    control_module,
+    number,
+    require_count,
+    vector,
+    velocities_of,
+)
+from codegen.runtime.record import Form
+from codegen.solving.loading import Matrix, Vector, is_control, is_of_particles
+from codegen.solving.request import parameter_arguments
 
 if TYPE_CHECKING:
     from codegen.show.figures.picture import Picture
+
+
+Plant: TypeAlias = Callable[[Vector, Vector, float, float], Vector]
+"""A function (state (states,), inputs (controls,), time, seconds) -> state (states,) after these seconds."""
+
+
+class PlantFailed(Exception):
+    """The exception of a plant whose solve failed, for example for a diverging motion."""
+
+
+def plant_of(
+    plant: object,
+    arguments: Mapping[str, object],
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+    disturbances: Mapping[str, Moving],
+) -> Plant:
+    """Return a plant from a function, a problem, a module or its file.
+
+    `names` are the names of the controller's states and inputs. Raises ArgumentError if the start of the plant has
+    other names than the states, or if the plant lacks parameters with the names of the inputs or disturbances.
+    """
+    if callable(plant):
+        if disturbances:
+            finding = "disturbances beside a plant that is a function"
+            raise ArgumentError(finding, "have the function disturb itself, or give a module")
+        return _of_function(plant, names[0])
+    module: Any = control_module(plant, arguments, None, None)
+    metadata, (states, inputs) = module.metadata, names
+    is_free = is_control(module) and (metadata.control_names or metadata.form == Form.LAGRANGIAN)
+    if is_of_particles(module) or is_free:
+        finding = f"{metadata.problem} is no plant: it has controls, or particles"
+        raise ArgumentError(finding, "give a Simulate")
+    starts = tuple(metadata.start)
+    if set(starts) != set(states):
+        finding = f"the plant starts from {', '.join(starts) or 'nothing'}, the controller from {', '.join(states)}"
+        raise ArgumentError(clause(finding), "give both the same names")
+    parameters = tuple(metadata.parameters)
+    if missing := [name for name in inputs if name not in parameters]:
+        finding = f"the plant has no parameter {missing[0]}, which is an input of the controller"
+        raise ArgumentError(finding, f'declare it there, as in {missing[0]} = parameter("{missing[0]}", 0)')
+    if both := [name for name in inputs if name in disturbances]:
+        raise ArgumentError(f"{both[0]} is an input of the plant", "disturb another parameter")
+    values = Values(Interface(states, inputs, parameter_arguments(module), ()), disturbances, {}, "the plant")
+    rate_names = tuple(name for name in starts if name not in metadata.coordinates)
+    has_velocities = bool(rate_names) and metadata.form == Form.LAGRANGIAN
+
+    def after(state: Vector, inputs_now: Vector, t: float, seconds: float) -> Vector:
+        """Return the next state; the time in the module restarts from zero at every sampling time."""
+        given = values.given(t, dict(zip(inputs, inputs_now.tolist(), strict=True)))
+        start = dict(zip(states, state.tolist(), strict=True))
+        given |= {"start": start, "duration": seconds}
+        try:
+            result = module.solve(int(metadata.steps), **given)
+        except (ValueError, ArithmeticError) as error:
+            raise NumericsError(str(error), "correct the plant's numbers") from error
+        if result.status != "solved":
+            raise PlantFailed(result.message)
+        q, rates = result.q[-1], result.p[-1]
+        found = dict(zip(metadata.coordinates, q.tolist(), strict=True))
+        if has_velocities:  # find the velocities from the momenta at the end
+
+            def momenta(v: Vector) -> Vector:
+                moved = found | dict(zip(rate_names, v.tolist(), strict=True))
+                return np.asarray(module.make_grid(1, **{**given, "start": moved}).start[q.size :])
+
+            rates = velocities_of(momenta, rates, np.array([start[name] for name in rate_names]))
+        if rate_names:
+            found |= zip(rate_names, rates.tolist(), strict=True)
+        return np.array([found[name] for name in states])
+
+    return after
+
+
+def _of_function(function: Callable[[Vector, Vector, float, float], object], states: tuple[str, ...]) -> Plant:
+    """Return a plant that calls a function of state, inputs, time and seconds, and checks the returned state."""
+
+    def after(state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
+        returned = function(state.copy(), inputs.copy(), t, seconds)
+        try:
+            array = np.array(returned, dtype=float)
+        except (TypeError, ValueError):
+            finding = clause(f"the plant returned {returned!r}")
+            raise NumericsError(finding, f"return {', '.join(states)}") from None
+        if array.shape != state.shape:
+            finding = f"the plant returned an array of shape {array.shape}, expected {state.shape}"
+            raise NumericsError(finding, f"return {', '.join(states)}")
+        if not np.isfinite(array).all():
+            raise PlantFailed("its state is not finite")
+        return array
+
+    return after
 
 
 @dataclass(frozen=True, eq=False)

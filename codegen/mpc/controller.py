@@ -17,7 +17,7 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError
 from codegen.mpc import interface
 from codegen.mpc.acceptance import BestIterate, Pace, better, holds
-from codegen.mpc.motion import Delay, Motion
+from codegen.mpc.interface import Delay, Motion
 from codegen.runtime.search.cascade import factor_nearby, minimise
 from codegen.runtime.search.messages import describe, reached
 from codegen.runtime.search.point import Point, evaluate
@@ -173,7 +173,7 @@ class Controller:
         delay: int = 0,
     ) -> None:
         self.options = interface.Options(steps, horizon, sample, tolerance, newton_steps, deadline, scaling, delay)
-        self.module: ControlModule = interface.module_of(problem, arguments or {}, scheme, method)
+        self.module: ControlModule = interface.control_module(problem, arguments or {}, scheme, method)
         self._interface = interface.interface_of(self.module)
         self.states, self.inputs = self._interface.states, self._interface.inputs
         self._attitudes = attitudes_of(tuple(self.module.metadata.attitudes), self.states)

@@ -1,4 +1,4 @@
-"""The interface of a controller to a generated module: names, run-time values, grids, and the shift of a plan.
+"""The interface of a controller to a generated module: names, run-time values, grids, shift of a plan, prediction.
 
 The grids of successive sampling times share bounds and the storage of the solver.
 
@@ -7,29 +7,33 @@ intervals moves values to earlier nodes and intervals. Other shifts interpolate 
 controls of successive intervals. Beyond the end the nodes follow the straight line of the last interval, and controls
 stay constant. Source: Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear optimization in
 optimal feedback control, SIAM J. Control Optim. 43.
+
+A controller that compensates a delay predicts the state. A prediction solves the discrete equations of the module for
+prescribed inputs. So without disturbances the predicted state equals the state in a plan with the same inputs. With a
+delay the plan starts at the predicted state. Source: Findeisen and Allgoewer (2004), Computational delay in nonlinear
+model predictive control, IFAC Proceedings Volumes 37(1).
 """
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from numbers import Integral
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from codegen.errors import ArgumentError, NumericsError, clause
+from codegen.errors import ArgumentError, NumericsError, clause, is_count, nearest
 from codegen.runtime.record import Sites, Task
 from codegen.runtime.search.bounds import contradictory_bounds
 from codegen.runtime.search.iterates import Search, on_grid, search_on
-from codegen.solving import compiler, loading
-from codegen.solving.loading import ControlModule, Grid, Vector
-from codegen.solving.machine_code import processes
-from codegen.solving.progress import building, shown_from_call
+from codegen.runtime.search.linear_system import allocate_system, filled_entries
+from codegen.runtime.search.point import evaluate
+from codegen.solving.api import module_of
+from codegen.solving.loading import ControlModule, Grid, Indices, Vector
+from codegen.solving.progress import building
 from codegen.solving.request import SCALINGS, Request, as_number, parameter_arguments
 from codegen.solving.results.result import component_names
 
@@ -64,8 +68,7 @@ class Interface:
         known = (*self.keys, *(f"end.{name}" for name in self.ends))
         for name in names:
             if name not in known:
-                close = difflib.get_close_matches(str(name), known, 1)
-                remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(known) or 'none'}"
+                remedy = nearest(name, known, f"use one of {', '.join(known) or 'none'}")
                 raise ArgumentError(clause(f"{what} has no parameter {name!r}"), clause(remedy))
 
     @property
@@ -111,7 +114,7 @@ def number(value: object, what: str) -> float:
 
 def require_count(name: str, value: object, least: int) -> None:
     """Raise NumericsError if the value of the option `name` is no whole number, or is smaller than `least`."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+    if not is_count(value, least):
         remedy = "a positive integer" if least else "a whole number that is not negative"
         raise NumericsError(f"{name} is {value!r}", f"give {remedy}")
 
@@ -146,28 +149,16 @@ def interface_of(module: Any) -> Interface:
     return Interface(metadata.start, inputs, parameter_arguments(module), metadata.end)
 
 
-def module_of(problem: Any, arguments: Mapping[str, object], scheme: str | None, method: str | None) -> ControlModule:
+def control_module(
+    problem: Any, arguments: Mapping[str, object], scheme: str | None, method: str | None
+) -> ControlModule:
     """Return a loaded and compiled module, from a problem, the file of a module, or a module.
 
     Raises the errors of `codegen.solve` for a problem that cannot be read, derived or stored.
     """
-    request = Request(problem, arguments=arguments, scheme=scheme, method=method)
-    if request.compiled is not None:
-        return request.compiled  # type: ignore[return-value]
-    if request.is_built and not isinstance(problem, Path | str):
-        return problem  # type: ignore[no-any-return]
-    if request.is_built:
-        path, is_new = Path(problem), False
-    else:
-        with shown_from_call(building, "Deriving") as deriving:
-            build = compiler.build(
-                request.source, request.arguments, scheme=request.scheme, method=request.method,
-                controls=request.controls, deriving=deriving,
-            )  # fmt: skip
-        path, is_new = build.path, build.written
-    module: Any = loading.load(path)
-    processes.require(path, module, is_new, building)
-    return module  # type: ignore[no-any-return]
+    made = module_of(Request(problem, arguments=arguments, scheme=scheme, method=method), building)
+    made.require(building)
+    return made.module  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
@@ -314,3 +305,153 @@ def shift_by(module: ControlModule, grid: Grid, intervals: float) -> Callable[[V
     if not second.any():
         return lambda unknowns: first * unknowns.take(at_one)
     return lambda unknowns: first * unknowns[at_one] + second * unknowns[at_two]
+
+
+VELOCITY_NEWTON_STEPS, VELOCITY_CLOSE = 20, 1e-12
+"""Largest number of Newton steps for velocities, and relative tolerance of the momenta."""
+
+
+def velocities_of(momenta: Callable[[Vector], Vector], wanted: Vector, guess: Vector) -> Vector:
+    """Return the velocities (coordinates,) with the momenta `wanted`, by Newton's method from an initial guess.
+
+    `momenta` maps velocities to momenta; its Jacobian has difference quotients with step one. For kinetic energies that
+    are quadratic in velocities they are exact, and one Newton step suffices.
+    """
+    v = guess
+    for _ in range(VELOCITY_NEWTON_STEPS):
+        p = momenta(v)
+        residual = wanted - p
+        if not np.abs(residual).max() > VELOCITY_CLOSE * max(1.0, np.abs(wanted).max()):
+            break
+        v = v + np.linalg.solve(np.column_stack([momenta(v + unit) - p for unit in np.eye(v.size)]), residual)
+    return v
+
+
+NEWTON_STEPS, CLOSE = 20, 1e-10  # largest number of Newton steps on an interval, and the relative size of the last step
+
+
+class Motion:
+    """The motion of the controller's model over `seconds`, under constant inputs.
+
+    The seconds are a number of `intervals` of a plan, not necessarily whole. The motion is solved on intervals that are
+    not longer. Raises ArgumentError for a module whose motion does not follow from its start and its inputs.
+    """
+
+    def __init__(self, module: ControlModule, interface: Interface, seconds: float, intervals: float) -> None:
+        self._module, self._seconds = module, {"duration": seconds}
+        steps = max(1, math.ceil(intervals - WHOLE))
+        self._grids = Grids(module, interface, steps, is_searched=False)
+        self._starts = Grids(module, interface, 1, is_searched=False)
+        coordinates = module.metadata.coordinates
+        self._positions = [interface.states.index(name) for name in coordinates if name in interface.states]
+        self._rates = [i for i in range(len(interface.states)) if i not in self._positions]
+        pair = module.make_grid(2)
+        numbers = np.arange(pair.is_multiplier.size, dtype=float)
+        first, second = module.views(pair, numbers)[0][0, :2].astype(np.intp)
+        self._node, self._stride = first, int(second[0])
+        self._controls = module.unpack(pair, numbers)[3][0].astype(np.intp)
+        multipliers, primal = module.multiplier_unknowns(pair), module.primal_unknowns(pair)
+        self._equations: Indices = multipliers[multipliers < self._stride]
+        own = np.setdiff1d(primal[primal < self._stride], self._controls)
+        states = np.setdiff1d(primal[np.isin(primal, second)], own + self._stride)
+        self._unknowns: Indices = np.concatenate([own, states])
+        if self._equations.size != self._unknowns.size or module.metadata.free_parameters:
+            finding = f"the state of {module.metadata.problem} does not follow from its start and inputs alone"
+            raise ArgumentError(finding, "leave delay out, and give step the state that inputs on their way lead to")
+        # Find the entries of an interval's Hessian that belong to its equations of motion, with rows and columns.
+        structure = module.problem.structure
+        row, column = ({int(j): i for i, j in enumerate(kind)} for kind in (self._equations, self._unknowns))
+        pairs = list(enumerate(zip(structure.rows, structure.columns, strict=True)))
+        entries = [(k, row[i], column[j]) for k, (i, j) in pairs if i in row and j in column]
+        entries += [(k, row[j], column[i]) for k, (i, j) in pairs if j in row and i in column]
+        self._entries: tuple[Indices, ...] = tuple(np.array(entries, dtype=np.intp).T)
+        self._system = allocate_system(module.make_grid(steps))
+
+    def __call__(self, state: Vector, inputs: Vector, given: Arguments, later: Arguments) -> Vector | None:
+        """Return the state (states,) at the end of the motion from `state` under `inputs`, or None if the solve fails.
+
+        The run-time values `given` hold during the motion, and `later` for the velocities at its end.
+        """
+        grid = self._grids.at(given | self._seconds, state)
+        unknowns = self._module.initial_guess(grid)
+        matrix = np.zeros((self._equations.size, self._equations.size))
+        entry, rows, columns = self._entries
+        try:
+            for k in range(grid.steps):
+                offset = k * self._stride
+                unknowns[offset + self._controls] = inputs
+                unknowns[offset + self._stride + self._node] = unknowns[offset + self._node]
+                equations, solved = offset + self._equations, offset + self._unknowns
+                for _ in range(NEWTON_STEPS):
+                    residual = evaluate(grid, unknowns).gradient[equations]
+                    values = filled_entries(grid, unknowns, self._system)  # entries of intervals come first
+                    matrix[rows, columns] = values[k * grid.problem.structure.rows.size + entry]
+                    step = np.linalg.solve(matrix, residual)
+                    unknowns[solved] -= step
+                    largest = np.abs(step).max()
+                    if not largest < np.inf:
+                        return None
+                    if largest <= CLOSE * max(1.0, np.abs(unknowns[solved]).max()):
+                        break
+                else:
+                    return None
+            _, q, p, _, _ = self._module.unpack(grid, unknowns)
+            after = state.copy()
+            after[self._positions] = q[-1]
+            if self._rates:
+                after[self._rates] = self._velocities(after, p[-1], later)
+        except np.linalg.LinAlgError:
+            return None
+        return after if np.isfinite(after).all() else None
+
+    def _velocities(self, state: Vector, wanted: Vector, later: Arguments) -> Vector:
+        """Return the velocities with the momenta `wanted` (coordinates,) at the end of the motion."""
+        module, start = self._module, state.copy()
+        of_node = self._equations[self._equations < self._node.size]
+        grid = self._starts.at(later | self._seconds, start)
+        unknowns = module.initial_guess(grid)
+
+        def momenta(rates: Vector) -> Vector:
+            start[self._rates] = rates
+            grid = self._starts.at(later | self._seconds, start)
+            module.problem.pin_values(grid, unknowns, module.views(grid, unknowns)[0])
+            p: Vector = module.unpack(grid, unknowns)[2][0]
+            # The residual at the first node is the prescribed momentum minus the momentum of the first interval.
+            if of_node.size:
+                p = p + evaluate(grid, unknowns).gradient[of_node]
+            return p
+
+        return velocities_of(momenta, wanted, state[self._rates])
+
+
+class Delay:
+    """The inputs of the last `samples` sampling times, each `seconds` long, and the prediction of the later state."""
+
+    def __init__(self, interface: Interface, values: Values, motion: Motion, samples: int, seconds: float) -> None:
+        self._interface, self._values, self._motion = interface, values, motion
+        self._samples, self._sample = samples, seconds
+        self.reset()
+
+    def reset(self, inputs: object = None) -> None:
+        """Set all stored inputs to `inputs` (controls,), zero by default, which act before the controller's inputs."""
+        names = self._interface.inputs
+        before = np.zeros(len(names)) if inputs is None else vector(inputs, names, "the array of inputs")
+        self._waiting = deque([before] * self._samples, self._samples)
+
+    def append(self, inputs: Vector) -> None:
+        """Append new inputs (controls,), and drop the oldest inputs."""
+        self._waiting.append(inputs.copy())
+
+    def state_after(self, state: Vector, t: float, own: Mapping[str, float] | None) -> Vector | None:
+        """Return the state (states,) at the end of the delay that starts at time t, or None if the prediction fails.
+
+        Run-time values are evaluated at each sampling time of the delay, but the values in `own` are constant.
+        """
+        given = self._values.given(t, own)
+        for k, inputs in enumerate(self._waiting, 1):
+            later = self._values.given(t + k * self._sample, own)
+            after = self._motion(state, inputs, given, later)
+            if after is None:
+                return None
+            state, given = after, later
+        return state

@@ -5,7 +5,6 @@ A table is a function in a problem, with exact derivatives.
 
 from __future__ import annotations
 
-import difflib
 import keyword
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,7 +14,7 @@ import numpy as np
 import sympy
 from sympy import Expr
 
-from codegen.errors import TableError
+from codegen.errors import TableError, nearest
 from codegen.problem.points import data_file
 from codegen.problem.symbols import ControlInput, Coordinate, Quantity, State
 from codegen.symbolic.checks import checked
@@ -159,8 +158,7 @@ def guess_entries(guess: object, quantities: Iterable[Quantity], time: Expr) -> 
         named = {quantity.name: quantity for quantity in quantities if isinstance(quantity, _GUESSED)}
         for column in guess.tables:
             if column not in named:
-                close = difflib.get_close_matches(column, named, 1)
-                remedy = f"did you mean {close[0]}?" if close else f"call it like one of {', '.join(named)},"
+                remedy = nearest(column, named, f"call it like one of {', '.join(named)},")
                 finding = f"{guess.file}: no quantity that may be guessed is called {column}"
                 raise TableError(finding, f"{remedy} or choose columns=[...]")
         return {named[column]: table_function(table, (0,))(time) for column, table in guess.tables.items()}

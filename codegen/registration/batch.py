@@ -17,15 +17,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from codegen.batch.executors import Progress, Team, Working, connected, silent
-from codegen.batch.executors.chunks import LOST, SOLVED, Done, Tally, journal_of, new_journal, read_journal
+from codegen.batch.executors import LOST, SOLVED, Done, Progress, Tally, Team, connected, silent
 from codegen.errors import ArgumentError
-from codegen.files import remove_leftovers, rendered, write_text
+from codegen.files import journal_of, new_journal, read_journal, remove_leftovers, rendered, write_text
 from codegen.registration import batch_pairs
 from codegen.registration.job import Job, Options, run
 from codegen.registration.pair_report import Outcome, Record, facts, number
 from codegen.registration.solver import registration_module
 from codegen.registration.volumes import is_volume
+from codegen.solving.progress import Working
 
 if TYPE_CHECKING:
     from rich.table import Table

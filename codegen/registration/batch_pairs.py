@@ -9,16 +9,15 @@ from __future__ import annotations
 import csv
 import hashlib
 import platform
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import get_args
 
 from codegen import __version__
-from codegen.batch.executors.chunks import LOST, SOLVED, Abandoned, Done, Tally, Target, alone, compiled_note, target
+from codegen.batch.executors import LOST, SOLVED, Abandoned, Done, Tally
 from codegen.errors import ArgumentError, ClusterError, CodegenError, FileError, one_line
-from codegen.files import refused, replacing
+from codegen.files import alone, refused, replacing
 from codegen.registration.formats import FORMATS
 from codegen.registration.images import KINDS, VOLUMES
 from codegen.registration.job import Job, Options, run
@@ -27,6 +26,8 @@ from codegen.registration.solver import is_compiled, registration_module, thread
 from codegen.registration.volumes import is_volume, suffix_of
 from codegen.registration.warp import Interpolation, written_with
 from codegen.solving import loading
+from codegen.solving.compiler import workers_folder
+from codegen.solving.machine_code.processes import Target, compiled_note, target
 
 MOST_PAIRS = 100_000
 _TABLE = ("moving", "fixed", "landmarks", "out", "interpolation")
@@ -244,10 +245,8 @@ def _failed_line(job: Job, status: str, message: str, digests: Line) -> Line:
 
 def tally_of(lines: Iterable[Line]) -> Tally:
     """Return the number of lines with each status, the first message of each status, and the total time."""
-    lines = [*lines]
-    messages = {line["status"]: line["message"] for line in reversed(lines)}
-    seconds = sum(float(line["seconds"] or 0.0) for line in lines)
-    return Tally(Counter(line["status"] for line in lines), messages, seconds)
+    rows = [(line["status"], line["message"], float(line["seconds"] or 0.0)) for line in lines]
+    return Tally.of([row[0] for row in rows], [row[1] for row in rows], sum(row[2] for row in rows))
 
 
 def read_summary(path: Path) -> list[Line]:
@@ -436,7 +435,7 @@ class BatchParcel:
         if not self.work.shared.is_visible:
             raise _unseen(self.work.shared.path)
         scheme, dimensions = self.work.options.scheme, self.work.dimensions
-        with alone(f"registration {scheme}"):
+        with alone(workers_folder(), f"registration {scheme}"):
             were_compiled = all(is_compiled(scheme, dimension) for dimension in dimensions)
             modules = [registration_module(scheme, dimension) for dimension in dimensions]
         if self.work.digest_of_solvers() != self.digest:
@@ -445,7 +444,7 @@ class BatchParcel:
         notes: tuple[str, ...] = ()
         if not were_compiled or any(loading.machine_code_counts(module)[0] for module in modules):
             name = Path(modules[0].__file__).stem
-            notes = (compiled_note(name, target(), self.origin, "the batch"),)
+            notes = (compiled_note(name, self.origin, "the batch"),)
         return replace(self.work, is_remote=True), notes
 
 

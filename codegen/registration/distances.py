@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -19,8 +18,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors import Progress, Team, Working, silent
-from codegen.batch.executors.chunks import LOST, SOLVED, Abandoned, Done, Tally
+from codegen.batch.executors import LOST, SOLVED, Abandoned, Done, Progress, Tally, Team, silent
 from codegen.errors import ArgumentError, CodegenError, LandmarkError, PointsError
 from codegen.files import replacing
 from codegen.registration.formats.base import Source
@@ -28,6 +26,7 @@ from codegen.registration.formats.tps import specimens_of
 from codegen.registration.pairs import LandmarkPairs, align
 from codegen.registration.register import register
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
+from codegen.solving.progress import Working
 
 COLUMNS = ("specimen", "x", "y")
 SIDE = 1000  # the side, in pixels, of the square that contains all specimens, so that all pairs have the same disc
@@ -115,8 +114,8 @@ def normal(points: Array) -> Array:
     return np.asarray(centred / np.linalg.norm(centred))
 
 
-def classical_scaling(distances: Array, dimensions: int = 2) -> tuple[Array, float]:
-    """Return points, shape (m, dimensions), whose distances approximate a table (m, m), and the share they explain.
+def classical_scaling(distances: Array) -> tuple[Array, float]:
+    """Return points, shape (m, 2), whose distances approximate a table (m, m), and the share they explain.
 
     The points are the leading eigenvectors of -1/2 J D^2 J (Torgerson 1952, Psychometrika 17(4)). The largest entry of
     each eigenvector is positive. The share is the sum of the leading eigenvalues over the sum of all absolute values.
@@ -126,9 +125,9 @@ def classical_scaling(distances: Array, dimensions: int = 2) -> tuple[Array, flo
     values, vectors = np.linalg.eigh(-0.5 * centring @ np.asarray(distances) ** 2 @ centring)
     values, vectors = values[::-1], vectors[:, ::-1]
     vectors = vectors * np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(count)])
-    leading = np.maximum(values[:dimensions], 0.0)
+    leading = np.maximum(values[:2], 0.0)
     whole = float(np.abs(values).sum())
-    return vectors[:, :dimensions] * np.sqrt(leading), float(leading.sum()) / whole if whole > 0.0 else 1.0
+    return vectors[:, :2] * np.sqrt(leading), float(leading.sum()) / whole if whole > 0.0 else 1.0
 
 
 def pairs_of(count: int) -> list[tuple[int, int]]:
@@ -253,9 +252,8 @@ class DistanceWork:
 
 
 def _done(rows: Sequence[tuple[float, str]], failure: str, seconds: float) -> Done:
-    counts = Counter(failure if message else SOLVED for _, message in rows)
-    messages = {failure: next(message for _, message in rows if message)} if failure in counts else {}
-    return Done(Tally(counts, messages, seconds), rows)
+    statuses = [failure if message else SOLVED for _, message in rows]
+    return Done(Tally.of(statuses, [message for _, message in rows], seconds), rows)
 
 
 def write_distances(path: Path, distances: Distances) -> None:

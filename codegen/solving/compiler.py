@@ -253,6 +253,11 @@ def cache_folder() -> Path:
     return Path(base) / "variational-codegen"
 
 
+def workers_folder() -> Path:
+    """Return the cache folder that all worker processes of this machine share."""
+    return cache_folder() / "workers"
+
+
 def path_of(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices) -> Path:
     """Return the file in the cache for a problem with arguments and choices; the file need not exist.
 

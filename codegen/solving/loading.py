@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from codegen.errors import ModuleError
 from codegen.runtime.record import ConnectRecord, ControlRecord, SimulationRecord, Task
-from codegen.solving.tasks import TASKS
+from codegen.solving.drivers import TASKS
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     from rich.status import Status
+
+Working: TypeAlias = Callable[[str], AbstractContextManager[object]]
+"""A function (action) -> context manager, which shows activity during a long step."""
 
 
 def building(what: str) -> AbstractContextManager[Status | _Line | None]:
@@ -26,9 +29,7 @@ def building(what: str) -> AbstractContextManager[Status | _Line | None]:
 
 
 @contextmanager
-def shown_from_call(
-    working: Callable[[str], AbstractContextManager[object]], what: str
-) -> Iterator[Callable[[], None]]:
+def shown_from_call(working: Working, what: str) -> Iterator[Callable[[], None]]:
     """Provide a function whose first call lets `working` show a text until the end of the with block.
 
     A build calls the function when a derivation begins, so that nothing is shown for a cache hit.

@@ -6,23 +6,22 @@ override binds such an argument to a value. Tables and measurements are replaced
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields
 from functools import cache, cached_property, partial
-from numbers import Integral, Real
+from numbers import Real
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
-from codegen.errors import ArgumentError, NumericsError, TableError, clause
+from codegen.errors import ArgumentError, NumericsError, TableError, clause, is_count, nearest
 from codegen.problem import AuthorObject
 from codegen.problem.sources import ProblemFile, ProblemObject, Settings, Source, settings_of, source_of
-from codegen.solving.drivers import DRIVERS, Driver, find
+from codegen.solving.drivers import DRIVERS, TASKS, Driver, find, task_of
 from codegen.solving.loading import (
     GeneratedModule,
     Matrix,
@@ -34,7 +33,6 @@ from codegen.solving.loading import (
 )
 from codegen.solving.results.display import Background
 from codegen.solving.results.segments import segments_of
-from codegen.solving.tasks import TASKS, task_of
 from codegen.symbolic.tables import Layout, given_measurements, read_measurements, read_table
 
 if TYPE_CHECKING:
@@ -123,7 +121,7 @@ class Request:
             value = getattr(self, name)
             if value is None and name in ("steps", "max_iterations"):
                 continue
-            if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+            if not is_count(value, least):
                 remedy = "a positive integer" if least else "a whole number that is not negative"
                 raise NumericsError(f"{name} is {value!r}", f"give {remedy}")
         if self.tolerance is not None and not 0.0 < as_number(self.tolerance) < 1.0:
@@ -244,10 +242,8 @@ def require_options(names: Iterable[str]) -> None:
     """Raise ArgumentError if one of the names is no option of `codegen.solve`."""
     for name in names:
         if name not in _DEFAULTS:
-            close = difflib.get_close_matches(name, _DEFAULTS, 1)
             listed = f"use one of {', '.join(_DEFAULTS)}; a parameter of the problem is given by parameters={{...}}"
-            remedy = f"did you mean {close[0]}?" if close else listed
-            raise ArgumentError(f"codegen.solve has no option {name}", remedy)
+            raise ArgumentError(f"codegen.solve has no option {name}", nearest(name, _DEFAULTS, listed))
 
 
 @cache
@@ -304,8 +300,7 @@ def with_values(module: Module, values: Mapping[str, float]) -> Module:
     arguments: dict[str, Any] = {}
     for name, value in values.items():
         if name not in known:
-            close = difflib.get_close_matches(name, known, 1)
-            remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}"
+            remedy = nearest(name, known, f"use one of {', '.join(known)}")
             finding = clause(f"{module.metadata.problem} has no parameter {name}")
             raise ArgumentError(finding, clause(remedy) if known else "leave it out")
         argument, quantity = known[name]

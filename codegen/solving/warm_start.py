@@ -42,14 +42,11 @@ class SavedStart:
     nodes: int | None
 
 
-def start_of(warm: Result | Vector | Path | str | None) -> Callable[[GeneratedModule], Vector | None]:
+def start_of(warm: Result | Vector | Path | str) -> Callable[[GeneratedModule], Vector | None]:
     """Read a warm start, and return a function that maps a module to the initial unknowns (n,).
 
-    The function raises ArgumentError if a saved warm start does not fit the module. Without a warm start it returns
-    None.
+    The function raises ArgumentError if a saved warm start does not fit the module.
     """
-    if warm is None:
-        return lambda module: None
     if not isinstance(warm, Path | str):
         values = warm.unknowns if isinstance(warm, Result) else warm
         unknowns = _vector("warm=", values, "give a result of this problem, or its unknowns")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from codegen.batch.executors.chunks import LOST, Done, Tally
+from codegen.batch.executors import LOST, Done, Tally
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ SCRIPT = """
 import json, sys
 import numpy as np
 import codegen
-from codegen.runtime.cuda import optima
+from codegen.runtime.cuda import batches as optima
 from compiled_modules import one_system, served_builds
 
 class OnDevice:  # an array of another package, which says where its numbers are and is no array of numpy

@@ -7,8 +7,7 @@ import os
 import pytest
 from stand_in import StandIn
 
-from codegen.batch.executors import EXECUTORS, executor, executor_for
-from codegen.batch.executors.chunks import LOST
+from codegen.batch.executors import EXECUTORS, LOST, executor, executor_for
 
 pytest.importorskip("distributed")
 

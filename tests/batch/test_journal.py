@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from codegen.batch.executors import chunks
 from codegen.errors import ArgumentError
+from codegen.files import journal_of, new_journal, read_journal
 
 HEADER = {"sweep": "0123", "chunk": 20}
 RECORDS = [{"number": 3, "counts": {"solved": 20}}, {"number": 0, "counts": {"solved": 19, "stalled": 1}}]
@@ -16,14 +16,14 @@ RECORDS = [{"number": 3, "counts": {"solved": 20}}, {"number": 0, "counts": {"so
 @pytest.fixture
 def path(tmp_path):
     """A journal with two records."""
-    begun = chunks.new_journal(chunks.journal_of(tmp_path / "s.zarr"), HEADER)
+    begun = new_journal(journal_of(tmp_path / "s.zarr"), HEADER)
     begun.add(RECORDS[:1])
     begun.add(RECORDS[1:])
     return begun.path
 
 
 def read(path):
-    return chunks.read_journal(path, "sweep", "0123", "begin anew")
+    return read_journal(path, "sweep", "0123", "begin anew")
 
 
 def test_what_was_noted_is_read_again(path):
@@ -45,9 +45,9 @@ def test_a_line_that_was_cut_off_counts_for_nothing_and_the_next_does_not_go_on_
 
 def test_that_of_other_work_is_refused(path):
     with pytest.raises(ArgumentError, match="tells of another sweep; begin anew"):
-        chunks.read_journal(path, "sweep", "4567", "begin anew")
+        read_journal(path, "sweep", "4567", "begin anew")
     with pytest.raises(ArgumentError, match="tells of another batch"):
-        chunks.read_journal(path, "batch", "0123", "begin anew")
+        read_journal(path, "batch", "0123", "begin anew")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1]\n", "3\n", "nothing\n", '{"sweep": "0123"}\n}\n'])

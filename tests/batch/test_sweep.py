@@ -20,8 +20,8 @@ import codegen
 from codegen import Event, Simulate, coordinate, parameters
 from codegen.batch.case import LOST, MEANINGS, NOT_BUILT, UNUSABLE
 from codegen.batch.executors import local
-from codegen.batch.executors.chunks import journal_of
 from codegen.cli.options import on_statuses
+from codegen.files import journal_of
 
 PARTS = ("t", "q", "u", "cost", "residual", "iterations", "status", "message")
 """What two sweeps have alike, to the last bit: all but seconds."""

@@ -8,6 +8,7 @@ from scipy import stats
 
 from codegen.batch.cases import SAMPLINGS, axis_of, grid, rows_of, samples, table
 from codegen.batch.layout import MOST, Chunks, blocks_of, nearest_chain, serpentine
+from codegen.batch.request import Quantity, require_fitting
 from codegen.errors import ArgumentError, NumericsError
 
 
@@ -99,6 +100,10 @@ class TestTables:
         for name in ("nothing.csv", "binary.csv", ""):
             with pytest.raises(ArgumentError, match="cannot be read"):
                 table(tmp_path / name)
+
+    def test_numerals_are_no_numbers(self):
+        with pytest.raises(ArgumentError, match="m takes numbers, not '1'"):
+            require_fitting([Quantity("m", "parameter", "m")], grid({"m": ["1", "2"]}))
 
     def test_columns_in_memory(self):
         assert rows_of(table({"a": np.array([1.0, 2.0])}).chosen(np.arange(2))) == [{"a": 1.0}, {"a": 2.0}]

@@ -19,10 +19,9 @@ from dask_parts import address_in, cluster, kill, process, until
 from test_sweep import assert_same
 
 import codegen
-from codegen.batch.executors.chunks import journal_of
 from codegen.batch.work import Work
 from codegen.errors import ArgumentError, ClusterError, ExtraError
-from codegen.files import refused
+from codegen.files import journal_of, refused
 
 distributed = pytest.importorskip("distributed")
 

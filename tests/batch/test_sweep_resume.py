@@ -12,10 +12,9 @@ import xarray
 from command_lines import ORBIT, assert_refused, contents, run
 
 import codegen
-from codegen.batch.executors.chunks import journal_of
 from codegen.batch.store import Store
 from codegen.errors import ClusterError, FileError, Interrupted
-from codegen.files import refused
+from codegen.files import journal_of, refused
 
 WORDS = ("sweep", ORBIT, "--vary", "r1=5.9,-6,6,6.1", "--chunk", 1, "--steps", 20, "--workers", 1, "--out", "s.zarr")
 ENDS = {

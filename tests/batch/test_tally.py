@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from codegen.batch.executors.chunks import Tally
+from codegen.batch.executors import Tally
 
 ONE = Tally({"solved": 3, "stalled": 1}, {"stalled": "at the first"}, 1.5, improved=1)
 OTHER = Tally({"stalled": 2, "infeasible": 2, "solved": 1}, {"stalled": "later", "infeasible": "never"}, 0.5, jumps=2)

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from stand_in import StandIn
 
-from codegen.batch.executors import executor_for
-from codegen.batch.executors.chunks import LOST
+from codegen.batch.executors import LOST, executor_for
 from codegen.batch.executors.local import TRIES
 
 

@@ -31,6 +31,7 @@ from typing import Any
 
 import numpy as np
 import sympy
+from numba import cuda
 from rich.console import Console
 from rich.table import Table
 
@@ -38,7 +39,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import codegen  # noqa: E402
-from codegen.runtime.cuda import memory, optima  # noqa: E402
+from codegen.runtime.cuda import batches as optima  # noqa: E402
+from codegen.runtime.cuda import memory  # noqa: E402
 
 PROBLEMS = {
     "orbital_transfer": (100, 1_000_000, {"r1": (5.5, 6.5), "m": (90.0, 110.0)}),
@@ -131,7 +133,8 @@ def main() -> None:
     options = parser.parse_args()
     begin, rng, measured, console = perf_counter(), np.random.default_rng(1), Measured(), Console(width=150)
     memory.require_device()
-    console.print(memory.device_name())
+    name = cuda.get_current_device().name
+    console.print(name.decode() if isinstance(name, bytes) else str(name))
     cores, table = len(os.sched_getaffinity(0)), Table(*COLUMNS)
     for name, (steps, most, ranges) in PROBLEMS.items():
         if perf_counter() - begin > options.seconds:

@@ -19,8 +19,7 @@ from dataclasses import dataclass
 
 from control_speed import machine
 
-from codegen.batch.executors import executor_for
-from codegen.batch.executors.chunks import Done, Tally
+from codegen.batch.executors import Done, Tally, executor_for
 
 CHUNK = 1.0
 """Seconds of a chunk, as a sweep sizes them."""

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
 from codegen.emit.naming import Choices
-from codegen.evidence.report import comparison, peers, timing
+from codegen.evidence.report import building, comparison, peers
 from codegen.evidence.report.comparison import Ladder, choice, figures, ranking
 from codegen.evidence.report.optima import ALL, elsewhere, ladder_of, solved
 from codegen.evidence.report.reference import Trajectory, read_trajectory, refined, trajectory_of
@@ -41,7 +41,7 @@ def clock(monkeypatch):
     """A clock that only runs of the test advance: `busy` seconds of the thread, and `idle` seconds of the wall."""
     state = SimpleNamespace(busy=0.0, wall=0.0)
     monkeypatch.setattr(
-        timing,
+        building,
         "time",
         SimpleNamespace(perf_counter=lambda: state.wall, thread_time_ns=lambda: round(1e9 * state.busy)),
     )
@@ -64,10 +64,10 @@ def runs_of(state, seconds, idle=0.0):
 @pytest.mark.fast
 def test_the_time_of_a_solve_excludes_the_time_of_others(clock):
     """A solve of 10 us is repeated within a sample, and 90 us of other programs are in the wall clock alone."""
-    measured = timing.timed(runs_of(clock, [1e-5], idle=9e-5), 1.0)
+    measured = building.timed(runs_of(clock, [1e-5], idle=9e-5), 1.0)
     assert measured.processor == pytest.approx(1e-5, rel=1e-3)
     assert measured.wall == pytest.approx(1e-4, rel=1e-3)
-    assert measured.samples == timing.LEAST_SAMPLES
+    assert measured.samples == building.LEAST_SAMPLES
     assert measured.spread < 1e-3
 
 
@@ -77,15 +77,15 @@ def test_samples_go_on_until_their_spread_is_known(clock, tmp_path):
     problem, store = Path("p.py"), Store(tmp_path / "s.jsonl")
     unsteady = [2e-3, 3e-3, 2e-3]
     runs = {"steady": runs_of(clock, [5e-3]), "unsteady": runs_of(clock, unsteady)}
-    for case in timing.cases(problem, runs, store, 100.0):
+    for case in building.cases(problem, runs, store, 100.0):
         assert store.measured(case)
-    assert list(timing.cases(problem, runs, store, 100.0)) == []
-    measured = timing.times(store, problem)
-    assert measured["steady"].samples == timing.LEAST_SAMPLES
+    assert list(building.cases(problem, runs, store, 100.0)) == []
+    measured = building.times(store, problem)
+    assert measured["steady"].samples == building.LEAST_SAMPLES
     assert measured["steady"].processor == pytest.approx(5e-3)
-    assert measured["unsteady"].samples == timing.MOST_SAMPLES
+    assert measured["unsteady"].samples == building.MOST_SAMPLES
     assert measured["unsteady"].processor == pytest.approx(2e-3)
-    assert timing.timed(runs_of(clock, [0.5, 0.9]), 1.0).samples <= 2  # the budget ends them
+    assert building.timed(runs_of(clock, [0.5, 0.9]), 1.0).samples <= 2  # the budget ends them
 
 
 STEPS = [10 * 2**k for k in range(10)]

@@ -19,7 +19,7 @@ from codegen.evidence.stress.families import FAMILIES, QUICK, quick_cases
 from codegen.evidence.stress.measure import REFERENCES
 from codegen.evidence.stress.motions import SYMPLECTIC_EULER, VERLET, promised
 from codegen.evidence.stress.problems import PROBLEMS as OWN_PROBLEMS
-from codegen.solving.tasks import TASKS
+from codegen.solving.drivers import TASKS
 
 # ---- The registry ----
 

@@ -12,7 +12,7 @@ from sympy import cos
 
 import codegen
 from codegen import Control, Simulate, coordinates, parameters, states
-from codegen.mpc.motion import plant_of
+from codegen.mpc.closed_loop import plant_of
 
 H = HORIZON / STEPS
 

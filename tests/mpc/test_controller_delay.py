@@ -12,8 +12,7 @@ from sympy import Eq, cos
 import codegen
 from codegen import Control, control, coordinates, free_parameter, parameters, states
 from codegen.errors import ArgumentError, NumericsError
-from codegen.mpc.interface import interface_of
-from codegen.mpc.motion import Motion
+from codegen.mpc.interface import Motion, interface_of
 
 H = HORIZON / STEPS
 

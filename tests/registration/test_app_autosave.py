@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_pictures import picture, two_pictures
 
-from codegen.registration.app.autosave import MOST_WORKS, OtherWriterError, Saved, Store, new_token
+from codegen.registration.app.reading import MOST_WORKS, OtherWriterError, Saved, Store, new_token
 from codegen.registration.app.session import Settings, Work
 
 

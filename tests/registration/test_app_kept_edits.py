@@ -17,7 +17,7 @@ from tabs import run, tab_of
 from typer.testing import CliRunner
 
 from codegen.cli import main
-from codegen.registration.app.autosave import Store
+from codegen.registration.app.reading import Store
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ pytest.importorskip("tornado", reason="tornado is not installed")
 
 from codegen.errors import ModuleError
 from codegen.registration.app import page, solving, worker
-from codegen.registration.app.autosave import Store
 from codegen.registration.app.live import LiveWork, Works
+from codegen.registration.app.reading import Store
 from codegen.registration.app.session import Picture, Session
 
 SHAPE = (30, 40)

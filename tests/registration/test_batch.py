@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codegen.batch.executors.chunks import Abandoned, journal_of
+from codegen.batch.executors import Abandoned
 from codegen.errors import ArgumentError, FileError, ImageError
-from codegen.files import refused, replacing
+from codegen.files import journal_of, refused, replacing
 from codegen.registration.batch import BatchRequest, outcome_of
 from codegen.registration.batch_pairs import (
     COLUMNS,

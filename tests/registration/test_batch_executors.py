@@ -17,10 +17,10 @@ from command_lines import assert_refused, run
 from dask_parts import cluster, kill, until
 from small_batches import batch, make
 
-from codegen.batch.executors import EXECUTORS, executor
-from codegen.batch.executors.chunks import LOST, journal_of
+from codegen.batch.executors import EXECUTORS, LOST, executor
 from codegen.batch.executors.local import TRIES
 from codegen.errors import ClusterError
+from codegen.files import journal_of
 from codegen.registration.batch_pairs import BatchWork, Pair, Places, SharedFile, jobs_in_folder, read_summary
 from codegen.registration.job import Options
 from codegen.registration.job import run as run_pair

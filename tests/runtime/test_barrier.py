@@ -5,9 +5,9 @@ import pytest
 from dense_problem import INFINITY, guess_of
 from known_optima import nlp, x1, x2, x3
 
-from codegen.runtime.search.descent import fill_newton_system, lower_barrier, measure_step, move
+from codegen.runtime.search.descent import fill_newton_system, lower_barrier, measure_step, move, push_inside
 from codegen.runtime.search.grid import primal_unknowns
-from codegen.runtime.search.iterates import pushed_inside, search_on
+from codegen.runtime.search.iterates import search_on
 
 
 def test_residuals_of_rounding_size_lead_nowhere():
@@ -58,7 +58,8 @@ def test_distances_are_finer_than_the_rounding_of_unknowns() -> None:
 
 def test_start_is_pushed_inside() -> None:
     grid = nlp((-5, 9, 0.5), x1 + x2 + x3, [], [], {x1: (0, 1), x2: (-INFINITY, 4), x3: (0, 1)})
-    pushed = pushed_inside(search_on(grid), guess_of(grid), 1e-2)
+    pushed, arguments = guess_of(grid).copy(), search_on(grid).arguments
+    push_inside(arguments[1], arguments[3], 1e-2, pushed)
     np.testing.assert_allclose(pushed[primal_unknowns(grid)], [0.01, 4 - 0.04, 0.5])
 
 

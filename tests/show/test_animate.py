@@ -16,7 +16,7 @@ from codegen.cli import main, solve
 from codegen.drawing import Mass, Scene, Trail
 from codegen.errors import ArgumentError
 from codegen.show.figures import shapes
-from codegen.solving.outcome import outcome_of
+from codegen.solving.api import outcome_of
 from codegen.solving.request import Request
 
 SWING = '''"""Let a pendulum swing. All quantities are nondimensional."""

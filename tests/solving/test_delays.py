@@ -16,8 +16,8 @@ from codegen import Control, canonical_pair, control, controls, coordinate, coor
 from codegen.discretise.model.from_problem import normalise
 from codegen.show.figures.quantities import quantities_of_segments
 from codegen.solving import api
+from codegen.solving.api import outcome_of
 from codegen.solving.drivers import find as find_driver
-from codegen.solving.outcome import outcome_of
 from codegen.solving.request import Request
 from codegen.solving.results.control import control_result
 from codegen.solving.results.output import save

@@ -13,7 +13,7 @@ from interpreted import of_problem
 from codegen import Control, Simulate, control, coordinates, free_parameter, states
 from codegen.discretise import schemes
 from codegen.errors import NumericsError
-from codegen.solving import api, outcome
+from codegen.solving import api
 from codegen.solving.arcs import discretisation_error
 from codegen.solving.compiler import build
 from codegen.solving.results import output
@@ -135,7 +135,7 @@ def test_no_estimate_is_noted(interpreted, monkeypatch):
     result = api.solve(module, steps=10)
     monkeypatch.setattr("codegen.solving.arcs._carried_on", lambda *_: None)
     assert discretisation_error(module, result, lambda *_: None) is None
-    monkeypatch.setattr("codegen.solving.outcome.discretisation_error", lambda *_, **__: None)
+    monkeypatch.setattr("codegen.solving.api.discretisation_error", lambda *_, **__: None)
     assert api.solve(module, steps=10).notes == (UNKNOWN_ERROR,)
 
 
@@ -185,7 +185,7 @@ def test_a_simulation_without_memory_for_more_steps_has_no_estimate(monkeypatch)
         if steps > 41:
             raise NumericsError("too little memory", "take fewer steps")
 
-    monkeypatch.setattr(outcome, "require_memory", limited)
+    monkeypatch.setattr(api, "require_memory", limited)
     result = turning(41, scheme="midpoint")
     assert (result.status, result.error) == ("solved", None)
     refined = turning(None, accuracy=1e-9, scheme="midpoint")

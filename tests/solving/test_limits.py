@@ -17,7 +17,7 @@ from codegen.runtime.search import solution as iteration_log
 from codegen.runtime.search.bounds import with_violations
 from codegen.runtime.search.messages import row_text
 from codegen.solving import api, drivers
-from codegen.solving.outcome import LEAST_TIME, Outcome, outcome_of
+from codegen.solving.api import LEAST_TIME, Outcome, outcome_of
 from codegen.solving.request import Option, Request
 from codegen.solving.results import output
 
@@ -137,7 +137,7 @@ def test_all_guesses_and_grids_share_the_time(interpreted, monkeypatch):
             super().__init__(limit, watch)
 
     monkeypatch.setattr(solution, "Log", Recording)
-    monkeypatch.setattr("codegen.solving.outcome.time.perf_counter", Clock())  # every solve takes one second
+    monkeypatch.setattr("codegen.solving.api.time.perf_counter", Clock())  # every solve takes one second
     result = api.solve(module, steps=10, time_limit=1.5, guesses=2, doublings=1)
     assert result.levels[0].status == "solved"
     assert limits[0] == 1.5

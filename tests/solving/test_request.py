@@ -19,10 +19,10 @@ from conftest import PROBLEMS
 import codegen
 from codegen.errors import ArgumentError, CodegenError, NumericsError, ProblemFileError
 from codegen.problem.points import PointSet
-from codegen.solving.outcome import outcome_of
+from codegen.solving.api import outcome_of
+from codegen.solving.drivers import TASKS
 from codegen.solving.request import Request
 from codegen.solving.results import output
-from codegen.solving.tasks import TASKS
 
 EFFORT = PROBLEMS / "double_integrator_effort.py"
 LANDMARKS = PROBLEMS / "image_registration.py"

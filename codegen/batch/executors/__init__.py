@@ -1,22 +1,146 @@
-"""The registry of executors, which solve the chunks of a sweep in parallel, and the call of an executor.
+"""The interface of work that is divided into chunks, the registry of executors, and the call of an executor.
 
-An executor is a function in this folder and one row of EXECUTORS.
+Work is small and is pickled once for each worker. Chunks are numbered from zero; a worker receives the number of a
+chunk, or a piece with its data. An executor solves chunks in parallel. It is a function in this folder and one row of
+EXECUTORS.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
-from codegen.batch.executors.chunks import Done, Tally, Work
-from codegen.errors import ArgumentError, ExtraError, NumericsError, clause
+from codegen.errors import ArgumentError, ExtraError, NumericsError, clause, is_count
+from codegen.solving.progress import Working
+
+SOLVED = "solved"
+LOST = "worker lost"  # status of a case whose chunk ended several worker processes
+
+
+@dataclass(frozen=True)
+class Tally:
+    """The number of cases by status, the first message of each status, and the seconds of all solves.
+
+    `improved` counts cases whose cost fell by a new solve from the better side of a jump of the cost. `jumps` counts
+    cases on the worse side of a remaining jump.
+    """
+
+    counts: Mapping[str, int] = field(default_factory=dict)
+    messages: Mapping[str, str] = field(default_factory=dict)
+    seconds: float = 0.0
+    improved: int = 0
+    jumps: int = 0
+
+    def __add__(self, other: Tally) -> Tally:
+        """Return the sum of both tallies; messages of `self` take precedence."""
+        counts = {key: self.counts.get(key, 0) + other.counts.get(key, 0) for key in {**self.counts, **other.counts}}
+        sums = (self.seconds + other.seconds, self.improved + other.improved, self.jumps + other.jumps)
+        return Tally(counts, {**other.messages, **self.messages}, *sums)
+
+    @staticmethod
+    def of(
+        statuses: Sequence[str], messages: Sequence[str], seconds: float, improved: int = 0, jumps: int = 0
+    ) -> Tally:
+        """Return the tally of cases with these statuses and messages, in their order."""
+        first = dict(zip(reversed(statuses), reversed(messages), strict=True))
+        return Tally(Counter(statuses), first, seconds, improved, jumps)
+
+    @property
+    def cases(self) -> int:
+        """Number of cases."""
+        return sum(self.counts.values())
+
+    @property
+    def solved(self) -> int:
+        """Number of solved cases."""
+        return self.counts.get(SOLVED, 0)
+
+    @property
+    def failed(self) -> dict[str, int]:
+        """The number of unsolved cases by status, the most frequent status first."""
+        rest = ((status, count) for status, count in self.counts.items() if status != SOLVED)
+        return dict(sorted(rest, key=lambda pair: (-pair[1], pair[0])))
+
+    def as_record(self) -> dict[str, object]:
+        """Return the tally as a JSON object; `from_record` reads it."""
+        return {"counts": dict(self.counts), "messages": dict(self.messages), "seconds": self.seconds, **self.won}
+
+    @property
+    def won(self) -> dict[str, int]:
+        """The numbers of cases with a better optimum from a neighbour and of jumps between optima, if not zero."""
+        named = {"improved": self.improved, "jumps": self.jumps}
+        return {name: number for name, number in named.items() if number}
+
+    @staticmethod
+    def from_record(record: Mapping[str, Any]) -> Tally:
+        """Return the tally of a JSON object; raises KeyError, TypeError or ValueError for another object."""
+        counts = {str(status): int(count) for status, count in dict(record["counts"]).items()}
+        messages = {str(status): str(message) for status, message in dict(record["messages"]).items()}
+        jumps = (int(record.get(name, 0)) for name in ("improved", "jumps"))
+        return Tally(counts, messages, float(record["seconds"]), *jumps)
+
+
+def counted(number: int, what: str) -> str:
+    """Return a text with a number and its noun `what`, in the singular or the plural."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+class Abandoned(Exception):
+    """The exception of a worker whose result is no longer wanted."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """The result of a chunk: the tally, the rows if the worker did not store them, and notes for the user."""
+
+    tally: Tally
+    rows: Any = None
+    notes: tuple[str, ...] = ()
+
+
+class Work(Protocol):
+    """The interface of work that executors can do."""
+
+    @property
+    def is_compiled(self) -> bool:
+        """True if nearly all time is spent in compiled code, which holds no lock of the interpreter."""
+
+    def loaded(self) -> Work:
+        """Prepare this process for solves, for example load machine code, and return the work."""
+
+    def piece(self, number: int) -> object:
+        """Return the data of a chunk that a worker needs in addition to the work."""
+
+    def solve(self, piece: Any, is_wanted: Callable[[], bool] = ...) -> Done:
+        """Solve a chunk and store its results; raises Abandoned as soon as `is_wanted` returns False.
+
+        A failed case is part of the result. An error that ends the whole work is raised.
+        """
+
+    def lost(self, number: int, reason: str) -> Done:
+        """Return the result of a chunk whose workers were lost."""
+
+    def parcel(self) -> Parcel:
+        """Return the work for other machines, without its cases; raises ArgumentError if this is impossible."""
+
+    def returned(self, number: int, done: Done) -> Done:
+        """Store, in the client process, the rows that a remote worker could not store."""
+
+
+class Parcel(Protocol):
+    """Work on its way to another machine, without machine code, which depends on the processor."""
+
+    def unpacked(self) -> tuple[Work, tuple[str, ...]]:
+        """Return the work, ready to solve on this machine, and notes about the machine; raises CodegenError."""
+
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -61,8 +185,6 @@ def connected(cluster: object) -> AbstractContextManager[object]:
 
 Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]
 """A function (action, number of parts) -> context manager of a function (finished parts, text) that shows progress."""
-Working: TypeAlias = Callable[[str], AbstractContextManager[object]]
-"""A function (action) -> context manager, which shows activity during a long step."""
 
 
 @contextmanager
@@ -110,7 +232,7 @@ def team_size(workers: object, cluster: object) -> int:
     """
     if workers is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+    if not is_count(workers):
         raise NumericsError(f"--workers {clause(repr(workers))}", "give a positive integer")
     if cluster not in (None, LOCAL):
         raise ArgumentError("--workers with a cluster that has its own", "leave --workers out, or give --cluster local")

@@ -22,8 +22,7 @@ from dask import config
 from distributed import Client, KilledWorker, LocalCluster, WorkerPlugin, get_worker
 from threadpoolctl import ThreadpoolController
 
-from codegen.batch.executors import LOCAL, Results
-from codegen.batch.executors.chunks import Done, Parcel, Work
+from codegen.batch.executors import LOCAL, Done, Parcel, Results, Work
 from codegen.errors import ArgumentError, ClusterError, CodegenError, clause, one_line
 
 TRIES = 3  # number of lost workers of a local cluster after which the cases of a chunk count as lost

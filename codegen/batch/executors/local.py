@@ -24,8 +24,7 @@ from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from codegen.batch.executors import Results
-from codegen.batch.executors.chunks import Abandoned, Done, Work
+from codegen.batch.executors import Abandoned, Done, Results, Work
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -17,13 +17,19 @@ import numpy as np
 import sympy
 
 from codegen.discretise.conditions import CONDITIONS, holonomic
-from codegen.discretise.model import delays, normal_form, scope, smoothness, values
+from codegen.discretise.model import delays, normal_form, scope, smoothness
 from codegen.discretise.model.definitions import FreeParameter, Model, prescribed
+from codegen.discretise.model.normal_form import (
+    jump_entries,
+    maximises,
+    used_quantities,
+    written_costs,
+    written_entries,
+)
 from codegen.discretise.model.pairwise import PairwiseModel, is_pairwise, normalise_pairwise
 from codegen.discretise.model.relations import Entry, text
 from codegen.discretise.model.scope import Kinds, kinds_of
 from codegen.discretise.model.units import units_of
-from codegen.discretise.model.written import jump_entries, maximises, used_quantities, written_costs, written_entries
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
 from codegen.problem.bodies import has_path_couplings, written_out
 from codegen.problem.problem import Control, Phases, Problem, form_of
@@ -116,7 +122,7 @@ def normalise(
     for index, model in enumerate(chain.phases):
         with _in_phase(index):
             # The time at the end of a phase counts from the start of the whole motion.
-            values.require_agreement(replace(model, duration=begin + model.duration))
+            smoothness.require_agreement(replace(model, duration=begin + model.duration))
         begin += model.duration
     units = units_of(used, (entry for phase in written for entry in phase), plain)
     chain = normal_form.with_positive_durations(replace(chain, unused=unused, units=units))
@@ -248,7 +254,7 @@ def _free_parameter(symbol: sympy.Symbol, models: Sequence[Model]) -> FreeParame
 
 def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, sympy.Expr]) -> None:
     """Raise BoundaryError if the bounds of two phases exclude a continuous quantity, or fix a free one, at a switch."""
-    defaults, where = values.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
+    defaults, where = smoothness.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
     fixed = prescribed(before, "end")
 
     def numbers(at_switch: Sequence[sympy.Expr | None]) -> list[float]:
@@ -282,7 +288,7 @@ def _require_constraints_after(switch: int, model: Model, jump: Mapping[sympy.Sy
     c = sympy.Matrix(model.holonomic)
     q, v = sympy.Matrix(model.coordinates), sympy.Matrix(model.rates)
     rates = sympy.Matrix([*(holonomic.rates(model) if model.holonomic else ()), *model.rolling])
-    fixed = {**values.values_at_guess(model), model.time: 0.0}
+    fixed = {**smoothness.values_at_guess(model), model.time: 0.0}
     state = [*q, *v]
     numeric = {symbol: sympy.Float(number) for symbol, number in fixed.items() if symbol not in state}
     after = {symbol: jump.get(symbol, symbol) for symbol in state}

@@ -12,7 +12,7 @@ from sympy import Expr, Symbol
 
 from codegen import identifiers
 from codegen.discretise.model.normal_form import require_unique_names
-from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
+from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError, is_count
 from codegen.problem.particles import Connect, Pairwise, Particle, ParticleQuantity
 from codegen.problem.problem import Problem, Simulate
 from codegen.problem.symbols import Parameter, Quantity
@@ -149,7 +149,7 @@ def normalise_pairwise(problem: Problem, declared: Sequence[Quantity], name: str
         # Half of the interaction with another particle at the same point.
         of_first = zip((*second.own, *second.p), (*first.own, *first.p), strict=True)
         self_term = limit.xreplace(dict(of_first)) / 2
-    if isinstance(problem.steps, bool) or not isinstance(problem.steps, int) or problem.steps < 1:
+    if not is_count(problem.steps):
         raise ExpressionError(f"steps is {problem.steps!r}", "give a positive integer")
     return PairwiseModel(
         task=problem.task,

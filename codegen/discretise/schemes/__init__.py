@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection
 
 from sympy import Rational
 
 from codegen.discretise.schemes import compositions, low_order, runge_kutta
 from codegen.discretise.schemes.base import FIRST_ORDER, PARTICLES, Scheme
-from codegen.errors import SchemeError
+from codegen.errors import SchemeError, nearest
 
 __all__ = ["ALIASES", "FIRST_ORDER", "METHODS", "PARTICLES", "Scheme", "find", "of_method"]
 
@@ -84,9 +83,7 @@ def find(name: str, method: str, methods: Collection[str] = ()) -> Scheme:
             f"scheme {name!r} does not belong to the {method} method", f"use {instead}one of {', '.join(table)}"
         )
     offered = table if method == FIRST_ORDER else [n for names in METHODS.values() for n in names]
-    close = difflib.get_close_matches(name, offered, 1)
-    hint = f"did you mean {close[0]}?" if close else f"use one of {', '.join(table)}"
-    raise SchemeError(f"there is no scheme {name!r}", hint)
+    raise SchemeError(f"there is no scheme {name!r}", nearest(name, offered, f"use one of {', '.join(table)}"))
 
 
 def is_known(name: str, method: str) -> bool:

@@ -32,8 +32,8 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import CodegenError
+from codegen.evidence.report import building, peers, reference
 from codegen.evidence.report import comparison as compare
-from codegen.evidence.report import peers, reference, timing
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop, load_control
 from codegen.evidence.report.comparison import (
     ABOVE_REFERENCE,
@@ -126,7 +126,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
             yield Case(optima, name, partial(solved, module, steps, trajectory=trajectory))
             values = store.get(optima, name) or {}
             if values["status"] == "solved":
-                runs[name] = timing.solver(module, steps)
+                runs[name] = building.solver(module, steps)
             worst = max((values[key] for key in ("states", "controls") if values.get(key) is not None), default=1.0)
             if (values["seconds of first solve"] or 0.0) > extent.limit or worst < ROUNDING:
                 break
@@ -137,8 +137,8 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
         for driver in DRIVERS:
             yield Case(section_of(problem, "drivers"), driver, partial(solved, module, first, driver))
             if (store.get(section_of(problem, "drivers"), driver) or {})["status"] != "refused":
-                runs[f"driver {driver}"] = timing.solver(module, first, driver)
-    yield from timing.cases(problem, runs, store, extent.time_budget)
+                runs[f"driver {driver}"] = building.solver(module, first, driver)
+    yield from building.cases(problem, runs, store, extent.time_budget)
     if extent.peers and trajectory is not None:
         grids = [row["steps"] for row in default.rows(store, optima)]
         for peer in peers.installed():
@@ -186,7 +186,7 @@ def solved(
     if trajectory is not None and result.solved:
         values |= trajectory.errors(reference.trajectory_of(result))
     if budget:
-        measured = timing.timed(timing.solver(module, steps, driver), budget)
+        measured = building.timed(building.solver(module, steps, driver), budget)
         values |= {"seconds": measured.processor, "wall seconds": measured.wall, "spread": measured.spread}
     return values
 
@@ -522,7 +522,7 @@ def measured(store: Store, problem: Path, variant: Variant) -> Measured:
     Errors are None if a solve failed or if there is no reference. The expected order is the order of the scheme, but at
     most 2 where controls are constant on intervals.
     """
-    rows = timing.timed_rows(store, problem, variant, "optima")
+    rows = building.timed_rows(store, problem, variant, "optima")
     exact = (store.get(section_of(problem, "reference"), "cost") or {}).get("cost")
     expected = next((int(order) for v in rows if (order := v.get("expected order")) is not None), variant.order)
     convergence = convergence_of(store, problem, variant, expected)
@@ -612,7 +612,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     tables = [Table(caption, ("scheme", *head), times)] if quantities else []
     strange = _strange_table(store, problem)
     tables += [] if strange is None else [strange]
-    everything = Section(f"{problem.stem}: all schemes", (timing.RULE,), tuple(tables), tuple(pictures[1:]))
+    everything = Section(f"{problem.stem}: all schemes", (building.RULE,), tuple(tables), tuple(pictures[1:]))
     texts, pictures = [_ORDERS], []
     names = dict.fromkeys(name for convergence in convergences.values() for name in convergence.switching)
     if names:
@@ -650,7 +650,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
             "stationarity", "remarks")  # fmt: skip
     caption = "The finest solve of every scheme from the problem's own guess, on the grids that the figures show."
     tables.append(Table(caption, head, tuple(runs)).without_empty_columns())
-    by_driver, by_name = dict(store.rows(section_of(problem, "drivers"))), timing.times(store, problem)
+    by_driver, by_name = dict(store.rows(section_of(problem, "drivers"))), building.times(store, problem)
     for name, values in by_driver.items():
         of_driver = by_name.get(f"driver {name}")
         by_driver[name] = {**values, "seconds": of_driver and of_driver.processor}

@@ -40,9 +40,9 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import CodegenError
+from codegen.evidence.report.building import timed
 from codegen.evidence.report.reference import Trajectory, read_trajectory
 from codegen.evidence.report.store import Values
-from codegen.evidence.report.timing import timed
 from codegen.evidence.stress.pool import START_SECONDS, Worker, end_with_parent
 from codegen.solving.drivers.quiet import quiet_single_thread
 from codegen.solving.loading import Matrix, Vector

@@ -28,8 +28,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from codegen.errors import CodegenError
+from codegen.evidence.report import building
 from codegen.evidence.report import comparison as compare
-from codegen.evidence.report import timing
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.page import Section, Table, listed, number, power_of_ten
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
@@ -102,10 +102,10 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
             values = store.get(section_of(problem, "errors"), name) or {}
             errors.append(values.get("trajectory"))
             if values.get("status") == "solved":
-                runs[name] = timing.solver(module, steps[-1], every=steps[-1] // CHECKPOINTS)
+                runs[name] = building.solver(module, steps[-1], every=steps[-1] // CHECKPOINTS)
             if (values.get("seconds of first solve") or 0.0) > extent.limit or compare.is_exhausted(steps, errors):
                 break
-    yield from timing.cases(problem, runs, store, extent.time_budget)
+    yield from building.cases(problem, runs, store, extent.time_budget)
 
 
 @dataclass(frozen=True)
@@ -356,7 +356,7 @@ def _errors(module: SimulateModule, euler: SimulateModule | None, reference: Val
 
 def measured(store: Store, problem: Path, variant: Variant) -> compare.Measured:
     """Return the solves of a scheme, the errors of their trajectories, and the order measured on a short span."""
-    rows = timing.timed_rows(store, problem, variant, "errors")
+    rows = building.timed_rows(store, problem, variant, "errors")
     values = store.get(section_of(problem, "orders"), variant.label)
     order = None if values is None else compare.measured_order(values["steps"], values["errors"], values["floor"])
     errors = [row.get("trajectory") for row in rows]
@@ -423,7 +423,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     return [
         Section(title, tuple(sentences), (choices,), tuple(figures[:1])),
         Section(
-            f"{problem.stem}: all schemes", (timing.RULE, *([text] if spans else [])), (table,), tuple(figures[1:])
+            f"{problem.stem}: all schemes", (building.RULE, *([text] if spans else [])), (table,), tuple(figures[1:])
         ),
     ]
 

@@ -109,7 +109,7 @@ class Extent:
     """The limits of a report on problems.
 
     Numbers of steps are doubled `simulation_doublings` or `control_doublings` times, but not after a solve of more
-    than `limit` seconds. A solve is repeated for at most `time_budget` seconds (see timing.py). A simulation is
+    than `limit` seconds. A solve is repeated for at most `time_budget` seconds (see building.py). A simulation is
     measured with at most `most_simulated` schemes. A control problem is measured with at most `most_schemes` schemes
     of order `most_order` or less, and with compositions of at most `most_parts` steps, since modules of schemes with
     many stages take long to build. With `only_default_of_phases` a problem with several phases has only the default

@@ -19,7 +19,7 @@ from matplotlib.projections.polar import PolarAxes
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from codegen.evidence.report import landmark_study, timing
+from codegen.evidence.report import building, landmark_study
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.comparison import measured_order, order_text, verdict
 from codegen.evidence.report.optima import solved
@@ -224,7 +224,7 @@ def _transfer(workshop: Workshop, variant: Variant, revolutions: int, steps: int
     """Return a solution and its time; for the midpoint rule also the motion by R-K."""
     module = workshop.control(variant)
     solve = partial(module.solve, steps, revolutions=float(revolutions))
-    solution, measured = solve(), timing.timed(solve, budget)
+    solution, measured = solve(), building.timed(solve, budget)
     values: dict[str, object] = {
         "status": solution.status, "cost": solution.cost, "seconds": measured.processor, "steps": steps,
         "iterations": solution.iterations, "residual": solution.residual,

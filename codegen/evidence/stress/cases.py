@@ -350,4 +350,4 @@ EXPECTATIONS = {
     "control": Expectation(_of_optima, lambda r: int(not r.solved), drift=math.nan),
     "connect": Expectation(_of_connections, lambda r: int(r.summary["attempts"]) - int(r.solved), drift=1.0),
 }
-"""The expectations by the name of a task in `codegen.solving.tasks`."""
+"""The expectations by the name of a task in `codegen.solving.drivers`."""

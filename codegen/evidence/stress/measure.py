@@ -24,9 +24,9 @@ from codegen.evidence.stress.motions import registered
 from codegen.evidence.stress.own import largest_stable
 from codegen.problem.points import PointSet
 from codegen.solving import api
+from codegen.solving.drivers import task_of
 from codegen.solving.loading import GeneratedModule, Grid, Vector
 from codegen.solving.results.result import Result
-from codegen.solving.tasks import task_of
 
 SAME = 1e-6  # the largest relative difference of the costs of one optimum
 REPEATS, QUICK = 3, 0.2  # further solves for the time of a user's own problem, if one takes less than QUICK seconds

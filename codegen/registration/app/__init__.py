@@ -55,8 +55,7 @@ def prepare(images: Sequence[Path] = (), state: Path | None = None) -> None:
     ImageError if an image cannot be read.
     """
     _require_tornado()
-    from codegen.registration.app.autosave import Store, default_folder
-    from codegen.registration.app.reading import session_of
+    from codegen.registration.app.reading import Store, default_folder, session_of
     from codegen.registration.app.worker import prepared
     from codegen.registration.solver import DEFAULT_SCHEME
 

@@ -21,8 +21,15 @@ from numpy.typing import NDArray
 
 from codegen.errors import CodegenError, LandmarkError, RegistrationError
 from codegen.registration.app import solving, worker
-from codegen.registration.app.autosave import TOKEN, OtherWriterError, Saved, Store, new_token
-from codegen.registration.app.reading import LIMITS, MOST_LANDMARK_BYTES
+from codegen.registration.app.reading import (
+    LIMITS,
+    MOST_LANDMARK_BYTES,
+    TOKEN,
+    OtherWriterError,
+    Saved,
+    Store,
+    new_token,
+)
 from codegen.registration.app.session import MOST_PAIRS, SIDE, Session, Settings, Side, Work
 from codegen.registration.app.solving import Certified, Look, Seen, Shown, Wanted
 from codegen.registration.app.worker import Deliver, Worker, delivered, saving, slow

@@ -30,8 +30,8 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from codegen.errors import ArgumentError, CodegenError
 from codegen.registration.app import reading, solving
-from codegen.registration.app.autosave import Store, default_folder
 from codegen.registration.app.live import LiveWork, Message, Works, parsed
+from codegen.registration.app.reading import Store, default_folder
 from codegen.registration.app.session import Session, Work, tile
 from codegen.registration.app.solving import Download
 from codegen.registration.formats import FORMATS, parse_landmarks

@@ -94,14 +94,6 @@ def free_memory():
     return 1 << 30 if IS_SIMULATED else int(cuda.current_context().get_memory_info().free)
 
 
-def device_name():
-    """Return the name of the device."""
-    if IS_SIMULATED:
-        return "numba's simulator of a GPU"
-    name = cuda.get_current_device().name
-    return name.decode() if isinstance(name, bytes) else str(name)
-
-
 def sent(value):
     """Return a tuple of tuples with all its arrays on the device."""
     if isinstance(value, np.ndarray):

@@ -534,7 +534,7 @@ def no_optima(k, m):
 class Options(NamedTuple):
     """The options of the searches of all cases, see `solution.solve_on`.
 
-    `on_device` is None, or the function `cuda.optima.solve_cases`, which solves the cases on a GPU.
+    `on_device` is None, or the function `cuda.batches.solve_cases`, which solves the cases on a GPU.
     """
 
     tolerance: float

@@ -274,16 +274,6 @@ def with_relaxation(search, tolerance):
     return iterate._replace(point=evaluate(search.grid, iterate.point.unknowns))
 
 
-def pushed_inside(search, unknowns, push):
-    """Return `unknowns` (n,) moved inside their bounds, by at least `push` max(1, |bound|) (36).
-
-    Between two bounds, the distance is at most `push` times the distance between the bounds.
-    """
-    inside = unknowns.copy()
-    descent.push_inside(search.arguments[1], search.arguments[3], push, inside)
-    return inside
-
-
 def with_tied_values(grid, unknowns):
     """Return `unknowns` (n,) in which unknowns of end nodes take the values of linking variables that they equal."""
     if not grid.problem.structure.is_tied:

@@ -6,7 +6,6 @@ the Pareto front if no other case is better in one objective and at least as goo
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +17,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from codegen.errors import ArgumentError, clause
+from codegen.errors import ArgumentError, clause, nearest
 from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, Look, body_map, new_figure
 from codegen.show.figures.quantities import heading, in_unit, label, quantity, statuses, unit_in
 from codegen.show.figures.sweep import is_wide, last_values
@@ -59,10 +58,9 @@ def require_objectives(objectives: tuple[Objective, ...], data: Dataset) -> None
     known = _known(data)
     for objective in objectives:
         if objective.name not in known:
-            close = difflib.get_close_matches(objective.name, known, 3, 0.5)
-            nearest = f"did you mean {' or '.join(close)}? " if close else ""
             finding = f"--pareto {objective.name}: the sweep has no such number of each case"
-            raise ArgumentError(clause(finding), clause(f"{nearest}it has {', '.join(known)}"))
+            remedy = f"{nearest(objective.name, known, '', 3, 0.5)} it has {', '.join(known)}".strip()
+            raise ArgumentError(clause(finding), clause(remedy))
 
 
 def values_of(objective: Objective, data: Dataset) -> Numbers:

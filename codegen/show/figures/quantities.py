@@ -19,7 +19,7 @@ from codegen.runtime.record import Form, Kind, Meaning, Method, Place
 from codegen.runtime.search.grid import free_unknowns
 from codegen.show.figures.picture import STYLES, letter_size, present_style
 from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid
-from codegen.solving.results import attitudes
+from codegen.solving.results.display import angular_velocity, angular_velocity_names, columns_of
 from codegen.solving.results.result import Result
 from codegen.solving.results.segments import multiplier_names, put_together, segments_of
 
@@ -351,9 +351,9 @@ def _constant(table: Matrix, none: float) -> Vector:
 def angular_velocities(result: Result) -> dict[int, Quantity]:
     """Return a part of the angular velocity for each column of a quaternion of a single body; |omega| for w."""
     shown, none = dict[int, Quantity](), np.full(1, np.inf)
-    columns, spins = attitudes.columns_of(result), attitudes.angular_velocity_names(result)
+    columns, spins = columns_of(result), angular_velocity_names(result)
     for spin, name in spins.items() if result.by_segments is None else ():
-        omega = attitudes.angular_velocity(result, name)
+        omega = angular_velocity(result, name)
         names = (f"|{spin}|", *(f"{spin}_{axis}" for axis in "xyz"))
         values = np.column_stack([np.linalg.norm(omega, axis=1), omega])
         for column, own, part in zip(columns[name], names, values.T, strict=True):

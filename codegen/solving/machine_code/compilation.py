@@ -37,8 +37,8 @@ from codegen.runtime.kernels import packed_operations
 from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.kkt.specialised import compiled_system, is_made
 from codegen.runtime.record import Task
+from codegen.solving.drivers import task_of
 from codegen.solving.loading import Case, ConnectModule, ControlModule, GeneratedModule, SimulateModule, few_steps, load
-from codegen.solving.tasks import task_of
 
 if TYPE_CHECKING:
     from numba.core.dispatcher import Dispatcher

@@ -6,7 +6,9 @@ nor numba, so that the processes start without delay.
 
 from __future__ import annotations
 
+import hashlib
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -14,8 +16,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from codegen.errors import one_line
 
@@ -182,6 +185,40 @@ def prepare(path: Path, processes: Compilers, tell: Callable[[int, int], None] =
         compile_all(module)
     except OSError as error:
         raise unwritable_cache_error(module, error) from error
+
+
+@dataclass(frozen=True)
+class Target:
+    """The target of machine code: the processor, a digest of its features, and the versions of numba and Python."""
+
+    processor: str
+    features: str
+    numba: str
+    python: str
+
+    def __str__(self) -> str:
+        return f"{self.processor} with numba {self.numba}"
+
+
+def target() -> Target:
+    """Return the target of machine code for this machine."""
+    import numba
+    from llvmlite import binding
+
+    settings: Any = numba.config
+    processor = settings.CPU_NAME or binding.get_host_cpu_name()
+    features = settings.CPU_FEATURES or binding.get_host_cpu_features().flatten()
+    if processor == "generic":  # numba then uses no features
+        features = ""
+    digest = hashlib.sha256(str(features).encode()).hexdigest()[:8]
+    return Target(str(processor), digest, numba.__version__, platform.python_version())
+
+
+def compiled_note(module: str, origin: Target, work: str) -> str:
+    """Return a note that a worker compiled a module; `work` names the task that began on the machine `origin`."""
+    local = target()
+    reason = "" if local == origin else f"; {work} was begun on {origin}"
+    return f"{platform.node()}: compiled {module} for {local}{reason}"
 
 
 def unwritable_cache_error(module: GeneratedModule, error: OSError) -> FileError:

@@ -333,11 +333,6 @@ def notes(record: Record) -> list[str]:
     return lines
 
 
-def notes_of_parts(result: Result) -> list[str]:
-    """Return the warnings about the estimates and the sensitivities of a result."""
-    return [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]
-
-
 def notes_of_file(path: Path) -> list[str]:
     """Return the warnings about the problem of a module in a file, without importing the module."""
     return notes(record_in(path.read_text(encoding="utf-8")))

@@ -612,3 +612,8 @@ def component_units(metadata: Record) -> dict[str, str]:
         for row in component_names(replace(metadata, bodies=1)).values():
             units |= {f"{name}_{body}": units[name] for name in row for body in range(metadata.bodies) if name in units}
     return units
+
+
+def notes_of_parts(result: Result) -> list[str]:
+    """Return the warnings about the estimates and the sensitivities of a result."""
+    return [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]

@@ -6,7 +6,7 @@ from codegen.discretise.program import ControlProgram
 from codegen.emit.differentiation import ControlDerivatives, ControlSensitivities
 from codegen.emit.lower.control import kernels as control_kernels
 from codegen.emit.lower.control import layout, sensitivities
-from codegen.emit.lower.control.bounds import bounds, pins
+from codegen.emit.lower.control.layout import bounds, pins
 from codegen.emit.lower.control.text import description, record
 from codegen.emit.lower.kernels import (
     Line,

@@ -15,9 +15,20 @@ from sympy import Expr, Symbol
 
 from codegen.discretise.program import ControlProgram
 from codegen.emit.differentiation import ControlSensitivities, DataDerivatives, data_of
-from codegen.emit.lower.control.bounds import Bound, bound_values, bound_views, common_code, slack_bounds
 from codegen.emit.lower.control.kernels import coupling_terms, named_elements, sample_codes, symbol_codes, term_codes
-from codegen.emit.lower.control.layout import duration_inputs, inputs, integers, parameters, phase_steps, solution
+from codegen.emit.lower.control.layout import (
+    Bound,
+    bound_values,
+    bound_views,
+    common_code,
+    duration_inputs,
+    inputs,
+    integers,
+    parameters,
+    phase_steps,
+    slack_bounds,
+    solution,
+)
 from codegen.emit.lower.kernels import INNER, Kernel, Line, Output, kernel
 from codegen.emit.lower.module import SensitivityText
 from codegen.emit.lower.printer import array_code, scalar_code
