@@ -7,11 +7,11 @@ operations in the same order. numba translates all other functions itself.
 """
 
 import ast
-import inspect
+import itertools
+import linecache
 import math
 import operator
-import textwrap
-from types import FunctionType
+from types import CodeType, FunctionType
 
 from llvmlite import ir
 from numba import config, njit, types
@@ -49,14 +49,13 @@ def inner_kernel(function):
 
 def definition_of(function):
     """Return the syntax tree of a function of formulas, or None for any other function."""
-    try:
-        definition = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
-    except (OSError, TypeError, SyntaxError):
-        return None
-    if not isinstance(definition, ast.FunctionDef):
+    definition = _read(function)
+    if definition is None:
         return None
     if isinstance(definition.body[0], ast.Expr) and isinstance(definition.body[0].value, ast.Constant):
         definition.body.pop(0)  # the docstring
+    if not definition.body:
+        return None
     arguments, known = {argument.arg for argument in definition.args.args}, set[str]()
     for place, statement in enumerate(definition.body):
         match statement:
@@ -75,6 +74,26 @@ def definition_of(function):
         elif written is not None and not is_entry(written, arguments):
             return None
     return definition
+
+
+def _read(function):
+    """Return the syntax tree of a function from its file, or None if the file has another text."""
+    code = function.__code__
+    linecache.checkcache(code.co_filename)
+    head, *lines = linecache.getlines(code.co_filename)[code.co_firstlineno - 1 :] or [""]
+    while not head.startswith("def ") and lines:  # decorators
+        head, *lines = lines
+    body = itertools.takewhile(lambda line: line.startswith((" ", "\n")), lines)
+    try:
+        module = ast.parse("".join([head, *body]))
+        (made,) = (c for c in compile(module, code.co_filename, "exec").co_consts if isinstance(c, CodeType))
+        (definition,) = module.body
+    except (SyntaxError, ValueError):
+        return None
+    same = all(
+        getattr(made, name) == getattr(code, name) for name in ("co_code", "co_consts", "co_names", "co_varnames")
+    )
+    return definition if same and isinstance(definition, ast.FunctionDef) else None
 
 
 def is_entry(node, arguments):
