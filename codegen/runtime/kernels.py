@@ -22,7 +22,8 @@ import numpy as np
 from numba import cfunc, config, njit, types
 
 from codegen.runtime.addresses import CTYPES, REALS, Reals, callback
-from codegen.runtime.kept_code import add_checksums, fresh_folder, name_by_text, start_of, statistics_of
+from codegen.runtime.identity import name_by_text
+from codegen.runtime.kept_code import add_checksums, fresh_folder, start_of, statistics_of
 
 NUMBERS = {
     "t": types.float64, "count": types.int64, "columns": types.int64, "fraction": types.float64,
