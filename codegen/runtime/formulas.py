@@ -85,9 +85,9 @@ def _read(function):
         head, *lines = lines
     body = itertools.takewhile(lambda line: line.startswith((" ", "\n")), lines)
     try:
-        module = ast.parse("".join([head, *body]))
+        module = ast.parse("".join(["import math\n", head, *body]))  # Python calls functions of imported modules faster
         (made,) = (c for c in compile(module, code.co_filename, "exec").co_consts if isinstance(c, CodeType))
-        (definition,) = module.body
+        _, definition = module.body
     except (SyntaxError, ValueError):
         return None
     same = all(
@@ -239,11 +239,13 @@ class Translation:
 
     def power(self, base, exponent):
         """Emit repeated products, in numba's order."""
-        result, rest = ir.Constant(REAL, 1.0), abs(exponent)
+        result, rest = None, abs(exponent)
         while rest:
             if rest & 1:
-                result = base if result.__class__ is ir.Constant else self.builder.fmul(result, base)
+                result = base if result is None else self.builder.fmul(result, base)
             rest >>= 1
             if rest:
                 base = self.builder.fmul(base, base)
+        if result is None:
+            return ir.Constant(REAL, 1.0)
         return self.builder.fdiv(ir.Constant(REAL, 1.0), result) if exponent < 0 else result
