@@ -2,7 +2,7 @@
 
 numba determines the type of every operation by a search among all its functions, which takes a millisecond for each. In
 a kernel of formulas all values are floating-point numbers. Its statements assign to names and to entries of arrays with
-constant indices. Such a kernel needs no search. `inner_kernel` translates it in a fifth of numba's time, into the same
+constant indices. Such a kernel needs no search. It is translated here in a fifth of numba's time, into the same
 operations in the same order. numba translates all other functions itself.
 """
 
@@ -32,19 +32,29 @@ LARGEST_POWER = 64  # a larger exponent is left to numba
 
 
 def inner_kernel(function):
-    """Return a function that only compiled functions call, compiled by numba; formulas are translated here.
+    """Return a function that only compiled functions call, compiled by numba; see `translate_formulas`.
 
-    Arguments are contiguous arrays of floating-point numbers, and numbers. The attribute `py_func` is `function`.
+    Arguments are contiguous arrays of floating-point numbers, and numbers.
     """
     if config.DISABLE_JIT:
         return function
-    definition = definition_of(function)
-    if definition is None:
-        return njit(error_model="numpy")(function)
-    caller = _caller(function, definition)
-    made = njit(error_model="numpy")(caller)
-    made.py_func, made.caller = function, caller
+    made = njit(error_model="numpy")(function)
+    made.may_be_formulas = True
     return made
+
+
+def translate_formulas(space):
+    """Replace the inner kernels of formulas in a module's namespace by functions with a translation.
+
+    The attribute `py_func` stays the function of the module.
+    """
+    for name, value in list(space.items()):
+        if getattr(value, "may_be_formulas", False):
+            value.may_be_formulas = False
+            if (definition := definition_of(value.py_func)) is not None:
+                caller = _caller(value.py_func, definition)
+                space[name] = made = njit(error_model="numpy")(caller)
+                made.py_func, made.caller = value.py_func, caller
 
 
 def definition_of(function):
@@ -57,6 +67,11 @@ def definition_of(function):
     if not definition.body:
         return None
     arguments, known = {argument.arg for argument in definition.args.args}, set[str]()
+    numbers = arguments - {
+        node.value.id
+        for node in ast.walk(definition)
+        if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name)
+    }
     for place, statement in enumerate(definition.body):
         match statement:
             case ast.Return(value=value) if value is not None and place == len(definition.body) - 1:
@@ -67,11 +82,11 @@ def definition_of(function):
                 return None
         if isinstance(statement, ast.AugAssign) and type(statement.op) not in OPERATIONS:
             return None
-        if not is_formula(value, arguments | known, function.__globals__):
+        if not is_formula(value, arguments - numbers, numbers | known, function.__globals__):
             return None
         if isinstance(written, ast.Name) and not isinstance(statement, ast.AugAssign):
             known.add(written.id)
-        elif written is not None and not is_entry(written, arguments):
+        elif written is not None and not is_entry(written, arguments - numbers):
             return None
     return definition
 
@@ -96,37 +111,35 @@ def _read(function):
     return definition if same and isinstance(definition, ast.FunctionDef) else None
 
 
-def is_entry(node, arguments):
-    """Return True for an entry of an array with a constant index."""
+def is_entry(node, arrays):
+    """Return True for an entry of one of the arrays with a constant index."""
     return (
         isinstance(node, ast.Subscript)
         and isinstance(node.value, ast.Name)
-        and node.value.id in arguments
+        and node.value.id in arrays
         and isinstance(node.slice, ast.Constant)
         and isinstance(node.slice.value, int)
     )
 
 
-def is_formula(node, known, space):
-    """Return True for a formula in `known` names, entries of arrays, and numbers of the module."""
+def is_formula(node, arrays, known, space):
+    """Return True for a formula in `known` numbers, entries of `arrays`, and numbers of the module."""
     match node:
         case ast.Constant(value=value):
             return isinstance(value, (int, float)) and not isinstance(value, bool)
         case ast.Name(id=name):
             return name in known or type(space.get(name)) in (int, float)
         case ast.Subscript():
-            return is_entry(node, known)
+            return is_entry(node, arrays)
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
-            return is_formula(operand, known, space)
-        case ast.BinOp(left=left, op=ast.Pow(), right=right):
-            exponent = _integer(right)
-            if exponent is not None and abs(exponent) > LARGEST_POWER:
-                return False
-            return is_formula(left, known, space) and is_formula(right, known, space)
+            return is_formula(operand, arrays, known, space)
         case ast.BinOp(left=left, op=op, right=right):
-            return type(op) in OPERATIONS and is_formula(left, known, space) and is_formula(right, known, space)
+            exponent = _integer(right) if isinstance(op, ast.Pow) else None
+            if type(op) not in (*OPERATIONS, ast.Pow) or (exponent is not None and abs(exponent) > LARGEST_POWER):
+                return False
+            return all(is_formula(operand, arrays, known, space) for operand in (left, right))
         case ast.Call(func=ast.Attribute(value=ast.Name(id="math"), attr=name), args=[argument], keywords=[]):
-            return name in OF_ONE and is_formula(argument, known, space)
+            return name in OF_ONE and is_formula(argument, arrays, known, space)
         case _:
             return False
 

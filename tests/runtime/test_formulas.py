@@ -60,6 +60,7 @@ def module_of(folder, name, decorator):
     spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    formulas.translate_formulas(vars(module))
     return module
 
 
@@ -104,9 +105,10 @@ def test_a_file_with_another_text_is_not_translated(tmp_path):
     path.write_text(text.replace("2.0", "3.0"))
     space: dict = {}
     exec(compile(text, str(path), "exec"), space)
-    double = formulas.inner_kernel(space["double"])
+    space["double"] = formulas.inner_kernel(space["double"])
+    formulas.translate_formulas(space)
+    double, filled = space["double"], np.ones(1)
     assert not hasattr(double, "caller")
-    filled = np.ones(1)
     njit(lambda x: double(x))(filled)
     assert filled[0] == 2.0
 

@@ -8,6 +8,8 @@ import numpy as np
 from numba import config
 
 from codegen.runtime.addresses import LOOP, callback
+from codegen.runtime.formulas import translate_formulas
+from codegen.runtime.kept_code import is_kept
 from codegen.runtime.kernels import Addressed, problem_of
 from codegen.runtime.kkt.specialised import compiled_system
 from codegen.runtime.linking import link_inner_functions
@@ -25,8 +27,10 @@ class Loop(Addressed):
         """The compiled function, or the callback if the loop is interpreted."""
         if self.is_interpreted or config.DISABLE_JIT:
             return callback(LOOP, self.function)
-        # Only functions of the generated module are linked. Python may call functions of the runtime directly.
         space = self.function.__globals__
+        if not is_kept(self.function):
+            translate_formulas(space)
+        # Only functions of the generated module are linked. Python may call functions of the runtime directly.
         link_inner_functions(
             value for value in space.values() if is_inner(value) and value.py_func.__globals__ is space
         )
