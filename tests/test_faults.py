@@ -17,8 +17,8 @@ from injected_faults import DAMAGE, Sandbox, alter, cut_off, filled, garble, lim
 from codegen.emit import rendering
 from codegen.errors import FileError
 from codegen.files import replacing
-from codegen.runtime.identity import identity_of
 from codegen.runtime.kept_code import SEAL, remove_invalid
+from codegen.runtime.kernels import identity_of
 from codegen.solving.compiler import build
 from codegen.solving.loading import load
 

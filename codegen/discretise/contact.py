@@ -21,7 +21,7 @@ At the end an impulse of the same kind acts if velocities are prescribed there. 
 with the velocity after the impact. The momenta of nodes are those before the impulse.
 
 Products are not zero, but at most epsilon, the parameter `relaxation`, an energy. The search begins with a large
-epsilon, which falls with the weight of its barrier, see `codegen.runtime.search.contact`. Source: Scholtes (2001),
+epsilon, which falls with the weight of its barrier, see `codegen.runtime.search.iterates`. Source: Scholtes (2001),
 Convergence properties of a regularization scheme for mathematical programs with complementarity constraints.
 """
 

@@ -75,11 +75,6 @@ def statistics_of(function, compiled):
     return Statistics(njit(cache=True)(function).stats.cache_path, read, made)
 
 
-def is_kept(function):
-    """Return False: it is not known."""
-    return False
-
-
 def start_of(function):
     """Return the start of the names of files in which numba keeps machine code of a function: none is of interest."""
     return ""

@@ -19,8 +19,6 @@ from typing import NamedTuple
 import numba
 from numba import config, njit
 
-from codegen.runtime.identity import identity_of
-
 STAMP = "codegen-runtime"
 RUNTIME = Path(__file__).parent
 PICKLES = {".nbi": 2, ".nbc": 1}
@@ -163,15 +161,6 @@ def fingerprint():
                 part = f"{os.path.relpath(folder, RUNTIME)}/{name} {status.st_size} {status.st_mtime_ns}\n"
                 digest.update(part.encode())
     return digest.hexdigest()
-
-
-def is_kept(function):
-    """Return True if machine code of a Python function is on disk."""
-    folder = fresh_folder(function.__code__.co_filename, identity_of(function))
-    if folder is None:
-        return False
-    start = start_of(function)
-    return any(name.startswith(start) and name.endswith(".nbi") for name in os.listdir(folder))
 
 
 def start_of(function):

@@ -7,22 +7,31 @@ cache on disk.
 `packed_operations` lets LLVM combine neighbouring operations into one vector instruction (SLP vectorisation).
 Factorisations then take 15 to 30 percent less time. numba has one option for all code of a process, which is off by
 default. Machine code that is already on disk stays as it is.
+
+numba stores the module name of a function, and imports that module when it reads the machine code again. A copy of a
+module, or a module imported from another folder, has another name. The import would then end in a ModuleNotFoundError.
+`name_by_text` gives functions a name that is a digest of the text of their file. It does not depend on the folder or on
+the import, and no other text has it. Functions of the same name in different modules are therefore never confused.
 """
 
 import ctypes
+import hashlib
 import inspect
+import os
+import sys
 from collections.abc import Iterable
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, lru_cache
 from importlib import import_module
+from pathlib import Path
 from threading import Lock
+from types import FunctionType, ModuleType
 from typing import Any, ClassVar
 
 import numpy as np
 from numba import cfunc, config, njit, types
 
 from codegen.runtime.addresses import CTYPES, REALS, Reals, callback
-from codegen.runtime.identity import name_by_text
 from codegen.runtime.kept_code import add_checksums, fresh_folder, start_of, statistics_of
 
 NUMBERS = {
@@ -32,6 +41,51 @@ NUMBERS = {
 
 ONLY_COMPILED: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Options for functions that only compiled functions call: numba leaves out the entry points for Python and C."""
+
+
+PREFIX = "codegen_text_"
+
+
+def name_by_text(function):
+    """Set `__module__` of a Python function, and of all compiled functions in its file, to a name from the file's text.
+
+    Return the name. The name is empty, and nothing is set, if there is no file.
+    """
+    name = identity_of(function)
+    if not name and os.path.isfile(file := function.__code__.co_filename):
+        name = digest_of(file, os.stat(file).st_mtime_ns)
+    if not name:
+        return ""
+    sys.modules.setdefault(name, ModuleType(name))
+    space = function.__globals__
+    values = list(space.values())
+    compiled = [getattr(value, name, None) for value in values for name in ("py_func", "function", "caller")]
+    for other in (function, *compiled):
+        if isinstance(other, FunctionType) and other.__globals__ is space and not identity_of(other):
+            other.__module__ = name
+    return name
+
+
+def identity_of(function):
+    """Return the name that `name_by_text` has given to a function, or "" if there is no such name."""
+    name = function.__module__ or ""
+    return name if name.startswith(PREFIX) else ""
+
+
+@lru_cache
+def digest_of(file, _changed):
+    """Return the name that follows from the text of a file; `_changed`, its time of change, is a key of the cache."""
+    digest = hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    return f"{PREFIX}{digest[:24]}"
+
+
+def is_kept(function):
+    """Return True if machine code of a Python function is on disk."""
+    folder = fresh_folder(function.__code__.co_filename, identity_of(function))
+    if folder is None:
+        return False
+    start = start_of(function)
+    return any(name.startswith(start) and name.endswith(".nbi") for name in os.listdir(folder))
 
 
 def problem_of(module):

@@ -16,7 +16,7 @@ import numpy as np
 from numba import config, njit, types
 
 from codegen.runtime.addresses import address_of_compiled, calling_compiled
-from codegen.runtime.kept_code import is_kept
+from codegen.runtime.kernels import is_kept
 from codegen.runtime.search import descent
 from codegen.runtime.search.cascade import WORSE, clip
 from codegen.runtime.search.descent import (

@@ -9,8 +9,7 @@ from numba import config
 
 from codegen.runtime.addresses import LOOP, callback
 from codegen.runtime.formulas import translate_formulas
-from codegen.runtime.kept_code import is_kept
-from codegen.runtime.kernels import Addressed, problem_of
+from codegen.runtime.kernels import Addressed, is_kept, problem_of
 from codegen.runtime.kkt.specialised import compiled_system
 from codegen.runtime.linking import link_inner_functions
 from codegen.runtime.record import ControlRecord

@@ -11,7 +11,7 @@ import numpy as np
 from numba import config, njit
 
 from codegen.runtime.addresses import call, call_value, data_of, moved, reals_at
-from codegen.runtime.kept_code import is_kept
+from codegen.runtime.kernels import is_kept
 from codegen.runtime.search.grid import checked_count
 from codegen.runtime.search.stacks import NUMBERS_ONLY, OF_ARRAYS, as_objects, case_of, samples_of, with_names
 from codegen.runtime.stepping.events import (

@@ -32,8 +32,8 @@ from numba import boolean, carray, cfunc, config, float64, int64, njit, typeof, 
 from numba.core.event import Event, Listener, install_listener
 from numpy.typing import NDArray
 
-from codegen.runtime.kept_code import add_checksums, code_folder, is_kept, runtime_folders
-from codegen.runtime.kernels import packed_operations
+from codegen.runtime.kept_code import add_checksums, code_folder, runtime_folders
+from codegen.runtime.kernels import is_kept, packed_operations
 from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.kkt.specialised import compiled_system, is_made
 from codegen.runtime.record import Task
