@@ -37,7 +37,7 @@ from sympy import Add, Expr, S, Symbol
 
 from codegen.discretise.interval import STEP, PathValue, at_nodes
 from codegen.discretise.model.definitions import Condition, Contact, Model, prescribed
-from codegen.discretise.model.smoothness import expected_values, values_at_guess
+from codegen.discretise.model.values import expected_values, values_at_guess
 from codegen.discretise.program import Names, Unknown
 from codegen.errors import BoundaryError
 from codegen.runtime.record import Kind, Meaning

@@ -25,7 +25,7 @@ from sympy import Expr, S, Symbol
 from codegen.discretise.conditions.path import nodal_conditions
 from codegen.discretise.interval import STEP, PathValue, at_nodes
 from codegen.discretise.model.relations import text
-from codegen.discretise.model.smoothness import values_at_guess
+from codegen.discretise.model.values import values_at_guess
 from codegen.discretise.program import ControlProgram, EndElement
 from codegen.errors import BoundaryError
 from codegen.runtime.record import Kind

@@ -42,7 +42,7 @@ from codegen.discretise.conditions.path import nodal_conditions
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Boundary, Condition, Model, prescribed
 from codegen.discretise.model.guesses import coordinate_guess, momentum_guess, with_guesses
-from codegen.discretise.model.smoothness import values_at_guess
+from codegen.discretise.model.values import values_at_guess
 from codegen.discretise.program import (
     ControlProgram,
     EndElement,

@@ -61,7 +61,7 @@ from codegen.discretise.interval import (
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.relations import text
-from codegen.discretise.model.smoothness import sample_points
+from codegen.discretise.model.values import sample_points
 from codegen.discretise.program import ConstraintAtNode, Names, StepProgram, Unknown, symbols
 from codegen.discretise.rotations import in_body_frames, in_quaternions, step_with_rotations, velocities_of
 from codegen.discretise.schemes.base import Scheme

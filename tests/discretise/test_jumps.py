@@ -6,7 +6,7 @@ import pytest
 from made_records import control_record
 from sympy import And, Piecewise, Symbol, exp
 
-from codegen.discretise.model.smoothness import jumps
+from codegen.discretise.model.values import jumps
 from codegen.solving.results.output import notes
 
 u, x, t, a = (Symbol(name, real=True) for name in ("u", "x", "t", "a"))

@@ -6,7 +6,7 @@ import pytest
 from made_records import control_record
 from sympy import Abs, Max, Min, Symbol, cos
 
-from codegen.discretise.model.smoothness import kinks
+from codegen.discretise.model.values import kinks
 from codegen.solving.results.output import notes
 
 u, x, m = Symbol("u", real=True), Symbol("x", real=True), Symbol("m", real=True)

@@ -10,7 +10,7 @@ from sympy import Abs, acos, exp, log, sqrt
 
 from codegen import Control, controls, coordinate, states, time
 from codegen.discretise.model.from_problem import normalise
-from codegen.discretise.model.smoothness import singular_at_guess
+from codegen.discretise.model.values import singular_at_guess
 from codegen.discretise.transcribe import transcribe
 from codegen.emit.differentiation import derivatives
 from codegen.emit.lower import lower

@@ -28,7 +28,7 @@ from sympy import Expr, Max, Min, S, Symbol
 from codegen.discretise.conditions.periodic import Alias, Own, Periodic, own_unknown
 from codegen.discretise.model.definitions import Model, prescribed
 from codegen.discretise.model.guesses import DURATION, momentum_guess
-from codegen.discretise.model.smoothness import values_at_guess
+from codegen.discretise.model.values import values_at_guess
 from codegen.discretise.program import Coupling, Names, Unknown, symbols
 from codegen.errors import BoundaryError
 from codegen.runtime.record import Kind, Meaning

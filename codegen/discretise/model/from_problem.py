@@ -17,7 +17,7 @@ import numpy as np
 import sympy
 
 from codegen.discretise.conditions import CONDITIONS, holonomic
-from codegen.discretise.model import delays, normal_form, scope, smoothness
+from codegen.discretise.model import delays, normal_form, scope, values
 from codegen.discretise.model.definitions import FreeParameter, Model, prescribed
 from codegen.discretise.model.normal_form import (
     jump_entries,
@@ -105,11 +105,11 @@ def normalise(
     for index, (phase, entries) in enumerate(zip(problem.phases, written, strict=True)):
         with _in_phase(index):
             models.append(_phase_model(phase, entries, kinds, plain, expected))
-        expected |= smoothness.expected_values(models[-1], 1.0)
+        expected |= values.expected_values(models[-1], 1.0)
     jumps = [[normal_form.in_plain_symbols(entry, plain) for entry in jump] for jump in jumps]
     chain = _chain(models, jumps, kinds, plain, name, title)
     # Jumps have values, bounds do not contradict each other, and end values satisfy the conditions.
-    points = smoothness.sample_points(chain)
+    points = values.sample_points(chain)
     for entry in (entry for jump in jumps for entry in jump):
         if all(expressions.rounded_at(entry.expression, point) is None for point in points):
             raise ExpressionError(
@@ -122,7 +122,7 @@ def normalise(
     for index, model in enumerate(chain.phases):
         with _in_phase(index):
             # The time at the end of a phase counts from the start of the whole motion.
-            smoothness.require_agreement(replace(model, duration=begin + model.duration))
+            values.require_agreement(replace(model, duration=begin + model.duration))
         begin += model.duration
     units = units_of(used, (entry for phase in written for entry in phase), plain)
     chain = normal_form.with_positive_durations(replace(chain, unused=unused, units=units))
@@ -254,7 +254,7 @@ def _free_parameter(symbol: sympy.Symbol, models: Sequence[Model]) -> FreeParame
 
 def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, sympy.Expr]) -> None:
     """Raise BoundaryError if the bounds of two phases exclude a continuous quantity, or fix a free one, at a switch."""
-    defaults, where = smoothness.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
+    defaults, where = values.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
     fixed = prescribed(before, "end")
 
     def numbers(at_switch: Sequence[sympy.Expr | None]) -> list[float]:
@@ -288,7 +288,7 @@ def _require_constraints_after(switch: int, model: Model, jump: Mapping[sympy.Sy
     c = sympy.Matrix(model.holonomic)
     q, v = sympy.Matrix(model.coordinates), sympy.Matrix(model.rates)
     rates = sympy.Matrix([*(holonomic.rates(model) if model.holonomic else ()), *model.rolling])
-    fixed = {**smoothness.values_at_guess(model), model.time: 0.0}
+    fixed = {**values.values_at_guess(model), model.time: 0.0}
     state = [*q, *v]
     numeric = {symbol: sympy.Float(number) for symbol, number in fixed.items() if symbol not in state}
     after = {symbol: jump.get(symbol, symbol) for symbol in state}

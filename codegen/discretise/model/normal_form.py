@@ -15,13 +15,13 @@ from codegen import identifiers
 from codegen.discretise import contact, degenerate
 from codegen.discretise.conditions import CONDITIONS, SIMULATED
 from codegen.discretise.conditions.measurements import measurements_of
-from codegen.discretise.model import delays, events, scope, smoothness
+from codegen.discretise.model import delays, events, scope, values
 from codegen.discretise.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Model
 from codegen.discretise.model.delays import history_entries, in_segments
 from codegen.discretise.model.relations import Entry, checked_mapping, checked_sequence, entry_of, text, value_entries
 from codegen.discretise.model.scope import Kinds, kinds_of, require_keys, require_scope
-from codegen.discretise.model.smoothness import with_regular_guesses
 from codegen.discretise.model.units import units_of
+from codegen.discretise.model.values import with_regular_guesses
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError, TableError, is_count
 from codegen.problem import symbols
 from codegen.problem.bodies import require_body
@@ -208,7 +208,7 @@ def normalise(problem: Problem, declared: Sequence[Quantity] = (), name: str = "
         require_cost([problem], kinds)
     plain = plain_symbols(used, problem.task)
     model = checked_model(problem, entries, kinds, plain, name, title)
-    smoothness.require_agreement(model)
+    values.require_agreement(model)
     events.require_agreement(model)
     model = with_positive_durations(replace(model, unused=unused, units=units_of(used, entries, plain)))
     model = contact.with_relaxation(scope.with_drawing(model, drawing, plain))
@@ -238,7 +238,7 @@ def checked_model(
     title: str = "",
     elsewhere: Mapping[sympy.Symbol, float] | None = None,
 ) -> Model:
-    """Return the checked model of one problem; `smoothness.require_agreement` checks boundary values later.
+    """Return the checked model of one problem; `values.require_agreement` checks boundary values later.
 
     `elsewhere` has values, from earlier phases, of states that the problem does not prescribe.
     """
@@ -250,11 +250,11 @@ def checked_model(
     used = [plain[symbol] for symbol in used_quantities(entries)]
     entries = [in_plain_symbols(entry, plain) for entry in entries]
     model = _built(problem, form, entries, kinds, plain, name, title)
-    smoothness.require_values(model, _bounds_of(entries, used), smoothness.sample_points(model, elsewhere))
-    points = smoothness.sample_points(model)
+    values.require_values(model, _bounds_of(entries, used), values.sample_points(model, elsewhere))
+    points = values.sample_points(model)
     if problem.task == "simulate" and form == "lagrangian" and degenerate.is_linear(model.function, model.rates):
         return degenerate.first_order_form(model, points)
-    smoothness.require_regular_lagrangian(model, points)
+    values.require_regular_lagrangian(model, points)
     for kind in CONDITIONS:
         kind.require_regular(model, points)
     events.require_regular(model, points)

@@ -27,7 +27,7 @@ from sympy import Expr, Symbol
 
 from codegen.discretise.interval import LENGTHS, STEP
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.smoothness import expected_values
+from codegen.discretise.model.values import expected_values
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.discretise.schemes.base import Scheme
 from codegen.emit.naming import Choices

@@ -20,7 +20,7 @@ from codegen.discretise import contact, schemes
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.interval import at_nodes
 from codegen.discretise.model.definitions import Model, expressions_of, prescribed
-from codegen.discretise.model.smoothness import jumps, kinks, singular_at_guess
+from codegen.discretise.model.values import jumps, kinks, singular_at_guess
 from codegen.discretise.program import ControlProgram, EndElement, Equation, Unknown
 from codegen.emit.differentiation import ControlDerivatives
 from codegen.emit.lower.control.kernels import sample_record

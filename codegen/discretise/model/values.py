@@ -1,4 +1,4 @@
-"""Checks of a model at numbers: values at the default parameters, trial points, and functions that are not smooth.
+"""Checks of a model at numbers: values at the default parameters, trial points, and kinks and jumps of functions.
 
 Values at the default parameters must be finite, in order, and consistent with each other.
 
