@@ -241,9 +241,8 @@ class Translation:
                 return self.called(operator.pow, self.value(left), self.value(right))
             case ast.BinOp(left=left, op=op, right=right):
                 return getattr(builder, OPERATIONS[type(op)])(self.value(left), self.value(right))
-            case ast.Call(func=ast.Attribute(attr=name), args=[argument]):
-                return self.called(OF_ONE[name], self.value(argument))
-        raise NotImplementedError(ast.dump(node))
+            case _:  # a function of the module math, the last kind of formula
+                return self.called(OF_ONE[node.func.attr], self.value(node.args[0]))
 
     def called(self, function, *values):
         """Emit numba's code of a function of real numbers."""
