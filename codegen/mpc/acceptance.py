@@ -15,9 +15,9 @@ from time import perf_counter
 import numpy as np
 
 from codegen.runtime.search.bounds import bounds_of
-from codegen.runtime.search.descent import COST, ITERATIONS, RESIDUAL
 from codegen.runtime.search.iterates import Search, stored
 from codegen.runtime.search.point import Point
+from codegen.runtime.search.workspace import COST, ITERATIONS, RESIDUAL
 from codegen.solving.loading import ControlModule, Grid, Matrix
 
 ALLOWED = 10.0

@@ -31,7 +31,7 @@ from rich.console import Console
 from rich.table import Table
 
 from codegen.runtime.kkt.system import factor_sizes
-from codegen.runtime.search import descent
+from codegen.runtime.search import workspace
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.shooting import shooting_grid
 from codegen.solving.compiler import build
@@ -94,7 +94,7 @@ def measured(case: str, steps: int) -> Measurement:
         peak() - before,
         NUMBER * (s.entry_count(steps + 1) - s.entry_count(steps)),
         NUMBER * (sum(many) - sum(few)),
-        NUMBER * (descent.VECTORS * s.stride * s.bodies + descent.BARRIERS * finite),
+        NUMBER * (workspace.VECTORS * s.stride * s.bodies + workspace.BARRIERS * finite),
     )
 
 

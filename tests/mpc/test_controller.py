@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_are
 import codegen
 from codegen.mpc import controller as controllers
 from codegen.mpc.acceptance import BestIterate, better
-from codegen.runtime.search import descent
+from codegen.runtime.search import workspace
 from codegen.runtime.search.iterates import search_on, stored
 from codegen.runtime.search.point import Point
 from codegen.runtime.search.scaling import scaled_grid
@@ -175,8 +175,8 @@ def test_of_all_iterates_the_cheapest_is_kept_whose_equations_hold():
     search = search_on(carried().make_grid(STEPS))
     logs = [BestIterate(limit, 1e-4) for limit in (1e9, np.inf)]
     for cost, residual in ((0.5, 1.0), (3.0, 1e-5), (2.0, 1e-6), (1.0, 1e-3), (2.5, 1e-12), (0.1, np.nan)):
-        search.work.vectors[descent.X] = cost
-        search.work.reals[[descent.COST, descent.RESIDUAL]] = cost, residual
+        search.work.vectors[workspace.X] = cost
+        search.work.reals[[workspace.COST, workspace.RESIDUAL]] = cost, residual
         for log in logs:
             log.extend(search, np.zeros((1, 6)))
     timed, other = logs
@@ -190,7 +190,7 @@ def test_with_a_deadline_a_search_returns_ever_more_often():
     log, search = BestIterate(100.0, 1e-4, lambda: now, expected=10.0), search_on(carried().make_grid(STEPS))
     while not log.is_late():
         counts.append(log.iterations_per_call(sum(counts), 100, 1000))
-        search.work.integers[descent.ITERATIONS] += counts[-1]
+        search.work.integers[workspace.ITERATIONS] += counts[-1]
         now += 2.0 * counts[-1]  # quicker than was expected
         log.extend(search, np.zeros((counts[-1], 6)))
     assert counts[:2] == [6, 23]

@@ -9,7 +9,7 @@ from horizon_problems import STEPS, exactly, regulator
 import codegen
 from codegen.mpc import controller as controllers
 from codegen.mpc.acceptance import MOST, BestIterate, Expectation, Pace
-from codegen.runtime.search import cascade, descent
+from codegen.runtime.search import cascade, descent, first_iterate, workspace
 from codegen.runtime.search.iterates import search_on
 from codegen.runtime.search.point import evaluate
 
@@ -24,16 +24,16 @@ class Clock:
         self.now, self.slowness, self._generator = 0.0, 1.0, np.random.default_rng(5)
         monkeypatch.setattr(codegen.Controller, "_clock", staticmethod(lambda: self.now))
         monkeypatch.setattr(controllers, "evaluate", self.timed(evaluate))
-        begin_beside = self.timed(descent.begin_beside)
+        begin_beside = self.timed(first_iterate.begin_beside)
         for module in (descent, cascade):
             monkeypatch.setattr(module, "begin_beside", begin_beside)
         own = descent.descend
 
         def descend(*given):
             integers = next(array for array in given if getattr(array, "dtype", None) == np.int64)
-            before = integers[descent.ITERATIONS]
+            before = integers[workspace.ITERATIONS]
             status = own(*given)
-            for _ in range(integers[descent.ITERATIONS] - before):
+            for _ in range(integers[workspace.ITERATIONS] - before):
                 self.passes(ITERATION)
             return status
 
@@ -149,7 +149,7 @@ def test_what_an_iteration_and_the_end_took_is_measured():
     assert log.beginning == 2.0
     assert log.rest(3.0) is None  # no iterate has come of it yet
     now = 8.0
-    search.work.integers[descent.ITERATIONS] = 3
+    search.work.integers[workspace.ITERATIONS] = 3
     log.extend(search, np.zeros((3, 6)))
     assert log.rest(9.0) == 3.0  # two for the last of three iterations, one for what followed
     assert not log.is_late()
@@ -158,7 +158,7 @@ def test_what_an_iteration_and_the_end_took_is_measured():
     now = 10.0
     log.iterations_per_call(3, 10, 10)
     now = 21.0
-    search.work.integers[descent.ITERATIONS] = 4
+    search.work.integers[workspace.ITERATIONS] = 4
     log.extend(search, np.zeros((1, 6)))
     assert log.is_late()
     assert log.was_late

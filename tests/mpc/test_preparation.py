@@ -9,8 +9,8 @@ from horizon_problems import HORIZON, STEPS, carried, in_micrometres, regulator,
 import codegen
 from codegen.errors import NumericsError
 from codegen.runtime.search.cascade import factor_nearby
-from codegen.runtime.search.descent import FACTORISATIONS
 from codegen.runtime.search.iterates import search_on
+from codegen.runtime.search.workspace import FACTORISATIONS
 
 H = HORIZON / STEPS
 

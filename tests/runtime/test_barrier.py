@@ -5,7 +5,8 @@ import pytest
 from dense_problem import INFINITY, guess_of
 from known_optima import nlp, x1, x2, x3
 
-from codegen.runtime.search.descent import fill_newton_system, lower_barrier, measure_step, move, push_inside
+from codegen.runtime.search.direction import fill_newton_system, lower_barrier, measure_step, move
+from codegen.runtime.search.first_iterate import push_inside
 from codegen.runtime.search.grid import primal_unknowns
 from codegen.runtime.search.iterates import search_on
 

@@ -5,26 +5,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from codegen.runtime.search import descent
+from codegen.runtime.search import descent, workspace
 
 
 class Filter:
     """A filter whose first pair is the largest violation that is allowed."""
 
     def __init__(self, largest: float) -> None:
-        self.storage, self.integers = np.empty((100, 2)), np.zeros(descent.INTEGERS, np.int64)
-        self.storage[0], self.integers[descent.PAIRS] = (largest, -np.inf), 1
+        self.storage, self.integers = np.empty((100, 2)), np.zeros(workspace.INTEGERS, np.int64)
+        self.storage[0], self.integers[workspace.PAIRS] = (largest, -np.inf), 1
 
     @property
     def pairs(self) -> list[tuple[float, float]]:
-        return [tuple(pair) for pair in self.storage[1 : self.integers[descent.PAIRS]]]
+        return [tuple(pair) for pair in self.storage[1 : self.integers[workspace.PAIRS]]]
 
     def add(self, violation: float, objective: float) -> None:
-        self.storage[self.integers[descent.PAIRS]] = violation, objective
-        self.integers[descent.PAIRS] += 1
+        self.storage[self.integers[workspace.PAIRS]] = violation, objective
+        self.integers[workspace.PAIRS] += 1
 
     def lets_pass(self, violation: float, objective: float) -> bool:
-        return descent.lets_pass.py_func(self.storage, self.integers[descent.PAIRS], violation, objective)
+        return descent.lets_pass.py_func(self.storage, self.integers[workspace.PAIRS], violation, objective)
 
     def accepts(self, *trial: float) -> bool:
         """Violation and objective, the same of the trial, slope, length, and the violation that is small."""

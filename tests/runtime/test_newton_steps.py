@@ -14,7 +14,7 @@ from dense_problem import assert_optimal, dense_grid, guess_of, solve
 from known_optima import HOCK_SCHITTKOWSKI
 
 from codegen.runtime.kkt.specialised import compiled_system
-from codegen.runtime.search.descent import SMALL_DELTA_W
+from codegen.runtime.search.direction import SMALL_DELTA_W
 from codegen.runtime.search.grid import Grid
 from codegen.runtime.search.iterates import FROM_GUESS, begin, search_on
 from codegen.runtime.search.newton import descend

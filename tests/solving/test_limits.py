@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from codegen import terminal
 from codegen.cli import main
 from codegen.errors import ArgumentError
-from codegen.runtime.search import descent, restoration, solution
+from codegen.runtime.search import descent, restoration, solution, workspace
 from codegen.runtime.search import solution as iteration_log
 from codegen.runtime.search.bounds import with_violations
 from codegen.runtime.search.messages import row_text
@@ -61,9 +61,9 @@ def test_the_time_runs_out(interpreted, monkeypatch, clock, name, is_watched):
 
     def of_one_second_per_iteration(*arguments):
         counts = arguments[STATE]
-        before = counts[descent.ITERATIONS]
+        before = counts[workspace.ITERATIONS]
         status = search(*arguments)
-        clock.now += counts[descent.ITERATIONS] - before
+        clock.now += counts[workspace.ITERATIONS] - before
         return status
 
     monkeypatch.setattr(descent, "descend", of_one_second_per_iteration)
@@ -88,9 +88,9 @@ def test_with_a_time_limit_the_clock_is_looked_at_after_a_millisecond(interprete
 
     def of_a_third_of_a_millisecond_per_iteration(*arguments):
         state = arguments[STATE]
-        before = state[descent.ITERATIONS]
+        before = state[workspace.ITERATIONS]
         status = search(*arguments)
-        counts.append(int(state[descent.ITERATIONS] - before))
+        counts.append(int(state[workspace.ITERATIONS] - before))
         clock.now += counts[-1] * 0.33e-3
         return status
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from codegen.runtime.search import cascade
-from codegen.runtime.search.descent import WITH_UNKNOWNS
 from codegen.runtime.search.grid import free_unknowns, shared_views
 from codegen.runtime.search.iterates import FROM_GUESS, begin, search_on
 from codegen.runtime.search.newton import descend
 from codegen.runtime.search.restoration import restore
 from codegen.runtime.search.solution import Log
+from codegen.runtime.search.workspace import WITH_UNKNOWNS
 
 
 @pytest.fixture(scope="module")

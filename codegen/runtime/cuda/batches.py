@@ -13,7 +13,7 @@ from numba import cuda
 from codegen.runtime.cuda.functions import IS_SIMULATED, Device, flat, on_device
 from codegen.runtime.cuda.memory import Columns, Kept, free_memory, sent, viewed, work_space
 from codegen.runtime.kkt.system import solve_system
-from codegen.runtime.search import batch, descent
+from codegen.runtime.search import batch, descent, first_iterate, optimality
 from codegen.runtime.search.batch import Space
 from codegen.runtime.search.cascade import clip
 from codegen.runtime.search.scaling import Room, fill_scaling_factors
@@ -85,8 +85,8 @@ def kernel_of(problem):
 
     device.replaced |= {"call_loop": call_loop, "call_system": on_device(call_system)}
     for name, function in {
-        "call_descend": descent.descend, "call_begin_beside": descent.begin_beside, "call_clip": clip,
-        "call_scaling": fill_scaling_factors, "call_terms": descent.terms,
+        "call_descend": descent.descend, "call_begin_beside": first_iterate.begin_beside, "call_clip": clip,
+        "call_scaling": fill_scaling_factors, "call_terms": optimality.terms,
     }.items():  # fmt: skip
         device.replaced[name] = on_device(_calling(device[function]))
     solved, verified, own_space = device[batch.is_case_solved], device[batch.is_case_verified], on_device(_own_space)

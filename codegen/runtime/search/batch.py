@@ -17,23 +17,8 @@ from numba import config, njit, types
 
 from codegen.runtime.addresses import address_of_compiled, calling_compiled
 from codegen.runtime.kernels import is_kept
-from codegen.runtime.search import descent
+from codegen.runtime.search import descent, direction, first_iterate, optimality, workspace
 from codegen.runtime.search.cascade import WORSE, clip
-from codegen.runtime.search.descent import (
-    COST,
-    DISTANCE,
-    DUALS,
-    ERROR,
-    IS_COSTLESS,
-    ITERATIONS,
-    RESIDUAL,
-    SCALED,
-    STAGE,
-    STATIONARITY,
-    VIOLATION,
-    G,
-    X,
-)  # fmt: skip
 from codegen.runtime.search.grid import NONE, layout_of, least_duration
 from codegen.runtime.search.iterates import FROM_GUESS, count_bounds, fill_bounds, keep_storage, search_on
 from codegen.runtime.search.linear_system import factor_at, fill_entry_factors, solve_at
@@ -56,6 +41,21 @@ from codegen.runtime.search.solve import (
 )
 from codegen.runtime.search.stacks import Stack
 from codegen.runtime.search.termination import GROWTH
+from codegen.runtime.search.workspace import (
+    COST,
+    DISTANCE,
+    DUALS,
+    ERROR,
+    IS_COSTLESS,
+    ITERATIONS,
+    RESIDUAL,
+    SCALED,
+    STAGE,
+    STATIONARITY,
+    VIOLATION,
+    G,
+    X,
+)  # fmt: skip
 
 SHORTEST, FUNNEL = FROM_GUESS.shortest, FROM_GUESS.funnel
 VERIFIED = 10.0  # largest residual and stationarity of a solution that is evaluated again, relative to the tolerance
@@ -328,7 +328,7 @@ def factors_at(calls, common, h, parameters, unknowns, lower, upper, is_solution
 @njit(error_model="numpy")
 def are_other_factors(calls, common, h, parameters, unknowns, lower, upper, weight, space):
     """Return True if scaling factors at a solution are much larger than those at the guess, see `optimise_from`."""
-    begin, sizes, finer = (space.vectors[descent.TRIAL], space.factors[0], space.factors[1])
+    begin, sizes, finer = (space.vectors[workspace.TRIAL], space.factors[0], space.factors[1])
     for i in range(unknowns.size):
         is_negligible = abs(unknowns[i]) < NEGLIGIBLE * sizes[common.kept[i]]
         begin[i] = 0.0 if common.is_multiplier[i] or is_negligible else unknowns[i]
@@ -350,19 +350,20 @@ def is_solved_at_once(calls, common, grid, system, bounds, tolerance, limit, is_
     problem, x, g, is_bounded = (common.problem, vectors[X], vectors[G], bounds[0].size > 0)
     reals[:] = 0.0
     integers[:] = 0
-    reals[descent.LEAST_RELAXATION], integers[IS_COSTLESS] = (descent.LEAST_RELAXED, common.is_costless)
-    reals[descent.SHORTEST], reals[descent.FUNNEL] = SHORTEST, FUNNEL
+    reals[workspace.LEAST_RELAXATION], integers[IS_COSTLESS] = (direction.LEAST_RELAXED, common.is_costless)
+    reals[workspace.SHORTEST], reals[workspace.FUNNEL] = SHORTEST, FUNNEL
     if is_warm:
         call_begin_beside(calls[1], (problem, grid, bounds, tolerance, reals, integers, vectors, barriers))
-        integers[STAGE] = descent.WITH_ITERATE
+        integers[STAGE] = workspace.WITH_ITERATE
     else:
         for i in range(x.size):
             if common.is_multiplier[i]:
                 x[i] = 0.0
-        reals[descent.MU], reals[descent.PUSH] = (descent.AT_GUESS[0] if is_bounded else 0.0, descent.AT_GUESS[1])
-        integers[descent.LOOKS], integers[STAGE] = 1, descent.WITH_UNKNOWNS
-    status = descent.CONTINUE
-    while status == descent.CONTINUE and integers[ITERATIONS] < limit:
+        weight, reals[workspace.PUSH] = first_iterate.AT_GUESS
+        reals[workspace.MU] = weight if is_bounded else 0.0
+        integers[workspace.LOOKS], integers[STAGE] = 1, workspace.WITH_UNKNOWNS
+    status = workspace.CONTINUE
+    while status == workspace.CONTINUE and integers[ITERATIONS] < limit:
         status = call_descend(
             calls[0],
             (
@@ -370,7 +371,7 @@ def is_solved_at_once(calls, common, grid, system, bounds, tolerance, limit, is_
                 barriers, space.pairs, space.refinement, space.log,
             ),
         )  # fmt: skip
-    if status != descent.SOLVED:
+    if status != workspace.SOLVED:
         return False
     known = (reals[COST], reals[RESIDUAL], reals[VIOLATION], reals[STATIONARITY], reals[ERROR])
     if is_bounded:
@@ -392,8 +393,8 @@ def is_solved_by_newton_steps(calls, common, grid, system, tolerance, space):
     x, g, step, none, spare = (
         vectors[X],
         vectors[G],
-        vectors[descent.STEP],
-        vectors[descent.DIAGONAL],
+        vectors[workspace.STEP],
+        vectors[workspace.DIAGONAL],
         vectors[SCALED],
     )
     none[:] = 0.0
@@ -427,7 +428,7 @@ def is_solved_by_newton_steps(calls, common, grid, system, tolerance, space):
 @njit(error_model="numpy")
 def is_rounded(value, size, tolerance):
     """Return True if a residual is zero to the tolerance, or to rounding; see `termination.is_small`."""
-    return value <= max(tolerance * min(1.0, size), ROUNDINGS * descent.UNIT_ROUNDOFF * size, descent.VANISHED)
+    return value <= max(tolerance * min(1.0, size), ROUNDINGS * optimality.UNIT_ROUNDOFF * size, optimality.VANISHED)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -487,7 +488,7 @@ class Optima(NamedTuple):
     Attributes
     ----------
     status : (k,)
-        See `descent.WORDS`; empty for a case without an outcome.
+        See `workspace.WORDS`; empty for a case without an outcome.
     cost, residual, stationarity, iterations : (k,)
         The corrected costs, the largest moduli of residuals, the stationarities, the numbers of iterations.
     unknowns : (k, m)
@@ -714,14 +715,14 @@ def calls_of(search, common, numbers, space, tolerance):
             problem, grid, system, bounds, tolerance, 1, 1, reals, integers, vectors, barriers, space.pairs,
             space.refinement, space.log,
         )),
-        (descent.begin_beside, (problem, grid, bounds, tolerance, reals, integers, vectors, barriers)),
+        (first_iterate.begin_beside, (problem, grid, bounds, tolerance, reals, integers, vectors, barriers)),
         (fill_scaling_factors, (
             common.quantities, *common.with_stages[:2], common.steps, 1.0, common.nodes, numbers.parameters[0],
             common.all_are_multiplier, space.factors[0], lower, lower, common.all_ties, common.kinds, common.counts,
             common.places, common.lacks, True, space.entries, space.room, space.factors[0],
         )),
         (clip, (problem, grid, bounds, (0.0,) * 5, duals, duals, vectors, vectors[X], vectors[G])),
-        (descent.terms, (problem, grid, system, vectors[X], 1, vectors)),
+        (optimality.terms, (problem, grid, system, vectors[X], 1, vectors)),
     )  # fmt: skip
     ADDRESSES.append(tuple(address_of_compiled(function, given) for function, given in arguments))
     return ADDRESSES[0]

@@ -11,18 +11,10 @@ the barrier problem without relaxation then restore the accuracy.
 import numpy as np
 from numba import njit
 
-from codegen.runtime.search import descent
+from codegen.runtime.search import first_iterate, optimality
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.curvature import barrier_curvature, escape_steps
-from codegen.runtime.search.descent import (
-    FROM_AFAR,
-    IS_BESIDE,
-    LEAST_RELAXATION,
-    WITH_NEIGHBOUR,
-    WITH_UNKNOWNS,
-    X,
-    begin_beside,
-)
+from codegen.runtime.search.first_iterate import FROM_AFAR, begin_beside
 from codegen.runtime.search.grid import free_unknowns, views
 from codegen.runtime.search.iterates import (
     CASCADE,
@@ -48,6 +40,7 @@ from codegen.runtime.search.newton import UNLUCKY, descend, restored
 from codegen.runtime.search.point import Point, evaluate
 from codegen.runtime.search.restoration import NONE_HELD, least_violation
 from codegen.runtime.search.termination import VIOLATED, is_at_rounding_level, is_solved
+from codegen.runtime.search.workspace import IS_BESIDE, LEAST_RELAXATION, WITH_NEIGHBOUR, WITH_UNKNOWNS, X
 
 BULGE = 0.1  # height of the curve that bends a guess, relative to the magnitude of each quantity
 WAVES, AMPLITUDE = 3, 0.5  # number of sines in a varied guess; their standard deviation, relative to a quantity's size
@@ -262,7 +255,7 @@ def is_below(cost, saddle_cost):
 
 
 def begin_nearby(search, unknowns, tolerance):
-    """Return the warm start at `unknowns` (n,), the solution of a similar problem; see `descent.begin_beside`.
+    """Return the warm start at `unknowns` (n,), the solution of a similar problem; see `first_iterate.begin_beside`.
 
     Return None if the multipliers of that solution are unusable.
     """
@@ -329,16 +322,16 @@ def clip(problem, grid, bounds, known, distance, duals, vectors, unknowns, gradi
     gradient, before the move.
     """
     indices, lower, upper, moves, measures = bounds[0], bounds[4], bounds[5], False, known
-    descent.add_linking(grid, -1.0, unknowns)
+    first_iterate.add_linking(grid, -1.0, unknowns)
     for i in indices:
         clipped = min(max(unknowns[i], lower[i]), upper[i])
         moves = moves or clipped != unknowns[i]
         unknowns[i] = clipped
-    descent.add_linking(grid, 1.0, unknowns)
+    first_iterate.add_linking(grid, 1.0, unknowns)
     if moves:
-        measures, _ = descent.evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vectors)
+        measures, _ = optimality.evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vectors)
     else:
-        measures, _ = descent.measured_again(bounds, grid[4], known, unknowns, gradient, distance, duals, vectors)
+        measures, _ = optimality.measured_again(bounds, grid[4], known, unknowns, gradient, distance, duals, vectors)
     return measures
 
 

@@ -9,7 +9,7 @@ Exploiting negative curvature directions in linesearch methods for unconstrained
 
 import numpy as np
 
-from codegen.runtime.search.descent import FLAT
+from codegen.runtime.search.direction import FLAT
 from codegen.runtime.search.grid import free_unknowns, views
 from codegen.runtime.search.iterates import moved, step_along
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, solve_kkt

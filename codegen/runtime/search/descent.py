@@ -23,111 +23,131 @@ are the unknowns and the gradient of the Lagrangian. `distance` and `duals` (m,)
 import numpy as np
 from numba import njit
 
-from codegen.runtime.kkt.system import SINGULAR
-from codegen.runtime.search.linear_system import call_hessians, factor_at, global_index, multiply_entries, solve_at
-from codegen.runtime.search.point import measured_gradient
-
-# Results of `descend`: the reason why it returns.
-(
-    CONTINUE, SOLVED, SADDLE, NON_FINITE, UNBOUNDED, INFEASIBLE, RANK_DEFICIENT, STALLED, RESTORE, ROOM, GROSS, WEIGHT,
+from codegen.runtime.search.direction import (
+    ACCURATE,
+    PER_WEIGHT,
+    RELAXED,
+    approach,
+    fill_linear_residual,
+    fill_newton_system,
+    is_minimum,
+    lower_barrier,
+    measure_step,
+    move,
+    regularise,
+    relaxation,
+    sum_of_logarithms,
+)
+from codegen.runtime.search.first_iterate import begin, copy, enter
+from codegen.runtime.search.linear_system import solve_at
+from codegen.runtime.search.optimality import (
+    evaluated,
+    is_acceptable,
+    is_at_rounding_level,
+    is_gross,
+    is_solved,
+    log_row,
+    measured_again,
+    terms,
+)
+from codegen.runtime.search.workspace import (
+    AT_REST,
+    CONTINUE,
+    COST,
     CURVED,
-) = range(13)  # fmt: skip
-WORDS = (
-    "iteration limit", "solved", "saddle point", "non-finite", "unbounded", "infeasible", "rank-deficient", "stalled",
-)  # fmt: skip
-"""The termination status for each of the first eight of these numbers."""
-
-# Rows of the vectors (VECTORS, n) and of the arrays (BARRIERS, m) of the work space.
-(
-    X, G, TRIAL, TRIAL_G, RIGHT, DIAGONAL, STEP, SCALED, SPARE, RIGHT2, STEP2, WATCH_X, LOOSE_X,
-) = range(13)  # fmt: skip
-VECTORS = 13
-(
-    DISTANCE, DUALS, MOVED, PUSHED, DUAL_STEP, DUAL_STEP2, WATCH_DISTANCE, WATCH_DUALS, LOOSE_DISTANCE, LOOSE_DUALS,
-) = range(10)  # fmt: skip
-BARRIERS = 10
-
-# Indices of the state of a search, between calls: floats, then integers. LOOSE_... is the iterate before bounds are
-# relaxed less for the first time, and WATCH_... the iterate to which the watchdog may return. KNOWN is the cost of a
-# saddle point. LATE, SHORTENED, IN_VAIN, IN_TURN and AT_REST count iterations in turn. DOUBTFUL counts steps whose
-# linear system may be solved inaccurately, and ENOUGH is the number of such steps that calls for a measurement. With
-# FOLLOWED, the equations depend on the barrier's weight: the search returns WEIGHT after each change of it. SHIFTED
-# counts steps in turn with a shifted Hessian near the equations, and SHIFTED_COST is the cost before them.
-(
-    MU, LEAST_RELAXATION, SHORTEST, SMALL_VIOLATION, FIRST_COST, DELTA_W, LAST_DELTA_W, DAMPING, LENGTH, LAST_ERROR,
-    WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, KNOWN, COST, RESIDUAL, VIOLATION,
-    STATIONARITY, ERROR, LOOSE_MU, LAST_COST, PUSH, FUNNEL, FIRST_MU, FIRST_VIOLATION, FIRST_ERROR, SHIFTED_COST,
-) = range(28)  # fmt: skip
-REALS = 28
-(
-    PAIRS, REFUSED, IN_TURN, EMPTIED, LATE, SHORTENED, WATCHING, IN_VAIN, DOUBTFUL, ENOUGH, LOWERED, WAS_SINGULAR,
-    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS, AT_REST, SEEN, STAGE, ON_PATH,
-    LOOKS, IS_BESIDE, FOLLOWED, SHIFTED,
-) = range(27)  # fmt: skip
-INTEGERS = 27
-
-# The stage of a search. It continues, or it begins with an iterate, with primal unknowns, or with the unknowns of a
-# neighbour. A neighbour is the solution of a similar problem; `begin_beside` makes an iterate of its unknowns.
-GO_ON, WITH_ITERATE, WITH_UNKNOWNS, WITH_NEIGHBOUR = range(4)
-
-# The start of a search.
-AT_GUESS, BESIDE, FROM_AFAR = (0.1, 1e-2), (1e-5, 1e-4), (0.1, 0.1)
-"""The first weight of the barrier, and the push inside the bounds, for a search from a guess (AT_GUESS), for a warm
-start without multipliers (BESIDE), and for a warm start with multipliers whose residual exceeds NEAR (FROM_AFAR).
-Unknowns close to their bounds would shorten all steps."""
-WARM_WEIGHT = 0.1  # the first weight of the barrier of a warm start, relative to the tolerance; 1 takes one more step
-CLOSE = 1e-8  # least distance of unknowns to their bounds at a warm start
-NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes 50 percent more iterations on one problem
-LARGEST_FALL = 0.5  # largest part of a free duration that one step takes away; 0.75 and 0.9 take more iterations
-LARGEST_DUAL = 1e3  # largest dual at a start, for a bound that is very close
-LARGEST_MULTIPLIER = 1e3  # a larger least-squares multiplier means that equations depend on each other
-FILTERED = 1e-4  # largest violation, relative to the first, for which the switching condition requires descent
-GROSSLY = 0.03  # larger residuals, relative to the equations' terms, are a gross violation
-
-# Magnitudes of residuals and of the terms of equations.
-UNIT_ROUNDOFF = 2.2e-16
-VANISHED = 1e-20  # a residual below it counts as zero, since a cost of squares may vanish with all its terms
-WORTH_MEASURING = 1e-7  # for larger errors, the magnitudes of terms are not computed
-ROUNDED = 1e-12  # residuals below it are rounding errors, which no step reduces
-NEARLY = 1e-6  # largest error of an iterate that may be a saddle point
-NEARLY_FEASIBLE = 1e-6  # largest residual of an unbounded problem's iterate, relative to max(1, ten times the terms)
+    DAMPING,
+    DELTA_W,
+    DIAGONAL,
+    DISTANCE,
+    DOUBTFUL,
+    DUAL_STEP,
+    DUAL_STEP2,
+    DUALS,
+    EMPTIED,
+    ENOUGH,
+    FIRST_COST,
+    FOLLOWED,
+    GO_ON,
+    GROSS,
+    HAS_KNOWN,
+    HAS_LOOSE,
+    IN_TURN,
+    IN_VAIN,
+    INFEASIBLE,
+    IS_COSTLESS,
+    IS_FACTORED,
+    IS_WARM,
+    ITERATIONS,
+    KNOWN,
+    LAST_COST,
+    LAST_DELTA_W,
+    LAST_ERROR,
+    LATE,
+    LEAST_RELAXATION,
+    LENGTH,
+    LOOKS,
+    LOOSE_DISTANCE,
+    LOOSE_DUALS,
+    LOOSE_MU,
+    LOOSE_X,
+    LOWERED,
+    MOVED,
+    MU,
+    NON_FINITE,
+    PAIRS,
+    PUSHED,
+    RANK_DEFICIENT,
+    REFUSED,
+    RESTORE,
+    RIGHT,
+    RIGHT2,
+    ROOM,
+    SADDLE,
+    SEEN,
+    SHIFTED,
+    SHIFTED_COST,
+    SHORTENED,
+    SHORTEST,
+    SMALL_VIOLATION,
+    SOLVED,
+    STAGE,
+    STALLED,
+    STEP,
+    STEP2,
+    TRIAL,
+    TRIAL_G,
+    UNBOUNDED,
+    WAS_SINGULAR,
+    WATCH_DISTANCE,
+    WATCH_DUALS,
+    WATCH_LONGEST,
+    WATCH_OBJECTIVE,
+    WATCH_SLOPE,
+    WATCH_VIOLATION,
+    WATCH_X,
+    WATCHING,
+    WEIGHT,
+    WITH_UNKNOWNS,
+    G,
+    X,
+)
 
 # The end of a search.
 PROGRESS = 0.5  # a warm search ends at rounding level if a step reduces the error by a smaller factor
 # Largest relative change of an error that counts as unchanged; number of unchanged iterates in turn that end a search.
 UNCHANGED, REST = 1e-3, 5
-FLAT = 1e-8  # curvatures above -FLAT count as positive
 UNBOUNDED_BELOW = 1e10  # a cost below minus this number times max(1, |first cost|) counts as minus infinity
 LARGEST = 1e20  # a problem with bounds counts as unbounded if an unknown exceeds it
 PATIENCE = 8  # iterations with the last weight after which the convergence test scales multipliers
 VAIN = 20  # full steps in turn without effect on the violation, after which equations count as contradictory
+ROUNDED = 1e-12  # residuals below it are rounding errors, which no step reduces
+NEARLY = 1e-6  # largest error of an iterate that may be a saddle point
+NEARLY_FEASIBLE = 1e-6  # largest residual of an unbounded problem's iterate, relative to max(1, ten times the terms)
 
 # The barrier.
-ERROR_FACTOR = 10.0  # the barrier parameter mu decreases if the error is below this multiple of mu
-DECREASE, POWER = 0.2, 1.5  # the next parameter is the smaller of DECREASE * mu and mu**POWER
+MOST_RELAXING = RELAXED / PER_WEIGHT  # weights above it have the largest relaxation
 FOLLOWED_DECREASE = 0.4  # smallest ratio of two weights if the equations depend on the weight
 LEAST_PART = 0.025  # the last weight, relative to the tolerance; with 0.1, the cost of a crane problem is off by 2e-9
-RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # largest and least relaxation of a bound, relative to max(1, |bound|)
-PER_WEIGHT = 1e-2  # the relaxation between these limits, relative to the barrier's weight
-MOST_RELAXING = RELAXED / PER_WEIGHT  # weights above it have the largest relaxation
-ROUNDING = 1e-15  # steps ignore residuals up to it: at a distance of 1e-12 these would change the signs of duals
-
-# Inertia correction.
-# The shift delta_w is added to the Hessian, delta_c is subtracted from the diagonal of the multipliers.
-SINGULAR_STEP = 1e12  # a step that exceeds the right-hand side by this factor is a rounding error
-LARGE_SHIFT = 1e8  # above this delta_w, a delta_c is tried: a zero eigenvalue has the sign of its rounding error
-SMALL_DELTA_W = 1e-2  # if the next lower shift is below it, the first factorisation has no shift
-FAR = 10.0  # a step larger than this multiple of the largest unknown needs a larger first shift
-DUAL_SHIFT = 1e-8  # delta_c, for equations that may be dependent
-LEAST_DAMPING = 1e-5  # least damping of the Hessian after several much shortened steps
-
-# Refinement.
-ACCURATE = 1e-10  # largest residual, relative to right-hand side and solution, of a step that is not refined
-NEARLY_ACCURATE = 1e-6  # if two corrections do not halve a smaller residual, it is a rounding error of a large solution
-LARGE_STEP = 1e6  # residuals are compared with a solution up to this size, relative to the right-hand side
-SOLVED_AGAIN = 10  # largest number of corrections, as in IPOPT
-LITTLE = 0.01  # largest relative length of a step of which the line search leaves little
-UNSOLVED = 0.1  # if a full step leaves a larger part of the residual, its linear system may be solved inaccurately
 
 # Line search.
 CORRECTIONS = 4  # largest number of second-order corrections at one iterate
@@ -135,6 +155,9 @@ SHORT = 0.25  # largest relative length of a much shortened step
 SHORT_IN_TURN = 6  # much shortened steps in turn after which the Hessian is damped
 SHORTENED_IN_TURN = 10  # shortened steps in turn after which the watchdog begins
 FULL_STEPS = 4  # full steps that the watchdog takes without a test
+LEAST_DAMPING = 1e-5  # least damping of the Hessian after several much shortened steps
+LITTLE = 0.01  # largest relative length of a step of which the line search leaves little
+UNSOLVED = 0.1  # if a full step leaves a larger part of the residual, its linear system may be solved inaccurately
 TINY, CLOSER = 1e-13, 0.9  # a step up to TINY max(1, |x|) changes nothing; largest ratio of errors of a closer trial
 MISLED = 5  # steps in turn, shortened by the filter alone, after which the filter is emptied
 EMPTIED_AT_MOST = 5  # largest number of times that the filter is emptied, so that a search cannot cycle
@@ -142,329 +165,6 @@ EMPTIED_AT_MOST = 5  # largest number of times that the filter is emptied, so th
 # If the Hessian is indefinite at many iterates in turn that nearly satisfy the equations, and the cost changes by a
 # small part of itself, see `curvature`.
 NEAR_EQUATIONS, SHIFTED_IN_TURN, SLOW_COST = 1e-2, 30, 1e-2
-
-
-@njit(error_model="numpy")
-def sum_of_logarithms(distance):
-    """Return the sum of the logarithms of positive numbers.
-
-    Several numbers are multiplied before a logarithm is taken, because logarithms are slow.
-    """
-    total, product = 0.0, 1.0
-    for j in range(distance.size):
-        product *= distance[j]
-        if not 1e-150 < product < 1e150:
-            total += np.log(product)
-            product = 1.0
-    return total + np.log(product)
-
-
-@njit(error_model="numpy")
-def lower_barrier(mu, least, error, dual_scale, lowest, highest):
-    """Return the next barrier parameter, at least `least`; mu itself if the barrier problem is not solved well enough.
-
-    `error` is the scaled error of feasibility and optimality, `lowest` and `highest` are the products of a distance and
-    its dual variable. Source: Wächter and Biegler (2006), Mathematical Programming 106, equations (5) and (7).
-    """
-    while mu > least and error <= ERROR_FACTOR * mu:
-        if max(highest - mu, mu - lowest) / dual_scale > ERROR_FACTOR * mu:
-            break
-        mu = max(least, min(DECREASE * mu, mu**POWER))
-    return mu
-
-
-@njit(cache=True, error_model="numpy")
-def relaxation(mu, least):
-    """Return the relaxation of bounds for the barrier's weight mu, relative to the magnitudes of bounds.
-
-    `least` is the least relaxation.
-    """
-    return min(RELAXED, max(least, PER_WEIGHT * mu))
-
-
-@njit(error_model="numpy")
-def approach(unknowns, indices, side, magnitude, by, least, distance, closer):
-    """Fill `closer` with the distances after all bounds have moved inside by `by`, relative to their magnitudes.
-
-    Unknowns that would then be closer to a bound than `least`, relative to its magnitude, are moved inside. Return the
-    sum of the logarithms of the new distances, and True if any unknown was moved.
-    """
-    moves = False
-    for j in range(indices.size):
-        closer[j] = distance[j] - by * magnitude[j]
-        missing = least * magnitude[j] - closer[j]
-        if missing > 0.0:
-            unknowns[indices[j]] += side[j] * missing
-            closer[j], moves = least * magnitude[j], True
-    return sum_of_logarithms(closer), moves
-
-
-@njit(cache=True, error_model="numpy")
-def optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals, spare):
-    """Return seven measures of the optimality conditions, including the duals of bounds.
-
-    The first measure is the max-norm of the stationarity. The next three are the sum, the least and the largest of the
-    complementarities z d. Then follow the mean modulus of all multipliers and duals, and the mean of the duals alone.
-    The last measure is the largest modulus of a primal unknown. `spare` (n,) is work space.
-    """
-    total, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
-    for i in range(gradient.size):
-        spare[i] = gradient[i]
-    for j in range(indices.size):
-        spare[indices[j]] -= side[j] * duals[j]
-        product = duals[j] * distance[j]
-        lowest, highest = min(lowest, product), max(highest, product)
-        total += product
-        size += duals[j]
-    stationarity, multipliers, count, largest = 0.0, 0.0, 0, 0.0
-    for i in range(gradient.size):
-        if is_multiplier[i]:
-            multipliers += abs(unknowns[i])
-            count += 1
-        else:
-            stationarity = max(stationarity, abs(spare[i]))
-            largest = max(largest, abs(unknowns[i]))
-    mean = (multipliers + size) / max(count + indices.size, 1)
-    return stationarity, total, lowest, highest, mean, size / max(indices.size, 1), largest
-
-
-@njit(error_model="numpy")
-def evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vectors):
-    """Fill the `gradient` (n,); return (cost, residual, violation, stationarity, error) and the result of `optimality`.
-
-    Stationarity and error include the duals of bounds.
-    """
-    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _, _ = grid
-    cost, residual, violation, stationarity, error = measured_gradient(
-        problem[0], unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, vectors[SCALED][: sizes.size],
-        gradient,
-    )  # fmt: skip
-    indices, side = bounds[0], bounds[1]
-    measured = optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals, vectors[SPARE])
-    if error < np.inf:
-        stationarity = measured[0]
-        error = max(residual, stationarity)
-    return (cost, residual, violation, stationarity, error), measured
-
-
-@njit(error_model="numpy")
-def measured_again(bounds, is_multiplier, known, x, g, distance, duals, vectors):
-    """Return the same as `evaluated` for other duals of bounds, without a new evaluation of the gradient.
-
-    `known` are (cost, residual, violation, stationarity, error) of the unknowns `x` (n,) with the gradient `g` (n,).
-    """
-    cost, residual, violation, stationarity, error = known[0], known[1], known[2], np.inf, np.inf
-    measured = optimality(g, x, is_multiplier, bounds[0], bounds[1], distance, duals, vectors[SPARE])
-    if known[4] < np.inf:
-        stationarity = measured[0]
-        error = max(residual, stationarity)
-    return (cost, residual, violation, stationarity, error), measured
-
-
-@njit(error_model="numpy")
-def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted, is_new=True):
-    """Factor the KKT matrix with the right-hand side and the diagonal in the work space.
-
-    Return the excess of negative eigenvalues, see `factor_at`. If `is_wanted`, fill the step in the work space.
-    `weight_of_cost`, 0 or 1, multiplies the Hessian of the cost. If not `is_new`, the second derivatives are those of
-    the last call.
-    """
-    steps, h, nodes, parameters, _, sizes, _, _, _, _, _, _ = grid
-    tables, factors, orders, entries, scaled, costless, inverses, counts, equations, _, _ = system
-    chosen = scaled if weight_of_cost == 1.0 else costless
-    return factor_at(
-        problem[1], problem[2], x, sizes, vectors[SCALED], chosen, steps, h, nodes, parameters, tables, entries,
-        vectors[RIGHT], vectors[DIAGONAL], equations, factors, orders, inverses, counts, vectors[STEP], is_wanted,
-        is_new,
-    )  # fmt: skip
-
-
-@njit(cache=True, error_model="numpy")
-def terms(problem, grid, system, x, is_costless, vectors):
-    """Return the largest sum of absolute terms |K| |x| in an equation, and in a stationarity condition.
-
-    K is the KKT matrix. If every unknown changes by half a unit in the last place, a residual changes by up to this sum
-    times the unit roundoff. See Higham (2002), Accuracy and stability of numerical algorithms, section 7.2. With
-    `is_costless`, the second sum is at least one.
-    """
-    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings, _ = grid
-    _, _, _, entries, _, _, _, counts, _, rows, columns = system
-    unknowns, sums = x, vectors[SPARE]
-    if sizes.size:
-        unknowns = vectors[SCALED]
-        for i in range(x.size):
-            unknowns[i] = x[i] * sizes[i]
-    call_hessians(problem[1], unknowns, steps, h, nodes, parameters, counts, entries)
-    for i in range(sums.size):
-        sums[i] = 0.0
-    multiply_entries(entries, rows, columns, steps, counts, unknowns, sums, True)
-    for j in range(fillings.shape[0]):
-        # Intervals put a one on the diagonal for an unknown that only the ends have. The one is no term of an equation:
-        # the entry of the start subtracts it.
-        value, row = entries[fillings[j, 0]], fillings[j, 1]
-        sums[row] += (abs(value + 1.0) - 1.0 - abs(value)) * abs(unknowns[row])
-    equations, stationarity = 0.0, 0.0
-    for i in range(sums.size):
-        size = sums[i] * weight * sizes[i] if sizes.size else sums[i]
-        if is_multiplier[i]:
-            equations = max(equations, size)
-        else:
-            stationarity = max(stationarity, size)
-    return equations, max(1.0, stationarity) if is_costless else stationarity
-
-
-@njit(error_model="numpy")
-def is_small(value, size, tolerance):
-    """Return True if a residual `value` is zero to the tolerance, or to rounding.
-
-    `size` is the sum of the absolute terms whose sum is the residual.
-    """
-    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size, VANISHED)
-
-
-@njit(error_model="numpy")
-def is_solved(problem, grid, system, x, residual, stationarity, tolerance, is_costless, vectors):
-    """Return True if residual and stationarity are within the tolerance, or at the rounding level of their terms.
-
-    The tolerance is absolute if the terms of the equations exceed one, and relative to smaller terms.
-    """
-    if max(residual, stationarity) > max(tolerance, WORTH_MEASURING):
-        return False
-    if max(residual, stationarity) <= tolerance and have_large_terms(problem, grid, system, x, vectors):
-        return True
-    of_equations, of_stationarity = terms(problem, grid, system, x, is_costless, vectors)
-    return is_small(residual, of_equations, tolerance) and is_small(stationarity, of_stationarity, tolerance)
-
-
-@njit(error_model="numpy")
-def have_large_terms(problem, grid, system, x, vectors):
-    """Return True if an equation and a stationarity condition both have a term of one or more.
-
-    The tolerance is then absolute, see `is_solved`. The test is faster than `terms`: most often, an end and a few
-    intervals have such terms.
-    """
-    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings, _ = grid
-    _, _, _, entries, _, _, _, counts, _, rows, columns = system
-    unknowns = x
-    if sizes.size:
-        unknowns = vectors[SCALED]
-        for i in range(x.size):
-            unknowns[i] = x[i] * sizes[i]
-    call_hessians(problem[1], unknowns, steps, h, nodes, parameters, counts, entries)
-    bodies, own, element, stride, linking = counts[0], counts[4], counts[6], counts[7], x.size - counts[5]
-    chain, has_equation, has_slope = steps * stride + element - stride, False, False
-    for kind in (2, 1, 0):  # ends, starts, intervals
-        count, place, first_local = counts[1 + kind], 0, 0
-        for before in range(kind):
-            place += bodies * counts[1 + before] * (steps if before == 0 else 1)
-            first_local += counts[1 + before]
-        for body in range(bodies):
-            for k in range(steps if kind == 0 else 1):
-                first = body * chain + (steps - 1 if kind == 2 else k) * stride
-                for j in range(count):
-                    if fillings.shape[0] and kind < 2 and k == 0:
-                        break  # entries of a start may cancel entries of the first interval
-                    row = global_index(rows[first_local + j], first, element, own, bodies, body, linking)
-                    column = global_index(columns[first_local + j], first, element, own, bodies, body, linking)
-                    for i, other in ((row, column), (column, row)):
-                        term = abs(entries[place + j] * unknowns[other])
-                        if sizes.size:
-                            term *= weight * sizes[i]
-                        if term >= 1.0:
-                            has_equation = has_equation or is_multiplier[i]
-                            has_slope = has_slope or not is_multiplier[i]
-                if has_equation and has_slope:
-                    return True
-                place += count
-    return False
-
-
-@njit(error_model="numpy")
-def is_at_rounding_level(problem, grid, system, x, residual, stationarity, is_costless, vectors):
-    """Return True if residual and stationarity are at most a thousand rounding errors of their terms."""
-    of_equations, of_stationarity = terms(problem, grid, system, x, is_costless, vectors)
-    return residual <= 1e3 * UNIT_ROUNDOFF * of_equations and stationarity <= 1e3 * UNIT_ROUNDOFF * of_stationarity
-
-
-@njit(error_model="numpy")
-def is_acceptable(problem, grid, system, x, measures, measured, tolerance, is_costless, vectors):
-    """Return True if an iterate is optimal to the tolerance, with the scaling (5) of large multipliers and duals.
-
-    `measures` and `measured` are the results of `evaluated`.
-    """
-    stationarity, _, _, highest, mean, mean_dual, _ = measured
-    if highest / (max(100.0, mean_dual) / 100.0) > tolerance:
-        return False
-    scaled = stationarity / (max(100.0, mean) / 100.0)
-    return is_solved(problem, grid, system, x, measures[1], scaled, tolerance, is_costless, vectors)
-
-
-@njit(cache=True, error_model="numpy")
-def fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, right, diagonal):
-    """Fill the right-hand side and the diagonal (n,) of Newton's equations (13) for the weight `mu`.
-
-    `g` is the gradient of the Lagrangian without the duals of bounds. `delta_w` and `delta_c` are the shifts of the
-    Hessian and of the multipliers' diagonal.
-    """
-    is_multiplier, indices, side = grid[4], bounds[0], bounds[1]
-    for i in range(g.size):
-        is_rounding = indices.size > 0 and is_multiplier[i] and abs(g[i]) <= ROUNDING
-        right[i] = 0.0 if is_rounding else g[i]
-        diagonal[i] = -delta_c if is_multiplier[i] else delta_w
-    for j in range(indices.size):
-        inverse = 1.0 / distance[j]
-        right[indices[j]] -= mu * side[j] * inverse
-        diagonal[indices[j]] += duals[j] * inverse
-
-
-@njit(cache=True, error_model="numpy")
-def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
-    """Fill `dual_step` (m,); return (slope, is_of_rounding, longest primal length, longest dual length) of a step.
-
-    `right` is the right-hand side of the step. The slope is the derivative of the barrier function along the primal
-    part d. With the Jacobian A of the equations, A d = -residual. The slope of the Lagrangian along d therefore
-    contains -multipliers . residual, which is subtracted again. A step that is far larger than its right-hand side is a
-    rounding error. The longest lengths keep the part 1 - tau of all distances and duals (15), and half of every
-    free duration: a far shorter motion needs huge controls, from which the search hardly returns.
-    """
-    is_multiplier, durations, indices, side = grid[4], grid[11], bounds[0], bounds[1]
-    slope = size = largest = 0.0
-    for i in range(x.size):
-        slope += right[i] * (x[i] if is_multiplier[i] else step[i])
-        size, largest = max(size, abs(step[i])), max(largest, abs(right[i]))
-    if indices.size == 0:
-        return slope, size > SINGULAR_STEP * largest, 1.0, 1.0
-    tau = max(0.99, 1.0 - mu)
-    # The largest part of a distance, and of a dual, that the full step takes away, but at least tau.
-    primal, dual = tau, tau
-    for i in durations:
-        if x[i] > 0.0:
-            primal = max(primal, -step[i] / x[i] * (tau / LARGEST_FALL))
-    for j in range(indices.size):
-        change, inverse = side[j] * step[indices[j]], 1.0 / distance[j]
-        dual_step[j] = (mu - duals[j] * change) * inverse - duals[j]
-        primal, dual = max(primal, -change * inverse), max(dual, -dual_step[j] / duals[j])
-    return slope, size > SINGULAR_STEP * largest, tau / primal, tau / dual
-
-
-@njit(cache=True, error_model="numpy")
-def move(bounds, x, step, length, distance, duals, dual_step, dual_length, mu, trial, moved, pushed):
-    """Fill the `trial` unknowns after a part of a step, and their distances `moved` and duals `pushed`.
-
-    Return the sum of the logarithms of the distances. `length` and `dual_length` are the parts of the primal and of the
-    dual step. Rounding does not make a distance zero. Duals stay within a factor of 1e10 of mu / d (16).
-    """
-    indices, side = bounds[0], bounds[1]
-    for i in range(x.size):
-        trial[i] = x[i] + length * step[i]
-    if indices.size == 0:
-        return 0.0
-    for j in range(indices.size):
-        d = distance[j] + side[j] * (length * step[indices[j]])
-        moved[j] = max(d, 1e-16 * distance[j])
-        centre = mu / moved[j]
-        pushed[j] = max(min(duals[j] + dual_length * dual_step[j], 1e10 * centre), 1e-10 * centre)
-    return sum_of_logarithms(moved)
 
 
 @njit(error_model="numpy")
@@ -526,400 +226,6 @@ def accepts(pairs, integers, violation, objective, trial_violation, trial_object
     if not fell:
         integers[PAIRS] = add_pair(pairs, integers[PAIRS], violation, objective)
     return True
-
-
-@njit(error_model="numpy")
-def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight_of_right, vectors, remainder):
-    """Fill `remainder` (n,) with the residual KKT matrix . step + weight_of_right . right of a linear system.
-
-    Return the `inaccuracy` of the step. `diagonal` (n,) is added to the diagonal of the matrix.
-    """
-    steps, h, nodes, parameters, is_multiplier, sizes, forces, _, ties, is_free, _, _ = grid
-    _, _, _, entries, _, _, _, counts, _, rows, columns = system
-    unknowns, vector = x, step
-    if sizes.size:
-        unknowns, vector = vectors[SCALED], vectors[SPARE]
-        for i in range(x.size):
-            unknowns[i] = x[i] * sizes[i]
-            vector[i] = np.sqrt(sizes[i] * forces[i]) * step[i]
-    call_hessians(problem[1], unknowns, steps, h, nodes, parameters, counts, entries)
-    for i in range(remainder.size):
-        remainder[i] = 0.0
-    multiply_entries(entries, rows, columns, steps, counts, vector, remainder, False)
-    for i in range(remainder.size):
-        if sizes.size:
-            remainder[i] *= np.sqrt(sizes[i] * forces[i])
-        remainder[i] += diagonal[i] * step[i] + weight_of_right * right[i]
-    for j in range(ties.shape[0]):
-        remainder[ties[j, 1]] += remainder[ties[j, 0]]
-    for i in range(remainder.size):
-        if not is_free[i]:
-            remainder[i] = 0.0
-    return inaccuracy(right, step, remainder, is_multiplier)
-
-
-@njit(error_model="numpy")
-def inaccuracy(gradient, step, remainder, is_multiplier):
-    """Return the residual `remainder` (n,) of a linear system, relative to its right-hand side and its solution.
-
-    The result is the larger of two ratios: for the equations alone, and for all rows. Large multipliers, and barriers
-    close to their bounds, do not count for the equations. The result is NaN if an entry is not finite. `gradient` (n,)
-    is minus the right-hand side.
-    """
-    unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(remainder.size):
-        if not abs(remainder[i]) < np.inf:
-            return np.nan
-        if is_multiplier[i]:
-            unsolved, right = max(unsolved, abs(remainder[i])), max(right, abs(gradient[i]))
-            multiplier = max(multiplier, abs(step[i]))
-        else:
-            remaining, slope = max(remaining, abs(remainder[i])), max(slope, abs(gradient[i]))
-            primal = max(primal, abs(step[i]))
-    most = LARGE_STEP * max(right, slope)
-    of_equations = unsolved / max(right + min(primal, most), 1e-300)
-    scale = max(right, slope) + min(max(primal, multiplier), most)
-    return max(of_equations, max(unsolved, remaining) / max(scale, 1e-300))
-
-
-@njit(error_model="numpy")
-def refined(problem, grid, system, x, vectors, room):
-    """Refine the step in the work space until it is accurate, or until only rounding errors remain.
-
-    Return True if corrections were made and have lowered the residual. `room` (2 SOLVED_AGAIN + 2, n) is work space for
-    corrections, their products with the matrix, and residuals. The products are made orthogonal, so that each
-    correction lowers the residual as much as possible. These are generalised conjugate residuals with the factors as
-    preconditioner. Plain iterative refinement may diverge if the factors are inaccurate. Sources: Higham (2002),
-    Accuracy and stability of numerical algorithms, chapter 12; Eisenstat, Elman and Schultz (1983), Variational
-    iterative methods for nonsymmetric systems of linear equations. The residual is measured as in section 3.10 of
-    Waechter and Biegler (2006).
-    """
-    steps, n = grid[0], x.size
-    tables, factors, orders, _, _, _, inverses, counts, equations, _, _ = system
-    right, step, remainder, scaled = vectors[RIGHT], vectors[STEP], room[2 * SOLVED_AGAIN], room[2 * SOLVED_AGAIN + 1]
-    first = error = fill_linear_residual(
-        problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, remainder
-    )
-    for again in range(SOLVED_AGAIN):
-        if not ACCURATE < error < np.inf:
-            return again > 0
-        if again == 2 and 0.5 * first < error <= NEARLY_ACCURATE:
-            return False
-        correction, product, norm = room[2 * again], room[2 * again + 1], 0.0
-        for i in range(n):
-            norm += remainder[i] * remainder[i]
-        norm = np.sqrt(norm)
-        for i in range(n):
-            scaled[i] = remainder[i] / norm
-        solve_at(problem[2], steps, tables, scaled, equations, factors, orders, inverses, counts, correction)
-        fill_linear_residual(
-            problem, grid, system, x, vectors[DIAGONAL], right, correction, 0.0, vectors, product
-        )  # fmt: skip
-        for earlier in range(again):
-            share = 0.0
-            for i in range(n):
-                share += room[2 * earlier + 1, i] * product[i]
-            for i in range(n):
-                product[i] -= share * room[2 * earlier + 1, i]
-                correction[i] -= share * room[2 * earlier, i]
-        size, share = 0.0, 0.0
-        for i in range(n):
-            size += product[i] * product[i]
-        size = np.sqrt(size)
-        if not 0.0 < size < np.inf:
-            return True
-        for i in range(n):
-            product[i] /= size
-            correction[i] /= size
-            share -= product[i] * remainder[i]
-        for i in range(n):
-            step[i] += share * correction[i]
-        error = fill_linear_residual(problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, remainder)
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping, careful, reals, integers, vectors,
-               barriers, room):  # fmt: skip
-    """Compute a Newton step with a shift delta_w of the Hessian that is just large enough for a descent step.
-
-    This is algorithm IC. `damping` is the least shift. Dependent equations, such as those of a vehicle at rest, may
-    have a zero eigenvalue with the sign of a rounding error. The number of negative eigenvalues then means nothing. A
-    huge step, or a shift that grows without limit, reveals the dependence, and delta_c removes it.
-
-    Without bounds, two changes save factorisations. If the previous iterate needed a shift, a lower shift is tried
-    first; no shift is tried only once the shift is small. The more often in turn a lower shift has sufficed, the more
-    the next shift is lowered. With `careful`, the residual of the linear system is measured, and the step is refined if
-    the residual is large.
-
-    Return (is_found, slope, longest primal length, longest dual length, delta_w, is_refined).
-    """
-    is_bounded, n = bounds[0].size > 0, x.size
-    last, before, is_multiplier = reals[LAST_DELTA_W], reals[DELTA_W], grid[4]
-    if is_bounded:
-        least, at_once = max(1e-20, last / 3.0) if last > 0.0 else 1e-4, 0.0
-    else:
-        least = max(1e-20, last / 3.0 ** min(1 + integers[LOWERED], 40)) if last > 0.0 else 1e-4
-        at_once = least if before > 0.0 and least > SMALL_DELTA_W and not integers[WAS_SINGULAR] else 0.0
-    delta_c, shift_c = 0.0, DUAL_SHIFT * max(mu, 1e-100) ** 0.25 if is_bounded else DUAL_SHIFT
-    delta_w = max(damping, at_once)
-    right, step, is_new = vectors[RIGHT], vectors[STEP], True
-    while delta_w < 1e20:
-        fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, right, vectors[DIAGONAL])
-        excess = factored(problem, grid, system, x, 1.0, vectors, True, is_new)
-        is_new = False
-        integers[FACTORISATIONS] += 1
-        if excess == 0:
-            slope, of_rounding, longest, dual_length = measure_step(
-                grid, bounds, x, right, step, distance, duals, mu, barriers[DUAL_STEP]
-            )
-            if of_rounding and delta_c == 0.0:
-                delta_c = shift_c
-                continue
-            if of_rounding and delta_w == 0.0 and not is_bounded:  # a null direction of the Hessian, not of equations
-                delta_w = least
-                continue
-            if not is_bounded and delta_c > 0.0 and last == 0.0 < delta_w < 1.0:
-                size, largest = 0.0, 1.0
-                for i in range(n):
-                    if not is_multiplier[i]:
-                        size, largest = max(size, abs(step[i])), max(largest, abs(x[i]))
-                if size > FAR * largest:  # the first shift alone determines the length of such a step
-                    delta_w *= 100.0
-                    continue
-            is_refined = False
-            if careful:  # the step is measured again: it changes even if its residual does not fall
-                is_refined, is_new = refined(problem, grid, system, x, vectors, room), True
-                slope, of_rounding, longest, dual_length = measure_step(
-                    grid, bounds, x, right, step, distance, duals, mu, barriers[DUAL_STEP]
-                )
-            if abs(slope) < np.inf:
-                if not (delta_w == before == 0.0 and delta_c == 0.0):
-                    integers[WAS_SINGULAR] = integers[WAS_SINGULAR] or delta_c > 0.0
-                    enough = delta_w == least and not integers[WAS_SINGULAR]
-                    integers[LOWERED] = integers[LOWERED] + 1 if enough else 0
-                reals[DELTA_W] = delta_w
-                reals[LAST_DELTA_W] = delta_w if delta_w > 0.0 else last
-                return True, slope, longest, dual_length, delta_w, is_refined
-        elif delta_c == 0.0 and (excess == SINGULAR or excess < 0 or delta_w > LARGE_SHIFT):
-            delta_c = shift_c
-            if delta_w > LARGE_SHIFT:
-                delta_w = max(damping, at_once)
-            continue
-        if delta_w == 0.0:
-            delta_w = least
-        else:
-            delta_w *= 100.0 if last == 0.0 else 8.0
-    return False, 0.0, 0.0, 0.0, delta_w, False
-
-
-@njit(error_model="numpy")
-def is_minimum(problem, grid, system, bounds, x, g, distance, duals, tolerance, integers, vectors):
-    """Return True if a stationary point is a minimum to second order.
-
-    Instead of bounds, their barrier is added to the Hessian. Curvatures count as positive if they are above a small
-    negative number, which is a multiple of the tolerance. Dependent equations need a delta_c, which lowers the
-    curvature of an optimum that may move, such as a periodic motion in time, by delta_c times the square of the change
-    of its multipliers. It is therefore left out first, unless the search has met dependent equations.
-    """
-    shift = max(FLAT, 100.0 * tolerance)
-    for delta_c in (0.0, FLAT):
-        if delta_c > 0.0 or not integers[WAS_SINGULAR]:
-            fill_newton_system(grid, bounds, g, distance, duals, 0.0, shift, delta_c, vectors[RIGHT], vectors[DIAGONAL])
-            if factored(problem, grid, system, x, 1.0, vectors, False) == 0:
-                return True
-    return False
-
-
-@njit(error_model="numpy")
-def log_row(grid, g, cost, residual, stationarity, row):
-    """Fill cost, residual and stationarity of a row of the log, in the problem's own units.
-
-    Stationarity is the change of the cost if unknowns change by their scaling factors.
-    """
-    is_multiplier, forces, weight = grid[4], grid[6], grid[7]
-    row[0], row[1], row[2] = cost / weight, residual, stationarity / weight
-    if forces.size:
-        row[1] = 0.0
-        for i in range(g.size):
-            if is_multiplier[i]:
-                row[1] = max(row[1], abs(g[i] / forces[i]))
-
-
-@njit(error_model="numpy")
-def copy(source, target):
-    """Copy the vector `source` to `target`."""
-    for i in range(source.size):
-        target[i] = source[i]
-
-
-@njit(error_model="numpy")
-def has_multipliers(unknowns, is_multiplier):
-    """Return True if any multiplier is not zero."""
-    has_any = False
-    for i in range(unknowns.size):
-        has_any = has_any or (is_multiplier[i] and unknowns[i] != 0.0)
-    return has_any
-
-
-@njit(error_model="numpy")
-def add_linking(grid, factor, x):
-    """Add `factor` times the linking variables to the unknowns of `x` (n,) at ends that follow them.
-
-    An unknown at an end is its linking variable plus a constant, such as a full turn. With the factor -1 only the
-    constant remains. Between this call and a call with the factor 1 linking variables may move.
-    """
-    sizes, ties = grid[5], grid[8]
-    for j in range(ties.shape[0]):
-        i, other = ties[j, 0], ties[j, 1]
-        x[i] += factor * (x[other] * sizes[other] / sizes[i] if sizes.size else x[other])
-
-
-@njit(cache=True, error_model="numpy")
-def push_inside(grid, bounds, push, x):
-    """Move the unknowns `x` (n,) inside their bounds, by at least `push` max(1, |bound|) (36).
-
-    Between two bounds, the distance is at most `push` times the distance between the bounds.
-    """
-    indices, lower, upper = bounds[0], bounds[4], bounds[5]
-    add_linking(grid, -1.0, x)
-    for i in indices:
-        width = push * (upper[i] - lower[i])
-        if lower[i] > -np.inf:
-            x[i] = max(x[i], lower[i] + min(push * max(1.0, abs(lower[i])), width))
-        if upper[i] < np.inf:
-            x[i] = min(x[i], upper[i] - min(push * max(1.0, abs(upper[i])), width))
-    add_linking(grid, 1.0, x)
-
-
-@njit(cache=True, error_model="numpy")
-def begin(problem, grid, bounds, reals, integers, vectors, barriers):
-    """Make the iterate at the primal unknowns X in the work space, pushed inside their bounds.
-
-    The weight MU and the PUSH are in the work space, too. The duals are one, or with ON_PATH on the central path.
-    """
-    x, distance, duals, mu = vectors[X], barriers[DISTANCE], barriers[DUALS], reals[MU]
-    indices, side, magnitude, value = bounds[0], bounds[1], bounds[2], bounds[3]
-    if indices.size > 0:
-        push_inside(grid, bounds, reals[PUSH], x)
-        relaxed = relaxation(mu, reals[LEAST_RELAXATION])
-        for j in range(indices.size):
-            distance[j] = side[j] * (x[indices[j]] - value[j]) + relaxed * magnitude[j]
-            duals[j] = min(mu / distance[j], LARGEST_DUAL) if integers[ON_PATH] else 1.0
-    evaluate_iterate(problem, grid, reals, vectors)
-
-
-@njit(error_model="numpy")
-def begin_at(start, problem, grid, bounds, reals, integers, vectors, barriers):
-    """Do the same as `begin`, with duals on the central path; `start` is a pair (weight of the barrier, push)."""
-    reals[MU] = start[0] if bounds[0].size else 0.0
-    reals[PUSH], integers[ON_PATH], integers[IS_FACTORED] = start[1], 1, 0
-    begin(problem, grid, bounds, reals, integers, vectors, barriers)
-
-
-@njit(cache=True, error_model="numpy")
-def begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, barriers):
-    """Make the iterate of a warm start at the unknowns X in the work space, the solution of a similar problem.
-
-    IS_BESIDE is set if the iterate has the multipliers of this solution. The multipliers are dropped if all are zero,
-    if the iterate is not finite, or, without bounds, if the residual exceeds NEAR. The duals of bounds follow from the
-    multipliers. If the Lagrangian decreases towards a bound with a slope larger than the distance to the bound, the
-    bound is active. Its dual is then this slope. Other duals are on the central path. The barrier's weight begins at
-    its final value, and unknowns may stay close to their bounds.
-
-    If the residual exceeds NEAR, for example after a large disturbance, other bounds become active. The iterate then
-    starts farther inside the bounds. Source: Yildirim and Wright (2002), Warm-start strategies in interior-point
-    methods for linear programming, SIAM J. Optim. 12: the larger the change of the data, the larger the first weight of
-    the barrier.
-    """
-    x, g, distance, duals, is_multiplier = vectors[X], vectors[G], barriers[DISTANCE], barriers[DUALS], grid[4]
-    indices, side, magnitude, value = bounds[0], bounds[1], bounds[2], bounds[3]
-    integers[IS_BESIDE] = has_multipliers(x, is_multiplier)
-    copy(x, vectors[TRIAL])
-    if integers[IS_BESIDE]:
-        if indices.size:
-            push_inside(grid, bounds, CLOSE, x)
-        evaluate_iterate(problem, grid, reals, vectors)
-        is_near = reals[RESIDUAL] <= NEAR
-        if indices.size and not is_near:
-            begin_at(FROM_AFAR, problem, grid, bounds, reals, integers, vectors, barriers)
-        else:
-            reals[MU] = WARM_WEIGHT * tolerance if indices.size else 0.0
-            relaxed = relaxation(reals[MU], reals[LEAST_RELAXATION])
-            for j in range(indices.size):
-                distance[j] = side[j] * (x[indices[j]] - value[j]) + relaxed * magnitude[j]
-                slope = side[j] * g[indices[j]]
-                duals[j] = slope if slope > distance[j] else min(reals[MU] / distance[j], LARGEST_DUAL)
-        integers[IS_BESIDE] = reals[ERROR] < np.inf and (is_near or indices.size > 0)
-    if not integers[IS_BESIDE]:
-        for i in range(x.size):
-            x[i] = 0.0 if is_multiplier[i] else vectors[TRIAL, i]
-        begin_at(BESIDE, problem, grid, bounds, reals, integers, vectors, barriers)
-
-
-@njit(error_model="numpy")
-def evaluate_iterate(problem, grid, reals, vectors):
-    """Evaluate cost, gradient and norms of the iterate in the work space, without the duals of bounds."""
-    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _, _ = grid
-    measures = measured_gradient(
-        problem[0], vectors[X], sizes, weight, steps, h, nodes, parameters, is_multiplier,
-        vectors[SCALED][: sizes.size], vectors[G],
-    )  # fmt: skip
-    for i in range(5):
-        reals[COST + i] = measures[i]
-
-
-@njit(cache=True, error_model="numpy")
-def estimate_multipliers(problem, grid, system, bounds, reals, vectors, barriers):
-    """Set the multipliers to the least-squares solution of the stationarity conditions (36).
-
-    The iterate must have zero multipliers. They stay zero if a multiplier would exceed LARGEST_MULTIPLIER, or if the
-    linear system is singular.
-    """
-    is_multiplier, indices, side, duals = grid[4], bounds[0], bounds[1], barriers[DUALS]
-    x, g, right, diagonal, step = vectors[X], vectors[G], vectors[RIGHT], vectors[DIAGONAL], vectors[STEP]
-    if indices.size == 0 and reals[STATIONARITY] == 0.0:
-        return
-    for i in range(x.size):
-        right[i] = 0.0 if is_multiplier[i] else g[i]
-        diagonal[i] = -1e-12 if is_multiplier[i] else 1.0
-    for j in range(indices.size):
-        right[indices[j]] -= side[j] * duals[j]
-    excess = factored(problem, grid, system, x, 0.0, vectors, True)
-    if excess == SINGULAR or excess > 0:
-        return
-    for i in range(x.size):
-        if is_multiplier[i] and not abs(step[i]) <= LARGEST_MULTIPLIER:
-            return
-    for i in range(x.size):
-        if is_multiplier[i]:
-            x[i] = step[i]
-    evaluate_iterate(problem, grid, reals, vectors)
-
-
-@njit(error_model="numpy")
-def enter(problem, grid, system, bounds, reals, integers, vectors, barriers, pairs):
-    """Prepare the state of a search that begins with the iterate in the work space.
-
-    Multipliers that are all zero are estimated. Otherwise the start is warm, and its multipliers are kept.
-    """
-    integers[IS_WARM] = has_multipliers(vectors[X], grid[4])
-    if not integers[IS_WARM]:
-        estimate_multipliers(problem, grid, system, bounds, reals, vectors, barriers)
-    first = max(1.0, reals[VIOLATION])
-    reals[SMALL_VIOLATION], reals[FIRST_COST], reals[LAST_ERROR] = FILTERED * first, reals[COST], np.inf
-    reals[FIRST_MU], reals[FIRST_VIOLATION], reals[FIRST_ERROR] = reals[MU], reals[VIOLATION], reals[ERROR]
-    pairs[0, 0], pairs[0, 1], integers[PAIRS], integers[ENOUGH] = reals[FUNNEL] * first, -np.inf, 1, 2
-    integers[STAGE] = GO_ON
-
-
-@njit(error_model="numpy")
-def is_gross(problem, grid, system, reals, vectors):
-    """Return True if the residual of the iterate exceeds GROSSLY times the largest terms of the equations."""
-    if not reals[ERROR] < np.inf:
-        return False
-    of_equations, _ = terms(problem, grid, system, vectors[X], False, vectors)
-    return reals[RESIDUAL] > GROSSLY * of_equations
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -16,13 +16,15 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from codegen.runtime.search import descent
+from codegen.runtime.search import direction, first_iterate, optimality, workspace
 from codegen.runtime.search.bounds import bounds_of
-from codegen.runtime.search.descent import COST, DISTANCE, DUALS, LARGEST_DUAL, LEAST_RELAXED, MU, G, X
+from codegen.runtime.search.direction import LEAST_RELAXED
+from codegen.runtime.search.first_iterate import LARGEST_DUAL
 from codegen.runtime.search.grid import NONE, Grid, layout_of, multiplier_unknowns, with_pinned_values
 from codegen.runtime.search.linear_system import System, allocate_system, with_entry_factors
 from codegen.runtime.search.point import Point, evaluate, lagrangian
 from codegen.runtime.search.structure import NO_INDICES
+from codegen.runtime.search.workspace import COST, DISTANCE, DUALS, MU, G, X
 
 LARGEST_KEPT = 4_000_000  # largest number of floats of a storage that is kept between searches: 32 MB
 
@@ -92,10 +94,10 @@ class Attempt(NamedTuple):
     on_path: bool = False
 
 
-FROM_GUESS = Attempt(*descent.AT_GUESS, 1.0, 1e-12, 1e4)
+FROM_GUESS = Attempt(*first_iterate.AT_GUESS, 1.0, 1e-12, 1e4)
 NEARBY = FROM_GUESS._replace(nearby=1e-2)
 # A warm start without multipliers.
-FROM_NEIGHBOUR = Attempt(*descent.BESIDE, 1.0, 1e-12, 1e4, on_path=True)
+FROM_NEIGHBOUR = Attempt(*first_iterate.BESIDE, 1.0, 1e-12, 1e4, on_path=True)
 CASCADE_WITH_BOUNDS = (
     Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
     Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
@@ -158,14 +160,14 @@ class Workspace:
     """The work space of the compiled search for n unknowns and m bounds, which later searches use again."""
 
     def __init__(self, n, m):
-        self.vectors, self.barriers = np.zeros((descent.VECTORS, n)), np.zeros((descent.BARRIERS, m))
-        self.reals, self.integers = np.zeros(descent.REALS), np.zeros(descent.INTEGERS, np.int64)
+        self.vectors, self.barriers = np.zeros((workspace.VECTORS, n)), np.zeros((workspace.BARRIERS, m))
+        self.reals, self.integers = np.zeros(workspace.REALS), np.zeros(workspace.INTEGERS, np.int64)
         self.pairs, self.room = np.empty((1000, 2)), np.empty((0, n))
 
     def room_for_refinement(self):
         """Return the work space for refinements, and allocate it if it is needed for the first time."""
         if not self.room.size:
-            self.room = np.empty((2 * descent.SOLVED_AGAIN + 2, self.vectors.shape[1]))
+            self.room = np.empty((2 * direction.SOLVED_AGAIN + 2, self.vectors.shape[1]))
         return self.room
 
     @cached_property
@@ -285,10 +287,10 @@ def begin(search, unknowns, attempt):
     """
     work = search.work
     work.vectors[X] = unknowns
-    work.reals[MU], work.reals[descent.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
-    work.reals[descent.LEAST_RELAXATION], work.integers[descent.ON_PATH] = search.least, attempt.on_path
+    work.reals[MU], work.reals[workspace.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
+    work.reals[workspace.LEAST_RELAXATION], work.integers[workspace.ON_PATH] = search.least, attempt.on_path
     problem, data, _, bounds = search.arguments
-    descent.begin(problem, data, bounds, work.reals, work.integers, work.vectors, work.barriers)
+    first_iterate.begin(problem, data, bounds, work.reals, work.integers, work.vectors, work.barriers)
     return stored(search)
 
 
@@ -335,7 +337,7 @@ def with_least_squares_multipliers(search, iterate):
     All multipliers of `iterate` are zero. They stay zero if the solution is huge or does not exist.
     """
     load(search, iterate)
-    descent.estimate_multipliers(*search.arguments, search.work.reals, search.work.vectors, search.work.barriers)
+    first_iterate.estimate_multipliers(*search.arguments, search.work.reals, search.work.vectors, search.work.barriers)
     return stored(search)
 
 
@@ -344,18 +346,18 @@ def measured_point(search, iterate):
     point, bounds = iterate.point, search.bounds
     if not search.is_bounded:
         return point
-    stationarity = descent.optimality(
+    stationarity = optimality.optimality(
         point.gradient, point.unknowns, search.grid.is_multiplier, bounds.indices, bounds.side, iterate.distance,
-        iterate.duals, search.work.vectors[descent.SPARE],
+        iterate.duals, search.work.vectors[workspace.SPARE],
     )[0]  # fmt: skip
     error = max(point.residual, stationarity) if point.error < np.inf else np.inf
     return point._replace(stationarity=stationarity, error=error)
 
 
 def newton_system(search, iterate, gradient, delta_w, delta_c):
-    """Return the right-hand side and the diagonal (n,) of Newton's equations (13), see `descent.fill_newton_system`."""
+    """Return the right-hand side and the diagonal (n,) of Newton's equations, see `direction.fill_newton_system`."""
     right, diagonal = np.empty_like(gradient), np.empty_like(gradient)
-    descent.fill_newton_system(
+    direction.fill_newton_system(
         *search.arguments[1::2], gradient, iterate.distance, iterate.duals, iterate.mu, delta_w, delta_c, right,
         diagonal,
     )  # fmt: skip
@@ -368,7 +370,7 @@ def step_along(search, iterate, right, primal):
     The part for duals and the longest lengths (15) are computed.
     """
     dual = np.empty_like(iterate.duals)
-    _, _, longest, dual_length = descent.measure_step(
+    _, _, longest, dual_length = direction.measure_step(
         *search.arguments[1::2], iterate.point.unknowns, right, primal, iterate.distance, iterate.duals, iterate.mu,
         dual,
     )  # fmt: skip
@@ -378,7 +380,7 @@ def step_along(search, iterate, right, primal):
 def moved(search, iterate, step, length):
     """Return the iterate after a step with primal length `length` and the longest length of its duals."""
     unknowns, distance, duals = (np.empty_like(x) for x in (iterate.point.unknowns, iterate.distance, iterate.duals))
-    descent.move(
+    direction.move(
         search.arguments[3], iterate.point.unknowns, step.primal, length, iterate.distance, iterate.duals, step.dual,
         step.dual_length, iterate.mu, unknowns, distance, duals,
     )  # fmt: skip
@@ -392,14 +394,14 @@ def newton_step(search, iterate):
     Return None if no shift suffices.
     """
     work, point = search.work, iterate.point
-    is_found, _, longest, dual_length, _, _ = descent.regularise(
+    is_found, _, longest, dual_length, _, _ = direction.regularise(
         *search.arguments, point.unknowns, point.gradient, iterate.distance, iterate.duals, iterate.mu, 0.0, True,
-        np.zeros(descent.REALS), np.zeros(descent.INTEGERS, np.int64), work.vectors, work.barriers,
+        np.zeros(workspace.REALS), np.zeros(workspace.INTEGERS, np.int64), work.vectors, work.barriers,
         work.room_for_refinement(),
     )  # fmt: skip
     if not is_found:
         return None
-    return Step(work.vectors[descent.STEP].copy(), work.barriers[descent.DUAL_STEP].copy(), longest, dual_length)
+    return Step(work.vectors[workspace.STEP].copy(), work.barriers[workspace.DUAL_STEP].copy(), longest, dual_length)
 
 
 def predicted_cost(search, iterate):

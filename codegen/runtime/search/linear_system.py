@@ -209,8 +209,8 @@ def multiply_entries(entries, rows, columns, steps, counts, vector, product, is_
     """Add the product of the KKT matrix and `vector` (n,) to `product` (n,).
 
     `entries` are all second derivatives, in one triangle. With `is_absolute`, add the absolute values of all terms. The
-    ones that intervals put on the diagonal are then included, even if an end subtracts them; `descent.terms` corrects
-    the sums.
+    ones that intervals put on the diagonal are then included, even if an end subtracts them; `optimality.terms`
+    corrects the sums.
     """
     size, place, first_local = vector.size, 0, 0
     bodies, own, root, element, stride = counts[0], counts[4], counts[5], counts[6], counts[7]

@@ -2,19 +2,8 @@
 
 import numpy as np
 
-from codegen.runtime.search import descent
+from codegen.runtime.search import descent, direction, first_iterate, workspace
 from codegen.runtime.search.curvature import step_aside
-from codegen.runtime.search.descent import (
-    CONTINUE,
-    CURVED,
-    GROSS,
-    RESTORE,
-    ROOM,
-    WEIGHT,
-    WITH_ITERATE,
-    WITH_NEIGHBOUR,
-    WORDS,
-)
 from codegen.runtime.search.iterates import (
     Iterate,
     central_duals,
@@ -26,6 +15,17 @@ from codegen.runtime.search.iterates import (
 )
 from codegen.runtime.search.point import evaluate
 from codegen.runtime.search.restoration import restore
+from codegen.runtime.search.workspace import (
+    CONTINUE,
+    CURVED,
+    GROSS,
+    RESTORE,
+    ROOM,
+    WEIGHT,
+    WITH_ITERATE,
+    WITH_NEIGHBOUR,
+    WORDS,
+)  # fmt: skip
 
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")  # statuses after which another start may succeed
 WORK_PER_CALL = 5_000_000  # unknowns times iterations between two readings of the clock: a fraction of a second
@@ -35,8 +35,8 @@ BETWEEN_MARKS = 300  # iterations between two tests of progress; a search withou
 # Progress is an error or a violation below HALVED times its value at the last test, or a larger relative change of the
 # cost than UNCHANGED.
 HALVED, UNCHANGED = 0.5, 1e-3
-FIRST = [descent.FIRST_MU, descent.FIRST_COST, descent.FIRST_VIOLATION, descent.FIRST_ERROR]
-MARKED = [descent.MU, descent.COST, descent.VIOLATION, descent.ERROR]
+FIRST = [workspace.FIRST_MU, workspace.FIRST_COST, workspace.FIRST_VIOLATION, workspace.FIRST_ERROR]
+MARKED = [workspace.MU, workspace.COST, workspace.VIOLATION, workspace.ERROR]
 
 
 def descend(
@@ -54,35 +54,35 @@ def descend(
     work = search.work
     reals, integers = work.reals, work.integers
     # Escapes from a saddle point keep the flag of the search that has led there.
-    is_beside = integers[descent.IS_BESIDE] if stage == WITH_ITERATE else 0
-    reals[:], integers[:], integers[descent.IS_BESIDE] = 0.0, 0, is_beside
-    integers[descent.FOLLOWED] = search.relaxation is not None
+    is_beside = integers[workspace.IS_BESIDE] if stage == WITH_ITERATE else 0
+    reals[:], integers[:], integers[workspace.IS_BESIDE] = 0.0, 0, is_beside
+    integers[workspace.FOLLOWED] = search.relaxation is not None
     if stage == WITH_ITERATE:
         load(search, start)
     else:
-        work.vectors[descent.X] = start
-        reals[descent.MU], reals[descent.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
-        integers[descent.ON_PATH], integers[descent.LOOKS] = attempt.on_path, 1
+        work.vectors[workspace.X] = start
+        reals[workspace.MU], reals[workspace.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
+        integers[workspace.ON_PATH], integers[workspace.LOOKS] = attempt.on_path, 1
         if search.relaxation is not None:
             search.relaxation.follow(0.0 if stage == WITH_NEIGHBOUR else attempt.weight, tolerance)
     if stage == WITH_NEIGHBOUR:
         problem, data, _, bounds = search.arguments
-        reals[descent.LEAST_RELAXATION], integers[descent.IS_FACTORED] = search.least, is_factored
-        descent.begin_beside(problem, data, bounds, tolerance, reals, integers, work.vectors, work.barriers)
-        stage, is_factored = WITH_ITERATE, integers[descent.IS_FACTORED]
+        reals[workspace.LEAST_RELAXATION], integers[workspace.IS_FACTORED] = search.least, is_factored
+        first_iterate.begin_beside(problem, data, bounds, tolerance, reals, integers, work.vectors, work.barriers)
+        stage, is_factored = WITH_ITERATE, integers[workspace.IS_FACTORED]
     if stage == WITH_ITERATE and search.relaxation is not None:
         load(search, with_relaxation(search, tolerance))
-    integers[descent.STAGE] = stage
-    reals[descent.SHORTEST], reals[descent.FUNNEL] = attempt.shortest, attempt.funnel
-    reals[descent.LEAST_RELAXATION] = search.least
-    integers[descent.IS_FACTORED] = is_factored
-    integers[descent.IS_COSTLESS] = search.grid.problem.structure.costless
+    integers[workspace.STAGE] = stage
+    reals[workspace.SHORTEST], reals[workspace.FUNNEL] = attempt.shortest, attempt.funnel
+    reals[workspace.LEAST_RELAXATION] = search.least
+    integers[workspace.IS_FACTORED] = is_factored
+    integers[workspace.IS_COSTLESS] = search.grid.problem.structure.costless
     if saddle_cost is not None:
-        reals[descent.KNOWN], integers[descent.HAS_KNOWN] = saddle_cost, 1
+        reals[workspace.KNOWN], integers[workspace.HAS_KNOWN] = saddle_cost, 1
     marked, until, aside = None, BETWEEN_MARKS, 0
     while True:
         status, is_late = run(search, tolerance, max_iterations, log, until)
-        iterations = int(integers[descent.ITERATIONS])
+        iterations = int(integers[workspace.ITERATIONS])
         if status == GROSS:
             return "gross", stored(search), 0
         if status == WEIGHT:
@@ -92,29 +92,29 @@ def descend(
             iterate, aside = step_aside(search, stored(search)), aside + 1
             if iterate.point.error < np.inf:
                 load(search, iterate)
-            integers[[descent.REFUSED, descent.IN_TURN, descent.SHORTENED, descent.WATCHING]] = 0
-            integers[descent.PAIRS], integers[descent.SHIFTED] = 1, 0 if aside < ASIDE_AT_MOST else NEVER
+            integers[[workspace.REFUSED, workspace.IN_TURN, workspace.SHORTENED, workspace.WATCHING]] = 0
+            integers[workspace.PAIRS], integers[workspace.SHIFTED] = 1, 0 if aside < ASIDE_AT_MOST else NEVER
             continue
         if status == RESTORE:
             iterate = stored(search)
-            outcome, feasible = restored(search, iterate, 0.9, work.pairs[: integers[descent.PAIRS]], log)
-            if outcome in UNLUCKY and integers[descent.HAS_LOOSE] == 1 and search.relaxation is None:
+            outcome, feasible = restored(search, iterate, 0.9, work.pairs[: integers[workspace.PAIRS]], log)
+            if outcome in UNLUCKY and integers[workspace.HAS_LOOSE] == 1 and search.relaxation is None:
                 # If equations force unknowns onto their bounds and all multipliers are huge, only the relaxation gives
                 # the feasible set an interior. Continue, as IPOPT does, with bounds as relaxed as at the beginning.
                 # Contact laws have an interior, and may be no more relaxed than the bounds.
-                search = search._replace(least=descent.RELAXED)
-                reals[descent.LEAST_RELAXATION], integers[descent.HAS_LOOSE] = search.least, 2
-                barriers = work.barriers[descent.LOOSE_DISTANCE], work.barriers[descent.LOOSE_DUALS]
-                point = evaluate(search.grid, work.vectors[descent.LOOSE_X].copy())
-                load(search, Iterate(point, reals[descent.LOOSE_MU], *barriers))
-                integers[descent.PAIRS] = 1
-                integers[[descent.REFUSED, descent.IN_TURN, descent.SHORTENED, descent.WATCHING]] = 0
+                search = search._replace(least=direction.RELAXED)
+                reals[workspace.LEAST_RELAXATION], integers[workspace.HAS_LOOSE] = search.least, 2
+                barriers = work.barriers[workspace.LOOSE_DISTANCE], work.barriers[workspace.LOOSE_DUALS]
+                point = evaluate(search.grid, work.vectors[workspace.LOOSE_X].copy())
+                load(search, Iterate(point, reals[workspace.LOOSE_MU], *barriers))
+                integers[workspace.PAIRS] = 1
+                integers[[workspace.REFUSED, workspace.IN_TURN, workspace.SHORTENED, workspace.WATCHING]] = 0
                 continue
             if outcome != "restored":
                 return outcome, feasible if outcome == "infeasible" else iterate, iterations
             load(search, with_least_squares_multipliers(search, feasible))
-            integers[descent.ITERATIONS] += 1
-            if integers[descent.ITERATIONS] > max_iterations:
+            integers[workspace.ITERATIONS] += 1
+            if integers[workspace.ITERATIONS] > max_iterations:
                 return "iteration limit", stored(search), max_iterations
             continue
         if status == CONTINUE and iterations < max_iterations:
@@ -138,7 +138,7 @@ def run(search, tolerance, max_iterations, log, until):
     Return the status as a number of `descent`, and True if the time limit has passed.
     """
     grid, work = search.grid, search.work
-    before, affordable = int(work.integers[descent.ITERATIONS]), WORK_PER_CALL // max(1, grid.is_multiplier.size)
+    before, affordable = int(work.integers[workspace.ITERATIONS]), WORK_PER_CALL // max(1, grid.is_multiplier.size)
     most = log.iterations_per_call(before, work.log.shape[0] - 1, max(1, min(affordable, until - before)))
     while True:
         status = descent.descend(
@@ -149,14 +149,14 @@ def run(search, tolerance, max_iterations, log, until):
             break
         work.room_for_refinement()
         # The next call writes its rows from the first row on.
-        count = int(work.integers[descent.ITERATIONS]) - before
+        count = int(work.integers[workspace.ITERATIONS]) - before
         log.extend(search, work.log[:count])
         before, most = before + count, max(1, most - count)
     if status == GROSS:
         return status, False
-    count = int(work.integers[descent.ITERATIONS]) - before
+    count = int(work.integers[workspace.ITERATIONS]) - before
     # The next call writes the log row of the last iterate again, because it continues from there.
-    is_over = status not in (CONTINUE, WEIGHT, CURVED) or int(work.integers[descent.ITERATIONS]) >= max_iterations
+    is_over = status not in (CONTINUE, WEIGHT, CURVED) or int(work.integers[workspace.ITERATIONS]) >= max_iterations
     log.extend(search, work.log[: count + 1 if is_over else count])
     is_late = log.is_late()
     if is_late and not is_over:

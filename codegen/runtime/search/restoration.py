@@ -9,7 +9,7 @@ Biegler (2006), section 3.3.
 
 import numpy as np
 
-from codegen.runtime.search.descent import DECREASE, ERROR_FACTOR, POWER
+from codegen.runtime.search.direction import DECREASE, ERROR_FACTOR, POWER
 from codegen.runtime.search.iterates import FROM_GUESS, begin, moved, newton_system, step_along
 from codegen.runtime.search.linear_system import factor_kkt, is_factored
 from codegen.runtime.search.point import evaluate
@@ -143,7 +143,7 @@ def restoration_error(search, current, residual_slope):
 
 
 def lower_weight(nu, error):
-    """Return the barrier parameter of the restoration for the next step, by the rule of `descent.lower_barrier`.
+    """Return the barrier parameter of the restoration for the next step, by the rule of `direction.lower_barrier`.
 
     `error` is the error of the optimality conditions with the parameter `nu`.
     """

@@ -15,10 +15,11 @@ from numba import njit
 from codegen.runtime.search.bounds import bounds_of, with_slacks
 from codegen.runtime.search.cascade import longer_guess, minimise, varied_guess
 from codegen.runtime.search.curvature import least_delta_w
-from codegen.runtime.search.descent import FLAT, WORTH_MEASURING
+from codegen.runtime.search.direction import FLAT
 from codegen.runtime.search.grid import NONE, with_pinned_values
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.runtime.search.messages import describe
+from codegen.runtime.search.optimality import WORTH_MEASURING
 from codegen.runtime.search.point import evaluate, fill, lagrangian
 from codegen.runtime.search.shooting import (
     scaled_shooting_grid,

@@ -6,12 +6,12 @@ search by tests that are too expensive during the search.
 
 import numpy as np
 
-from codegen.runtime.search import descent
+from codegen.runtime.search import optimality, workspace
 from codegen.runtime.search.bounds import HOLDS, at_bounds
-from codegen.runtime.search.descent import UNIT_ROUNDOFF, VANISHED, WORTH_MEASURING
 from codegen.runtime.search.grid import least_duration, multiplier_unknowns, primal_unknowns
 from codegen.runtime.search.iterates import arguments_of
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
+from codegen.runtime.search.optimality import UNIT_ROUNDOFF, VANISHED, WORTH_MEASURING
 from codegen.runtime.search.point import evaluate, hessian, jacobian
 
 GROWTH = 1e3  # an unknown diverges if it exceeds this multiple of max(1, |guess|)
@@ -98,8 +98,8 @@ def sizes_of_terms(grid, unknowns, system=None):
     `system` is storage for the linear system; without it, new storage is allocated.
     """
     problem, data, storage = arguments_of(grid, system or allocate_system(grid))
-    vectors, is_costless = np.empty((descent.VECTORS, unknowns.size)), int(grid.problem.structure.costless)
-    return descent.terms(problem, data, storage, unknowns, is_costless, vectors)
+    vectors, is_costless = np.empty((workspace.VECTORS, unknowns.size)), int(grid.problem.structure.costless)
+    return optimality.terms(problem, data, storage, unknowns, is_costless, vectors)
 
 
 def is_solved(grid, point, tolerance, roundings=1.0, system=None):

@@ -133,7 +133,7 @@ def parts_of(module: Any) -> list[Part | LinearSystem]:
 def search_functions(problem: ControlProblem) -> Iterator[tuple[Dispatcher, Signature]]:
     """Yield the runtime functions that Python calls during an optimisation, with the types of their arguments."""
     from codegen.runtime.search import bounds as box
-    from codegen.runtime.search import cascade, descent, iterates, linear_system, point, scaling, solve
+    from codegen.runtime.search import cascade, descent, first_iterate, iterates, linear_system, point, scaling, solve
     from codegen.runtime.search import sensitivities as changes
 
     grid = (int64, float64, REALS, TABLE)  # steps, h, nodes, parameters
@@ -146,7 +146,7 @@ def search_functions(problem: ControlProblem) -> Iterator[tuple[Dispatcher, Sign
         types.Tuple((INTEGERS, REALS, INTEGERS, *[REALS] * 3, int64, INTEGERS, int64, INTEGERS, INTEGERS)),
         bounds, float64, int64, int64, REALS, INTEGERS, *[TABLE] * 5,
     )  # fmt: skip
-    yield descent.begin_beside, (addresses, on_grid, bounds, float64, REALS, INTEGERS, TABLE, TABLE)
+    yield first_iterate.begin_beside, (addresses, on_grid, bounds, float64, REALS, INTEGERS, TABLE, TABLE)
     quantities = scaling.Quantities(
         **{
             name: np.zeros((1, 2) if name == "tied" else 1, kind)
