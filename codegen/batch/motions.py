@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from codegen.batch.request import STEPS, Quantity, given_to
 from codegen.batch.results import UNUSABLE, Cases, Limits, errors_of_device, unusable_message
 from codegen.errors import ArgumentError, DeviceError, NumericsError, clause, is_count
-from codegen.runtime.search.batch import LONGEST_STATUS, SOLVED
+from codegen.runtime.search.stacks import LONGEST_STATUS, SOLVED
 from codegen.runtime.stepping.ensembles import (
     Ensemble,
     Happened,

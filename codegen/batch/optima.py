@@ -19,19 +19,10 @@ from numpy.typing import NDArray
 from codegen.batch.executors import Abandoned
 from codegen.batch.request import Quantity, given_to
 from codegen.batch.results import UNUSABLE, Cases, Limits, unusable_message
-from codegen.runtime.search.batch import (
-    LONGEST_STATUS,
-    SOLVED,
-    Optimum,
-    Options,
-    is_ready,
-    no_optima,
-    solve_grids,
-    solve_stack,
-)
+from codegen.runtime.search.batch import Options, is_ready, solve_grids, solve_stack
 from codegen.runtime.search.messages import solved_message
 from codegen.runtime.search.solution import Log
-from codegen.runtime.search.stacks import case_of, stack_of
+from codegen.runtime.search.stacks import LONGEST_STATUS, SOLVED, Optimum, case_of, no_optima, stack_of
 from codegen.solving.drivers.newton import TOLERANCE
 from codegen.solving.loading import ControlModule, Grid, Matrix, Vector
 from codegen.solving.request import with_values

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from codegen.batch.executors import Abandoned
 from codegen.batch.layout import COLUMNS
 from codegen.errors import ArgumentError, DeviceError, ExtraError, NumericsError, clause, one_line
-from codegen.runtime.search.batch import SOLVED
+from codegen.runtime.search.stacks import SOLVED
 from codegen.solving.loading import ControlModule, GeneratedModule, Matrix, SimulateModule, Vector
 from codegen.solving.results.display import Background
 from codegen.solving.results.result import Result

@@ -10,8 +10,8 @@ import sympy
 from interpreted import without_compilation
 from simulation_systems import SYSTEMS, chain, coupled, model_of, module_of, rough_plane, text_of
 
+from codegen.discretise.elimination import eliminate
 from codegen.discretise.interval import STEP
-from codegen.discretise.simulation import eliminate
 from codegen.discretise.transcribe import transcribe
 from codegen.emit.differentiation import derivatives
 from codegen.emit.lower import lower

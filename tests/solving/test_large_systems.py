@@ -10,11 +10,12 @@ from interpreted import Interpreted, of_problem
 from numpy.testing import assert_allclose
 
 from codegen.discretise import schemes
+from codegen.discretise.elimination import linear_in
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.model.legendre import conjugate_symbols, hamiltonian_form, in_phase_space
-from codegen.discretise.simulation import linear_in, phase_functions
+from codegen.discretise.simulation import phase_functions
 from codegen.discretise.transcribe import transcribe
 from codegen.emit.differentiation import step_derivatives
 from codegen.emit.naming import Choices

@@ -22,7 +22,7 @@ from codegen.runtime.search.cascade import WORSE, clip
 from codegen.runtime.search.grid import NONE, layout_of, least_duration
 from codegen.runtime.search.iterates import FROM_GUESS, count_bounds, fill_bounds, keep_storage, search_on
 from codegen.runtime.search.linear_system import factor_at, fill_entry_factors, solve_at
-from codegen.runtime.search.messages import describe, solved_message
+from codegen.runtime.search.messages import describe
 from codegen.runtime.search.point import Point, fill, measured_gradient
 from codegen.runtime.search.scaling import Quantities, Room, fill_scaling_factors, quantities_of, room_for, sampled
 from codegen.runtime.search.shooting import kept_unknowns, like_unknowns, shooting_grid
@@ -39,7 +39,7 @@ from codegen.runtime.search.solve import (
     correction,
     optimise,
 )
-from codegen.runtime.search.stacks import Stack
+from codegen.runtime.search.stacks import LONGEST_STATUS, SOLVED, Optima, Optimum, Stack
 from codegen.runtime.search.termination import GROWTH
 from codegen.runtime.search.workspace import (
     COST,
@@ -55,7 +55,7 @@ from codegen.runtime.search.workspace import (
     VIOLATION,
     G,
     X,
-)  # fmt: skip
+)
 
 SHORTEST, FUNNEL = FROM_GUESS.shortest, FROM_GUESS.funnel
 VERIFIED = 10.0  # largest residual and stationarity of a solution that is evaluated again, relative to the tolerance
@@ -464,72 +464,6 @@ def is_case_verified(case, common, numbers, tolerance, found, gradient, whole, r
             error *= min(max(distance, 0.0), 1.0)
         worst = max(worst, error)
     return worst <= VERIFIED * tolerance
-
-
-class Optimum(NamedTuple):
-    """The outcome for one case: status, message, corrected cost, residual, stationarity, iterations, unknowns (m,)."""
-
-    status: str
-    message: str
-    cost: float
-    residual: float
-    stationarity: float
-    iterations: int
-    unknowns: np.ndarray
-
-
-SOLVED, LONGEST_STATUS = "solved", "<U24"
-"""The status of an optimum, and the type of a status in an array."""
-
-
-class Optima(NamedTuple):
-    """The outcomes for k cases.
-
-    Attributes
-    ----------
-    status : (k,)
-        See `workspace.WORDS`; empty for a case without an outcome.
-    cost, residual, stationarity, iterations : (k,)
-        The corrected costs, the largest moduli of residuals, the stationarities, the numbers of iterations.
-    unknowns : (k, m)
-        All unknowns.
-    messages : dict of int to str
-        The messages of cases, except for solved cases with the usual message, see `message`.
-    """
-
-    status: np.ndarray
-    cost: np.ndarray
-    residual: np.ndarray
-    stationarity: np.ndarray
-    iterations: np.ndarray
-    unknowns: np.ndarray
-    messages: dict[int, str]
-
-    def message(self, case):
-        """Return the message of a case."""
-        own = self.messages.get(case)
-        return solved_message(self.residual[case], self.stationarity[case]) if own is None else own
-
-    def one(self, case):
-        """Return the Optimum of a case."""
-        numbers = (float(array[case]) for array in self[1:4])
-        return Optimum(
-            str(self.status[case]), self.message(case), *numbers, int(self.iterations[case]), self.unknowns[case]
-        )
-
-    def put(self, case, optimum):
-        """Write the Optimum of a case into the arrays."""
-        self.messages[case] = optimum.message
-        for name in ("status", "cost", "residual", "stationarity", "iterations", "unknowns"):
-            getattr(self, name)[case] = getattr(optimum, name)
-
-
-def no_optima(k, m):
-    """Return Optima for k cases without outcomes, with m unknowns each."""
-    cost, residual, stationarity = np.full((3, k), np.nan)
-    return Optima(
-        np.full(k, "", LONGEST_STATUS), cost, residual, stationarity, np.zeros(k, np.int64), np.full((k, m), np.nan), {}
-    )
 
 
 class Options(NamedTuple):

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.search.grid import NONE, Grid, checked_count, checked_nodes
+from codegen.runtime.search.messages import solved_message
 
 
 def _of_each(function):
@@ -68,6 +69,72 @@ class Stack(NamedTuple):
     def grid_of(self, case):
         """Return the Grid of a case."""
         return self.grid._replace(h=float(self.h[case]), parameters=np.array(self.parameters[case]))
+
+
+class Optimum(NamedTuple):
+    """The outcome for one case: status, message, corrected cost, residual, stationarity, iterations, unknowns (m,)."""
+
+    status: str
+    message: str
+    cost: float
+    residual: float
+    stationarity: float
+    iterations: int
+    unknowns: np.ndarray
+
+
+SOLVED, LONGEST_STATUS = "solved", "<U24"
+"""The status of an optimum, and the type of a status in an array."""
+
+
+class Optima(NamedTuple):
+    """The outcomes for k cases.
+
+    Attributes
+    ----------
+    status : (k,)
+        See `workspace.WORDS`; empty for a case without an outcome.
+    cost, residual, stationarity, iterations : (k,)
+        The corrected costs, the largest moduli of residuals, the stationarities, the numbers of iterations.
+    unknowns : (k, m)
+        All unknowns.
+    messages : dict of int to str
+        The messages of cases, except for solved cases with the usual message, see `message`.
+    """
+
+    status: np.ndarray
+    cost: np.ndarray
+    residual: np.ndarray
+    stationarity: np.ndarray
+    iterations: np.ndarray
+    unknowns: np.ndarray
+    messages: dict[int, str]
+
+    def message(self, case):
+        """Return the message of a case."""
+        own = self.messages.get(case)
+        return solved_message(self.residual[case], self.stationarity[case]) if own is None else own
+
+    def one(self, case):
+        """Return the Optimum of a case."""
+        numbers = (float(array[case]) for array in self[1:4])
+        return Optimum(
+            str(self.status[case]), self.message(case), *numbers, int(self.iterations[case]), self.unknowns[case]
+        )
+
+    def put(self, case, optimum):
+        """Write the Optimum of a case into the arrays."""
+        self.messages[case] = optimum.message
+        for name in ("status", "cost", "residual", "stationarity", "iterations", "unknowns"):
+            getattr(self, name)[case] = getattr(optimum, name)
+
+
+def no_optima(k, m):
+    """Return Optima for k cases without outcomes, with m unknowns each."""
+    cost, residual, stationarity = np.full((3, k), np.nan)
+    return Optima(
+        np.full(k, "", LONGEST_STATUS), cost, residual, stationarity, np.zeros(k, np.int64), np.full((k, m), np.nan), {}
+    )
 
 
 def stack_of(module, steps, arguments, k):

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.search.grid import checked_count, checked_times, checked_tolerance
+from codegen.runtime.stepping.contacts import NO_CONTACT
 from codegen.runtime.stepping.events import (
     ACCUMULATED,
     FULL,
     MOST_EVENTS,
-    NO_CONTACT,
     STOPPED,
     VIOLATED,
     Watched,

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from codegen.runtime.record import ControlRecord, Kind
 from codegen.runtime.search import point as derivatives
-from codegen.runtime.search.batch import Optimum
 from codegen.runtime.search.bounds import bounds_of, determined_slacks, prescribed_beyond
 from codegen.runtime.search.grid import plain_grid
 from codegen.runtime.search.messages import OUTSIDE_TABLE, REMEDIES, tables_beyond, worst_row
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import STEEP, corrected_cost
+from codegen.runtime.search.stacks import Optimum
 from codegen.runtime.search.termination import newton_step
 from codegen.solving.loading import ControlModule, Entries, Grid, Matrix, Vector, time_grid
 from codegen.solving.results.estimates import AT_BOUND, estimates_of
