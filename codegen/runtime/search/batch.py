@@ -23,6 +23,7 @@ from codegen.runtime.search.grid import NONE, layout_of, least_duration
 from codegen.runtime.search.iterates import FROM_GUESS, count_bounds, fill_bounds, keep_storage, search_on
 from codegen.runtime.search.linear_system import factor_at, fill_entry_factors, solve_at
 from codegen.runtime.search.messages import describe
+from codegen.runtime.search.optimality import is_small_compiled
 from codegen.runtime.search.point import Point, fill, measured_gradient
 from codegen.runtime.search.scaling import Quantities, Room, fill_scaling_factors, quantities_of, room_for, sampled
 from codegen.runtime.search.shooting import kept_unknowns, like_unknowns, shooting_grid
@@ -413,7 +414,8 @@ def is_solved_by_newton_steps(calls, common, grid, system, tolerance, space):
                 return False
         else:
             of_equations, of_slopes = call_terms(calls[4], (problem, grid, system, x, int(common.is_costless), vectors))
-            if is_rounded(measures[1], of_equations, tolerance) and is_rounded(measures[3], of_slopes, tolerance):
+            is_closed = is_small_compiled(measures[1], of_equations, tolerance, ROUNDINGS)
+            if is_closed and is_small_compiled(measures[3], of_slopes, tolerance, ROUNDINGS):
                 reals[COST], reals[RESIDUAL], reals[STATIONARITY] = (measures[0], measures[1], measures[3])
                 space.integers[ITERATIONS] = iteration
                 for i in range(x.size):  # the Lagrangian is the cost at the nearby point where the equations hold
@@ -423,12 +425,6 @@ def is_solved_by_newton_steps(calls, common, grid, system, tolerance, space):
         for i in range(x.size):
             x[i] += step[i]
     return False
-
-
-@njit(error_model="numpy")
-def is_rounded(value, size, tolerance):
-    """Return True if a residual is zero to the tolerance, or to rounding; see `termination.is_small`."""
-    return value <= max(tolerance * min(1.0, size), ROUNDINGS * optimality.UNIT_ROUNDOFF * size, optimality.VANISHED)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -125,13 +125,15 @@ def terms(problem, grid, system, x, is_costless, vectors):
     return equations, max(1.0, stationarity) if is_costless else stationarity
 
 
-@njit(error_model="numpy")
-def is_small(value, size, tolerance):
-    """Return True if a residual `value` is zero to the tolerance, or to rounding.
+def is_small(value, size, tolerance, roundings):
+    """Return True if a residual `value` is zero to the tolerance, or to the given number of rounding errors.
 
     `size` is the sum of the absolute terms whose sum is the residual.
     """
-    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size, VANISHED)
+    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size, VANISHED)
+
+
+is_small_compiled = njit(error_model="numpy")(is_small)
 
 
 @njit(error_model="numpy")
@@ -145,7 +147,8 @@ def is_solved(problem, grid, system, x, residual, stationarity, tolerance, is_co
     if max(residual, stationarity) <= tolerance and have_large_terms(problem, grid, system, x, vectors):
         return True
     of_equations, of_stationarity = terms(problem, grid, system, x, is_costless, vectors)
-    return is_small(residual, of_equations, tolerance) and is_small(stationarity, of_stationarity, tolerance)
+    is_closed = is_small_compiled(residual, of_equations, tolerance, 1.0)
+    return is_closed and is_small_compiled(stationarity, of_stationarity, tolerance, 1.0)
 
 
 @njit(error_model="numpy")

@@ -11,7 +11,7 @@ from codegen.runtime.search.bounds import HOLDS, at_bounds
 from codegen.runtime.search.grid import least_duration, multiplier_unknowns, primal_unknowns
 from codegen.runtime.search.iterates import arguments_of
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
-from codegen.runtime.search.optimality import UNIT_ROUNDOFF, VANISHED, WORTH_MEASURING
+from codegen.runtime.search.optimality import UNIT_ROUNDOFF, WORTH_MEASURING, is_small
 from codegen.runtime.search.point import evaluate, hessian, jacobian
 
 GROWTH = 1e3  # an unknown diverges if it exceeds this multiple of max(1, |guess|)
@@ -114,14 +114,6 @@ def is_solved(grid, point, tolerance, roundings=1.0, system=None):
     return is_small(point.residual, equations, tolerance, roundings) and is_small(
         point.stationarity, stationarity, tolerance, roundings
     )
-
-
-def is_small(value, size, tolerance, roundings):
-    """Return True if a residual `value` is zero to the tolerance, or to the given number of rounding errors.
-
-    `size` is the sum of the absolute terms whose sum is the residual.
-    """
-    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size, VANISHED)
 
 
 def is_at_rounding_level(grid, point, system=None):
