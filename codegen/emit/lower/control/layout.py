@@ -122,7 +122,8 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
     if program.start.shared or program.end.shared:
         for name, end in (("START", program.start), ("END", program.end)):
             tied, to = integers([i for i, _, _ in end.shared]), integers([j for _, j, _ in end.shared])
-            lines.append(Line(f"{name}_TIED", tied, "unknowns of the node that equal linking variables"))
+            up_to = " up to constants" if any(constant != 0 for _, _, constant in end.shared) else ""
+            lines.append(Line(f"{name}_TIED", tied, f"unknowns of the node that equal linking variables{up_to}"))
             lines.append(Line(f"{name}_SHARED", to, "the linking variables"))
     curved = has_nonlinear_ends(derivatives)
     ends = (("START", derivatives.start.hessian), ("END", derivatives.end.hessian))
