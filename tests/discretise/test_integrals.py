@@ -145,6 +145,8 @@ def test_each_phase_has_its_own():
     ("written", "finding"),
     [
         (lambda x, v, u: [sympy.Eq(x, u)], "both sides of integral"),
+        (lambda x, v, u: [u**2], r"u\*\*2 = 0 has an integrand of one sign"),
+        (lambda x, v, u: [u**2 + v**4 <= 0], "has an integrand of one sign"),
         (lambda x, v, u: [sympy.Eq(sympy.Symbol("z", real=True), 1)], "no integrand"),
         (lambda x, v, u: [sympy.Eq(x, sympy.oo)], "integral"),
         (lambda x, v, u: [sympy.Eq(x * body_number(), 1)], "depends on body"),

@@ -56,6 +56,11 @@ class Integrals(ConditionKind):
             integrand, limit = (left, right) if moves[0] else (right, left)
             at_least = (sign == ">=") == moves[0] and sign != "="
             integrand, limit = (-integrand, -limit) if at_least else (integrand, limit)
+            if limit == 0 and (integrand.is_nonnegative or (sign == "=" and integrand.is_nonpositive)):
+                raise ExpressionError(
+                    f"{entry.what} has an integrand of one sign, whose integral is 0 only if it vanishes at all times",
+                    "write Eq(integrand, value) or integrand <= value, or a path condition",
+                )
             yield replace(entry, expression=integrand)
             yield replace(entry, role=f"{self.argument} value", what=f"value of {entry.what}", expression=limit)
 
