@@ -298,8 +298,8 @@ class FlowSeries:
     action: Series | None
 
 
-def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
-    """Expand one step of a scheme to the power `order` of h.
+def flow_series(model: Model, scheme: Scheme, order: int, at: Mapping[Symbol, Rational] | None = None) -> FlowSeries:
+    """Expand one step of a scheme to the power `order` of h, from any state or from the numbers `at`.
 
     A one-step scheme needs a model of first-order or Hamiltonian form. A discrete Lagrangian needs the Lagrangian or
     Hamiltonian form. Variables are coordinates, momenta if there are any, and time. Controls, parameters and free
@@ -324,7 +324,7 @@ def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
     variables = (*phase.coordinates, *phase.rates, phase.time)
     inner = {*step.at_left, *step.unknowns, *variables, STEP}
     constants = sorted((step.symbols() - inner) | set(phase.controls), key=str)
-    roomy = FunctionRing(variables, constants)
+    roomy = FunctionRing(variables, constants, at or {})
     step.expanded(roomy, 1)
     ring = roomy.compressed(lambda ring: step.expanded(ring, 1))
     if not step.is_solved(ring):
