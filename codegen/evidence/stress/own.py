@@ -9,7 +9,7 @@ many intervals.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -170,12 +170,8 @@ def exact_motion(module: SimulateModule, grids: Sequence[int]) -> tuple[Truth, n
     eigenvalue, or the largest speed of a component relative to its size. A fall has speeds and no eigenvalues.
     """
     grid = module.make_grid(1)
-    duration, start = float(grid.h), np.asarray(grid.start, dtype=float)
-    far = module.make_grid(1, duration=2.0 ** math.ceil(math.log2(duration)))
-    parameters = grid.parameters
-
-    def field(t: float, z: Vector) -> Vector:
-        return np.asarray((module.step(far, z, t) - z) / far.h)
+    duration, start, parameters = float(grid.h), np.asarray(grid.start, dtype=float), grid.parameters
+    field = field_of(module, duration)
 
     def jacobian(t: float, z: Vector) -> Matrix:
         changes = 6e-6 * np.maximum(np.abs(z), 1e-3 * (np.abs(z).max() or 1.0))
@@ -201,12 +197,9 @@ def exact_motion(module: SimulateModule, grids: Sequence[int]) -> tuple[Truth, n
     rates = np.array([np.linalg.eigvals(jacobian(t, z)) for t, z in zip(times[at_samples], loose, strict=True)])
     is_stiff = max(0.0, -float(rates.real.min())) * duration > STIFF
     states = follow("Radau", 1e-11) if is_stiff else follow("DOP853", 3e-14)
-    sizes, energy, conserved = np.abs(states).max(axis=0), math.nan, np.zeros(start.size, bool)
-    sizes = np.where(sizes > 0.0, sizes, 1.0)
-    if module.metadata.form != Form.FIRST_ORDER:  # one size for all positions, and one for all momenta
+    sizes, energy, conserved = component_sizes(module, states), math.nan, np.zeros(start.size, bool)
+    if module.metadata.form != Form.FIRST_ORDER:
         half = start.size // 2
-        largest = np.abs(states).max(axis=0)
-        sizes = np.repeat([largest[:half].max() or 1.0, largest[half:].max() or 1.0], half)
         conserved[half:] = (np.ptp(states, axis=0) <= 1e-10 * sizes)[half:]
         if module.metadata.conservative:
             rest = [np.concatenate([z[:half], 0.0 * z[half:]]) for z in states]
@@ -218,6 +211,28 @@ def exact_motion(module: SimulateModule, grids: Sequence[int]) -> tuple[Truth, n
     speeds = [np.abs(field(times[i], states[i]) / sizes).max() for i in at_samples]
     moduli = np.maximum(np.abs(rates).max(axis=1), speeds)
     return Truth(times, states, sizes, conserved, energy, float(moduli.max())), rates, moduli
+
+
+def field_of(module: SimulateModule, duration: float) -> Callable[[float, Vector], Vector]:
+    """Return the vector field f(t, z) of a problem from one step of explicit Euler: (z_1 - z_0)/h, for a long h.
+
+    The step is linear in h, so that a long step loses no digits in the subtraction.
+    """
+    grid = module.make_grid(1, duration=2.0 ** math.ceil(math.log2(duration)))
+    return lambda t, z: np.asarray((module.step(grid, z, t) - z) / grid.h)
+
+
+def component_sizes(module: SimulateModule, states: Matrix) -> Vector:
+    """Return the sizes of all components of the state, shape (2n,).
+
+    These are the largest position for every position, and the largest momentum for every momentum. Every state of
+    first-order dynamics has a size of its own.
+    """
+    size = np.abs(states).max(axis=0)
+    if module.metadata.form == Form.FIRST_ORDER:
+        return np.where(size > 0.0, size, 1.0)
+    half = size.size // 2
+    return np.repeat([size[:half].max() or 1.0, size[half:].max() or 1.0], half)
 
 
 def stable_rate(scheme: Scheme, rates: np.ndarray, fastest: float) -> float:
