@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeAlias
 
 import mpmath
@@ -365,18 +366,18 @@ class FunctionRing:
             sine, cosine = self._turned(argument)
             return sine if function is sympy.sin else cosine
         if function is sympy.exp:
-            parts = [self._exponential(self.ring.from_dict({m: c})) for m, c in sorted(argument.items())]
-            return self.reduced(sympy.prod(parts)) if parts else self.one
+            total = self.one
+            for part in (self.ring.from_dict({m: c}) for m, c in sorted(argument.items())):
+                key = ("exp", part)
+                slope = partial(self._elements.__getitem__, key)
+                total = self.product(total, self._adjoin(key, sympy.exp(self.expression(part)), slope, part))
+            return total
         value = function(self.expression(argument))
         if value.is_Rational:
             return self.number(value)
         slope = sympy.diff(function(_X), _X)
         key = (function.__name__, argument)
         return self._adjoin(key, value, lambda: self.function(slope, _X, argument), argument)
-
-    def _exponential(self, exponent: Element) -> Element:
-        key = ("exp", exponent)
-        return self._adjoin(key, sympy.exp(self.expression(exponent)), lambda: self._elements[key], exponent)
 
     def _turned(self, angle: Element) -> tuple[Element, Element]:
         """Return sine and cosine of an angle by the addition theorems, from the basis of angles or from its terms."""

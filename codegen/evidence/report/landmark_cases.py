@@ -415,7 +415,7 @@ def jump_cases(settings: Settings, store: Store) -> Iterator[Case]:
         # The numbers of directions of the unknowns that change neither cost nor constraints.
         matrices = {momenta: unknowns(momenta, 2 * count, 10) for momenta in ("nodes", "intervals")}
         free = {name: int(matrix.shape[1] - np.linalg.matrix_rank(matrix)) for name, matrix in matrices.items()}
-        yield Case(JUMPS_SECTION, f"null space; nc {count}", lambda free=free: free)
+        yield Case(JUMPS_SECTION, f"null space; nc {count}", partial(dict, free))
         for variant in VARIANTS:
             for steps in settings.steps:
                 name = variant.case(count, steps)
@@ -433,7 +433,7 @@ def unknowns(momenta: str, size: int, steps: int) -> Matrix:
     """
     inner = (steps - 1) * size
     means = np.eye(steps) if momenta == "intervals" else 0.5 * (np.eye(steps, steps + 1) + np.eye(steps, steps + 1, 1))
-    return block_diag(np.eye(inner), np.kron(means, np.eye(size)))
+    return np.asarray(block_diag(np.eye(inner), np.kron(means, np.eye(size))))
 
 
 def _straight_path(module: ConnectModule, case: Any) -> Vector:
@@ -583,13 +583,9 @@ def _warp(settings: Settings, amplitude: float, steps: int) -> Values:
         return {"status": solution.status, "steps": steps}
     # The images of the grid under the steps, and the largest difference quotient of h v on the grid.
     x = grid().reshape(-1, 2)
-    count = solution.q.shape[1]
-    matrix, none = np.empty((count + len(x),) * 2), np.zeros((count + len(x), 0))
     steepest, spacing = 0.0, np.linalg.norm(grid()[0, 1] - grid()[0, 0])
     for q, p in zip(solution.q[:-1], solution.p[:-1], strict=True):
-        positions = np.concatenate([q, x])
-        module.momentum_matrix(np.stack([positions, np.zeros_like(positions)]), none, np.zeros(0), matrix)
-        step = (matrix[count:, :count] @ p) / (len(solution.q) - 1)
+        step = _field(module, q, p, x) / (len(solution.q) - 1)
         field = step.reshape(_ROWS, _ROWS, 2)
         slopes = [np.linalg.norm(np.diff(field, axis=a), axis=-1).max() / spacing for a in (0, 1)]
         steepest, x = max(steepest, *slopes), x + step

@@ -37,7 +37,7 @@ from codegen.evidence.report.store import Case, Extent, Store, Values, section_o
 from codegen.evidence.stress.own import component_sizes, field_of
 from codegen.runtime.record import Form
 from codegen.solving import api
-from codegen.solving.loading import Matrix, SimulateModule, Vector
+from codegen.solving.loading import Matrix, SimulateModule, SimulateSolution, Vector
 from codegen.solving.results.result import Result
 
 TIGHT, LOOSE = 3e-14, 1e-13
@@ -225,9 +225,7 @@ def order_values(module: SimulateModule, spans: Iterable[Motion], limit: float) 
             solution = module.solve(count, duration=duration, every=count // ORDER_CHECKPOINTS)
             error = math.nan
             if solution.status == "solved":
-                shape = (ORDER_CHECKPOINTS + 1, -1)
-                states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
-                error = float(np.sqrt(np.mean(((states - motion.states) / sizes)[1:] ** 2)))
+                error = float(np.sqrt(np.mean(((_states(solution) - motion.states) / sizes)[1:] ** 2)))
             steps.append(count)
             errors.append(error if math.isfinite(error) else None)
             order = compare.measured_order(steps, errors, motion.error)
@@ -289,8 +287,9 @@ def _by_steps(module: SimulateModule, label: str) -> Values:
     }  # fmt: skip
 
 
-def _states(result: Result) -> Matrix:
-    return np.hstack([result.q, result.p])
+def _states(motion: Result | SimulateSolution) -> Matrix:
+    """Return the states (q, p) at all times as rows."""
+    return np.hstack([np.reshape(part, (len(motion.t), -1)) for part in (motion.q, motion.p)])
 
 
 def _distance(module: SimulateModule, states: Matrix, times: Vector, exact: Matrix, exact_times: Vector) -> float:
@@ -438,8 +437,7 @@ def drift_values(module: SimulateModule, steps: int) -> Values:
         return {"status": f"refused: {error}"}
     if solution.status != "solved":
         return {"status": solution.status, "defect": defect}
-    shape = (len(solution.t), -1)
-    states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
+    states = _states(solution)
     assert solution.energy is not None, "a mechanical system has an energy"
     assert first.energy is not None, "a mechanical system has an energy"
     errors = solution.energy - solution.energy[0]
