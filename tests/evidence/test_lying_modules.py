@@ -14,7 +14,8 @@ from codegen.evidence.stress.cases import PROBLEMS as OWN_PROBLEMS
 from codegen.evidence.stress.cases import classify, newton_distance
 from codegen.evidence.stress.measure import measure
 from codegen.evidence.stress.motions import VERLET, oscillation
-from codegen.evidence.stress.systems import field_of, frequency, plate_gradient, spectral_radius
+from codegen.evidence.stress.problems import field_of
+from codegen.evidence.stress.systems import frequency, plate_gradient, spectral_radius
 from codegen.solving import api
 from codegen.solving.compiler import build, generate
 from codegen.solving.loading import load

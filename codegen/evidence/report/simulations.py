@@ -34,7 +34,7 @@ from codegen.evidence.report import comparison as compare
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.page import Section, Table, listed, number, power_of_ten
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
-from codegen.evidence.stress.own import component_sizes, field_of
+from codegen.evidence.stress.cases import component_sizes, euler_field
 from codegen.runtime.record import Form
 from codegen.solving import api
 from codegen.solving.loading import Matrix, SimulateModule, SimulateSolution, Vector
@@ -84,7 +84,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
         span = cache(partial(reference_motion, euler, ORDER_CHECKPOINTS))
         # Durations of the spans on which orders are measured, from the speeds along the reference motion.
         duration, states = _duration_of(euler), np.array(reference["states"], dtype=float)
-        field, sizes = field_of(euler, duration), component_sizes(euler, states)
+        field, sizes = euler_field(euler, duration), component_sizes(euler, states)
         speeds = [float(np.linalg.norm(field(t, z) / sizes)) for t, z in zip(reference["times"], states, strict=True)]
         unit = 1.0 / (float(np.median(speeds)) or 1.0 / duration)
         durations = dict.fromkeys(min(duration, factor * unit) for factor in SPANS)
@@ -131,7 +131,7 @@ def reference_motion(module: SimulateModule, checkpoints: int, duration: float |
     `checkpoints` is the number of intervals. The default duration is the problem's own.
     """
     duration = _duration_of(module) if duration is None else duration
-    field, times = field_of(module, duration), np.linspace(0.0, duration, checkpoints + 1)
+    field, times = euler_field(module, duration), np.linspace(0.0, duration, checkpoints + 1)
     start = np.asarray(module.make_grid(1).start, dtype=float).ravel()
     runs = []
     for tolerance in (LOOSE, TIGHT):
@@ -169,7 +169,7 @@ def conserved(module: SimulateModule) -> dict[str, Callable[[Matrix], Vector]]:
     """
     if not is_mechanical(module):
         return {}
-    field, start = field_of(module, _duration_of(module)), np.asarray(module.make_grid(1).start, dtype=float).ravel()
+    field, start = euler_field(module, _duration_of(module)), np.asarray(module.make_grid(1).start, dtype=float).ravel()
     generator, half = np.random.default_rng(0), start.size // 2
     size = np.where(start == 0.0, 0.1 * float(np.abs(start).max() or 1.0), np.abs(start))
     states = [start + 0.2 * size * generator.uniform(-1.0, 1.0, start.size) for _ in range(_STATES)]

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from codegen.runtime.record import Form
 from codegen.runtime.search import point
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.solving.drivers import DRIVERS
+from codegen.solving.loading import Matrix, SimulateModule, Vector
 from codegen.solving.results.control import bound_distances, held_at_bounds
 from codegen.solving.results.motions import rounding_level
 from codegen.solving.results.result import STATUSES, Result
@@ -79,6 +81,28 @@ class Truth:
     conserved: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
     energy: float = math.nan
     rate: float = math.nan
+
+
+def euler_field(module: SimulateModule, duration: float) -> Callable[[float, Vector], Vector]:
+    """Return the vector field f(t, z) of a problem from one step of explicit Euler: (z_1 - z_0)/h, for a long h.
+
+    The step is linear in h, so that a long step loses no digits in the subtraction.
+    """
+    grid = module.make_grid(1, duration=2.0 ** math.ceil(math.log2(duration)))
+    return lambda t, z: np.asarray((module.step(grid, z, t) - z) / grid.h)
+
+
+def component_sizes(module: SimulateModule, states: Matrix) -> Vector:
+    """Return the sizes of all components of the state, shape (2n,).
+
+    These are the largest position for every position, and the largest momentum for every momentum. Every state of
+    first-order dynamics has a size of its own.
+    """
+    size = np.abs(states).max(axis=0)
+    if module.metadata.form == Form.FIRST_ORDER:
+        return np.where(size > 0.0, size, 1.0)
+    half = size.size // 2
+    return np.repeat([size[:half].max() or 1.0, size[half:].max() or 1.0], half)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from codegen.evidence.stress import systems
 from codegen.evidence.stress.cases import VIOLATIONS, Case, Measurement, Values
 from codegen.evidence.stress.motions import registered
 from codegen.evidence.stress.own import largest_stable
+from codegen.evidence.stress.problems import defaults, field_of
 from codegen.problem.points import PointSet
 from codegen.solving import api
 from codegen.solving.drivers import task_of
@@ -167,7 +168,7 @@ def _drift(case: Case, result: Result) -> float:
 
 def _parameters(case: Case) -> dict[str, Any]:
     """Return the parameters of a case: the values of the problem file, or the case's own values."""
-    return {**systems.defaults(case.setup.problem), **dict(case.values)}
+    return {**defaults(case.setup.problem), **dict(case.values)}
 
 
 # ---- References ----
@@ -253,7 +254,7 @@ def chain(module: ModuleType, case: Case, result: Result) -> float:
 
 
 def _field(case: Case) -> Callable[[float, Vector], Vector]:
-    rates, values = systems.field_of(case.setup.problem), _parameters(case)
+    rates, values = field_of(case.setup.problem), _parameters(case)
     return lambda _, state: np.asarray(rates(values, state))
 
 

@@ -9,7 +9,7 @@ many intervals.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from codegen.discretise.schemes import METHODS, find, of_method
 from codegen.discretise.schemes.base import FIRST_ORDER, Scheme
 from codegen.errors import NumericsError
 from codegen.evidence.stress import systems
-from codegen.evidence.stress.cases import Case, Row, Setup, Truth
+from codegen.evidence.stress.cases import Case, Row, Setup, Truth, component_sizes, euler_field
 from codegen.evidence.stress.motions import CONSTANT
 from codegen.problem.points import read_points
 from codegen.runtime.record import Form, Method
@@ -171,7 +171,7 @@ def exact_motion(module: SimulateModule, grids: Sequence[int]) -> tuple[Truth, n
     """
     grid = module.make_grid(1)
     duration, start, parameters = float(grid.h), np.asarray(grid.start, dtype=float), grid.parameters
-    field = field_of(module, duration)
+    field = euler_field(module, duration)
 
     def jacobian(t: float, z: Vector) -> Matrix:
         changes = 6e-6 * np.maximum(np.abs(z), 1e-3 * (np.abs(z).max() or 1.0))
@@ -211,28 +211,6 @@ def exact_motion(module: SimulateModule, grids: Sequence[int]) -> tuple[Truth, n
     speeds = [np.abs(field(times[i], states[i]) / sizes).max() for i in at_samples]
     moduli = np.maximum(np.abs(rates).max(axis=1), speeds)
     return Truth(times, states, sizes, conserved, energy, float(moduli.max())), rates, moduli
-
-
-def field_of(module: SimulateModule, duration: float) -> Callable[[float, Vector], Vector]:
-    """Return the vector field f(t, z) of a problem from one step of explicit Euler: (z_1 - z_0)/h, for a long h.
-
-    The step is linear in h, so that a long step loses no digits in the subtraction.
-    """
-    grid = module.make_grid(1, duration=2.0 ** math.ceil(math.log2(duration)))
-    return lambda t, z: np.asarray((module.step(grid, z, t) - z) / grid.h)
-
-
-def component_sizes(module: SimulateModule, states: Matrix) -> Vector:
-    """Return the sizes of all components of the state, shape (2n,).
-
-    These are the largest position for every position, and the largest momentum for every momentum. Every state of
-    first-order dynamics has a size of its own.
-    """
-    size = np.abs(states).max(axis=0)
-    if module.metadata.form == Form.FIRST_ORDER:
-        return np.where(size > 0.0, size, 1.0)
-    half = size.size // 2
-    return np.repeat([size[:half].max() or 1.0, size[half:].max() or 1.0], half)
 
 
 def stable_rate(scheme: Scheme, rates: np.ndarray, fastest: float) -> float:

@@ -1,7 +1,7 @@
 """The mechanics of the stress problems for a comparison with generated code, and the effects of schemes.
 
-The equations of motion are derivatives of the author's expressions, evaluated by numpy in any floating type: scipy
-needs double precision, the textbook equations extended precision. The kernel of landmarks is written by hand.
+The equations of motion are those of `problems.field_of`, in any floating type: scipy needs double precision, the
+textbook equations extended precision. The kernel of landmarks is written by hand.
 
 The textbook equations of a step are evaluated in extended precision on the states that a module returns, for H =
 |p|^2/2 + V(q) with f = -V_q. No generated code takes part. Source of all forms: Hairer, Lubich and Wanner (2006),
@@ -24,57 +24,19 @@ from typing import Any, TypeAlias
 
 import mpmath
 import numpy as np
-import sympy
 from scipy.linalg import solve_triangular
 
 from codegen.discretise.schemes.base import Scheme
 from codegen.evidence.stress.cases import Case
-from codegen.problem.description import quantities_in
-from codegen.problem.symbols import Coordinate, Parameter
+from codegen.evidence.stress.problems import defaults, field_of
 from codegen.solving.loading import Vector
 from codegen.solving.results.result import Result
 
-# ---- Equations of motion ----
+# ---- Equilibria ----
 
 Array: TypeAlias = Any
 Number: TypeAlias = Any  # a float, or a number of mpmath
 Parameters: TypeAlias = Mapping[str, Any]
-
-
-@cache
-def defaults(problem: str) -> Mapping[str, float]:
-    """Return the parameters of a problem file of this package by name; none for the name of another problem."""
-    from codegen.evidence.stress.problems import PROBLEMS
-
-    known = quantities_in(PROBLEMS[problem]()) if problem in PROBLEMS else ()
-    return {symbol.name: float(symbol.value) for symbol in known if isinstance(symbol, Parameter)}
-
-
-@cache
-def field_of(problem: str) -> Callable[[Parameters, Array], Array]:
-    """Return the rates of a problem of this package as a function of its parameters and the state.
-
-    The state is x of first-order dynamics, (q, p) of a Hamiltonian, or (q, v) of a Lagrangian.
-    """
-    from codegen.evidence.stress.problems import PROBLEMS
-
-    written = PROBLEMS[problem]()
-    if written.dynamics is not None:
-        states, rates = list(written.dynamics), list(written.dynamics.values())
-    else:
-        q = [symbol for symbol in quantities_in(written) if isinstance(symbol, Coordinate)]
-        moving = [x.partner for x in q]
-        states, H, L = [*q, *moving], written.hamiltonian, written.lagrangian
-        if H is not None:
-            rates = [*(H.diff(p) for p in moving), *(-H.diff(x) for x in q)]
-        else:  # L_vv v' = L_q - L_vq v
-            bends = sympy.Matrix([L.diff(v) for v in moving]).jacobian(q) * sympy.Matrix(moving)
-            forces = sympy.Matrix([L.diff(x) for x in q]) - bends
-            rates = [*moving, *sympy.hessian(L, moving).LUsolve(forces)]
-    parameters = [symbol for symbol in quantities_in(written) if isinstance(symbol, Parameter)]
-    function = sympy.lambdify([parameters, states], rates, "numpy", cse=True)
-    return lambda values, state: np.array(function([values[p.name] for p in parameters], state))
-
 
 _STIFF = 1e4
 REST: dict[str, tuple[dict[str, float], tuple[float, ...]]] = {
