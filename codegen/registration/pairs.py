@@ -263,19 +263,14 @@ def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
 def require_unmirrored(pairs: LandmarkPairs) -> None:
     """Raise LandmarkError for landmarks that a mirrored similarity fits much better than a proper similarity.
 
-    Squared residuals follow equation (33) of Umeyama (1991), in the plane with complex numbers.
+    Squared residuals follow equation (33) of Umeyama (1991).
     """
     if len(pairs) <= pairs.dimension or _is_thin(pairs.moving) or _is_thin(pairs.fixed):
         return
     x, y = (points - points.mean(axis=0) for points in (pairs.moving, pairs.fixed))
-    if pairs.dimension == 2:
-        before, after = x[:, 0] + 1j * x[:, 1], y[:, 0] + 1j * y[:, 1]
-        whole, spread = float((np.abs(after) ** 2).sum()), float((np.abs(before) ** 2).sum())
-        turned, mirrored = (whole - abs((z * after).sum()) ** 2 / spread for z in (before.conj(), before))
-    else:
-        left, (a, b, c), right = np.linalg.svd(y.T @ x)
-        whole, spread, sign = float((y**2).sum()), float((x**2).sum()), np.linalg.det(left) * np.linalg.det(right)
-        turned, mirrored = (whole - (a + b + s * c) ** 2 / spread for s in (sign, -sign))
+    left, (*values, last), right = np.linalg.svd(y.T @ x)
+    sign = np.linalg.det(left) * np.linalg.det(right)
+    turned, mirrored = ((y**2).sum() - (sum(values) + s * last) ** 2 / (x**2).sum() for s in (sign, -sign))
     if mirrored < MIRRORED * turned:
         remedy = "use --flip, or mirror the moving image and its landmarks (codegen.registration.flipped)"
         if pairs.dimension == 3:

@@ -192,8 +192,8 @@ def least_effort(n: int) -> tuple[float, np.ndarray]:
 def test_other_programs_solve_the_problem_as_the_author_wrote_it(tmp_path, peer):
     if find_spec(peer.package) is None or (peer.package == "opty" and find_spec("cyipopt") is None):
         pytest.skip(f"{peer.package} is not installed")  # without an import: that of dymos warns
-    if peer.package == "casadi" and not importlib.import_module("casadi").has_nlpsol(peer.program.solver):
-        pytest.skip(f"this CasADi has no {peer.program.solver}")
+    if peer.package == "casadi" and not importlib.import_module("casadi").has_nlpsol(peer.solver):
+        pytest.skip(f"this CasADi has no {peer.solver}")
     path, n = tmp_path / "effort.py", 8
     path.write_text(EFFORT)
     fine = np.linspace(0.0, 1.0, 101)

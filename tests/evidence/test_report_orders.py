@@ -13,9 +13,9 @@ from codegen.evidence.report.building import Variant
 from codegen.evidence.report.comparison import fitted_order, verdict
 from codegen.evidence.report.optima import (
     all_grids,
-    convergence_of,
     fitted_limit,
     limit_of,
+    measured,
     sequence,
     switching,
 )
@@ -92,12 +92,12 @@ def test_a_mesh_sequence_has_the_optima_of_its_grids(tmp_path):
         assert cost == pytest.approx(12.0 * n**2 / (n**2 - 1.0), rel=1e-11)
     store, problem, variant = Store(tmp_path / "s.jsonl"), Path("effort.py"), Variant(Path("effort.py"), "m", "s", 2)
     store.measured(Case(section_of(problem, "mesh sequences"), variant.label, lambda: values))
-    found = convergence_of(store, problem, variant, 2)
+    found = measured(store, problem, variant)
     assert found.order is not None
     assert found.order.value == pytest.approx(2.0, abs=0.02)
     assert (found.verdict, found.remark) == ("", "")
     store.measured(Case(section_of(problem, "reference"), "cost", lambda: {"cost": 15.0, "error": 1e-9}))
-    elsewhere = convergence_of(store, problem, variant, 2)
+    elsewhere = measured(store, problem, variant)
     assert elsewhere.remark == "another local optimum, whose cost tends to 12"
     assert elsewhere.order == found.order
 

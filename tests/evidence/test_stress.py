@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from codegen.cli import main
 from codegen.evidence.stress import page, pool
-from codegen.evidence.stress.cases import DEFECTS, EXPECTATIONS, OUTCOMES, classify
+from codegen.evidence.stress.cases import DEFECTS, OUTCOMES, VIOLATIONS, classify
 from codegen.evidence.stress.families import FAMILIES, QUICK, quick_cases
 from codegen.evidence.stress.measure import REFERENCES
 from codegen.evidence.stress.motions import SYMPLECTIC_EULER, VERLET, promised
@@ -48,8 +48,8 @@ def test_problems_are_written_for_the_package_alone():
     assert 0 < len(quick_cases()) < len(every_case())
 
 
-def test_every_task_has_its_expectation():
-    assert set(EXPECTATIONS) == set(TASKS)
+def test_every_task_has_its_limit_of_violations():
+    assert set(VIOLATIONS) == set(TASKS)
 
 
 def test_promises_end_where_steps_do_not_resolve_the_motion():

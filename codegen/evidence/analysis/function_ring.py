@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeAlias
 
 import mpmath
@@ -29,6 +30,9 @@ Key: TypeAlias = tuple[Any, ...]
 """The kind of a function, and its elements and numbers, for example ("root", base, degree)."""
 _DIGITS = 60
 _ROUNDING = mpmath.mpf("1e-40")
+_SLOTS = 60  # largest number of generators while the functions of a problem are collected
+_KINKED = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Piecewise, sympy.Heaviside)
+_X = Dummy("x", real=True)
 
 
 @dataclass
@@ -44,11 +48,18 @@ class Generator:
     derivatives: tuple[Element, ...] | None = None
 
 
-class NormalForms:
-    """Polynomials with rational coefficients in variables, constants and up to `slots` adjoined functions."""
+class FunctionRing:
+    """Polynomials with rational coefficients in variables, constants and up to `slots` adjoined functions of them.
 
-    def __init__(self, variables: Sequence[Symbol], constants: Sequence[Symbol], slots: int) -> None:
-        self.variables = tuple(variables)
+    `numbers` replace variables. `angles` are a basis of all angles. Without a basis each term of an angle has its own
+    sine and cosine. Raises ExpressionError if a function has a kink or no elementary derivative.
+    """
+
+    def __init__(
+        self, variables: Sequence[Symbol], constants: Sequence[Symbol],
+        numbers: Mapping[Symbol, Rational] | None = None, slots: int = _SLOTS, angles: Sequence[Expr] = (),
+    ) -> None:  # fmt: skip
+        self.variables, self._numbers = tuple(variables), numbers or {}
         self._symbols = (*variables, *constants)
         self._size = slots + len(self._symbols)
         # Later generators are greater in the order of monomials, so that rewriting ends in earlier functions.
@@ -59,9 +70,14 @@ class NormalForms:
         self._reciprocals: list[tuple[int, Element]] = []
         self._index = {symbol: self._size - 1 - i for i, symbol in enumerate(self._symbols)}
         self.zero, self.one = self.ring.zero, self.ring.one
+        self._angles: set[Expr] = set()
+        self._basis: list[Element] = []
+        self._basis = [self.function(angle, _X, self.zero) for angle in angles]
 
     def symbol(self, symbol: Symbol) -> Element:
         """Return the element of a variable or a constant."""
+        if symbol in self._numbers:
+            return self.number(self._numbers[symbol])
         return self.ring.gens[self._index[symbol]]
 
     def number(self, value: Rational) -> Element:
@@ -212,68 +228,6 @@ class NormalForms:
             else:
                 yield point, values
 
-
-def _term(monomial: tuple[int, ...], coefficient: Rational, values: Sequence[mpmath.mpf]) -> mpmath.mpf:
-    """Return the value of one term of a polynomial, for the values of all symbols of the ring."""
-    powers = mpmath.fprod(values[i] ** e for i, e in enumerate(monomial) if e)
-    return powers * int(coefficient.numerator) / int(coefficient.denominator)
-
-
-def _number(value: Expr) -> mpmath.mpf:
-    return mpmath.mpf(sympy.Float(value, _DIGITS)._mpf_)
-
-
-def sparse(monomial: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
-    """Return the pairs (index, exponent) of a monomial whose exponent is not zero."""
-    return tuple((i, e) for i, e in enumerate(monomial) if e)
-
-
-def angles_that_span(angles: Sequence[Expr]) -> tuple[Expr, ...]:
-    """Return some of the angles, preferably sums, whose integer combinations give all angles; empty if impossible."""
-    simple = set[Expr]()
-    for angle in angles:  # without its integer factor
-        numerators = [coefficient.p for coefficient in angle.as_coefficients_dict().values()]
-        simple.add(sympy.expand(angle / sympy.igcd(0, *numerators)))
-    longest = sorted(simple, key=lambda angle: (-len(angle.as_coefficients_dict()), sympy.count_ops(angle), str(angle)))
-    terms = sorted({term for angle in simple for term in angle.as_coefficients_dict()}, key=str)
-    rows = {angle: [angle.as_coefficients_dict()[term] for term in terms] for angle in longest}
-    chosen: list[Expr] = []
-    for angle in longest:
-        if sympy.Matrix([rows[x] for x in (*chosen, angle)]).rank() > len(chosen):
-            chosen.append(angle)
-    basis = sympy.Matrix([rows[x] for x in chosen]).T
-    for angle in longest:
-        factors = weights(basis, rows[angle])
-        if not all(weight.is_Integer for weight in factors):
-            return ()
-    return tuple(chosen)
-
-
-def weights(basis: sympy.Matrix, row: Sequence[Expr]) -> list[Expr]:
-    """Return the coefficients with which the columns of `basis` add up to the vector `row`."""
-    normal = basis.T * basis
-    return list(normal.LUsolve(basis.T * sympy.Matrix(row)))
-
-
-_SLOTS = 60  # largest number of generators while the functions of a problem are collected
-_KINKED = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Piecewise, sympy.Heaviside)
-_X = Dummy("x", real=True)
-
-
-class FunctionRing(NormalForms):
-    """Polynomials with rational coefficients in variables, constants and adjoined functions of them.
-
-    `angles` are a basis of all angles. Without a basis each term of an angle has its own sine and cosine. Raises
-    ExpressionError if a function has a kink or no elementary derivative.
-    """
-
-    def __init__(
-        self, variables: Sequence[Symbol], constants: Sequence[Symbol], slots: int = _SLOTS, angles: Sequence[Expr] = ()
-    ) -> None:
-        super().__init__(variables, constants, slots)
-        self._angles: set[Expr] = set()
-        self._basis = [self.function(angle, _X, self.zero) for angle in angles]
-
     def compressed(self, evaluate_again: Callable[[FunctionRing], object]) -> FunctionRing:
         """Return a ring without unused slots. `evaluate_again(ring)` repeats the evaluation, to adjoin its functions.
 
@@ -281,13 +235,13 @@ class FunctionRing(NormalForms):
         """
         self.close()
         constants, angles = self._symbols[len(self.variables) :], angles_that_span(sorted(self._angles, key=str))
-        roomy = FunctionRing(self.variables, constants, _SLOTS, angles)
-        evaluate_again(roomy)
-        roomy.close()
-        smaller = FunctionRing(self.variables, constants, len(roomy._adjoined), angles)
-        evaluate_again(smaller)
-        smaller.close()
-        return smaller
+        ring, slots = self, _SLOTS
+        for _ in range(2):  # with the basis of angles, then with as many slots as functions
+            ring = FunctionRing(self.variables, constants, self._numbers, slots, angles)
+            evaluate_again(ring)
+            ring.close()
+            slots = len(ring._adjoined)
+        return ring
 
     def close(self) -> None:
         """Adjoin all functions in the derivatives of any order."""
@@ -412,18 +366,18 @@ class FunctionRing(NormalForms):
             sine, cosine = self._turned(argument)
             return sine if function is sympy.sin else cosine
         if function is sympy.exp:
-            parts = [self._exponential(self.ring.from_dict({m: c})) for m, c in sorted(argument.items())]
-            return self.reduced(sympy.prod(parts)) if parts else self.one
+            total = self.one
+            for part in (self.ring.from_dict({m: c}) for m, c in sorted(argument.items())):
+                key = ("exp", part)
+                slope = partial(self._elements.__getitem__, key)
+                total = self.product(total, self._adjoin(key, sympy.exp(self.expression(part)), slope, part))
+            return total
         value = function(self.expression(argument))
         if value.is_Rational:
             return self.number(value)
         slope = sympy.diff(function(_X), _X)
         key = (function.__name__, argument)
         return self._adjoin(key, value, lambda: self.function(slope, _X, argument), argument)
-
-    def _exponential(self, exponent: Element) -> Element:
-        key = ("exp", exponent)
-        return self._adjoin(key, sympy.exp(self.expression(exponent)), lambda: self._elements[key], exponent)
 
     def _turned(self, angle: Element) -> tuple[Element, Element]:
         """Return sine and cosine of an angle by the addition theorems, from the basis of angles or from its terms."""
@@ -458,6 +412,48 @@ class FunctionRing(NormalForms):
             sine = self._adjoin(keys[0], sympy.sin(expression), lambda: self._elements[keys[1]], angle)
             self._rules.append((sparse((sine**2).LM), self.one - cosine**2))
         return self._elements[keys[0]], self._elements[keys[1]]
+
+
+def _term(monomial: tuple[int, ...], coefficient: Rational, values: Sequence[mpmath.mpf]) -> mpmath.mpf:
+    """Return the value of one term of a polynomial, for the values of all symbols of the ring."""
+    powers = mpmath.fprod(values[i] ** e for i, e in enumerate(monomial) if e)
+    return powers * int(coefficient.numerator) / int(coefficient.denominator)
+
+
+def _number(value: Expr) -> mpmath.mpf:
+    return mpmath.mpf(sympy.Float(value, _DIGITS)._mpf_)
+
+
+def sparse(monomial: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+    """Return the pairs (index, exponent) of a monomial whose exponent is not zero."""
+    return tuple((i, e) for i, e in enumerate(monomial) if e)
+
+
+def angles_that_span(angles: Sequence[Expr]) -> tuple[Expr, ...]:
+    """Return some of the angles, preferably sums, whose integer combinations give all angles; empty if impossible."""
+    simple = set[Expr]()
+    for angle in angles:  # without its integer factor
+        numerators = [coefficient.p for coefficient in angle.as_coefficients_dict().values()]
+        simple.add(sympy.expand(angle / sympy.igcd(0, *numerators)))
+    longest = sorted(simple, key=lambda angle: (-len(angle.as_coefficients_dict()), sympy.count_ops(angle), str(angle)))
+    terms = sorted({term for angle in simple for term in angle.as_coefficients_dict()}, key=str)
+    rows = {angle: [angle.as_coefficients_dict()[term] for term in terms] for angle in longest}
+    chosen: list[Expr] = []
+    for angle in longest:
+        if sympy.Matrix([rows[x] for x in (*chosen, angle)]).rank() > len(chosen):
+            chosen.append(angle)
+    basis = sympy.Matrix([rows[x] for x in chosen]).T
+    for angle in longest:
+        factors = weights(basis, rows[angle])
+        if not all(weight.is_Integer for weight in factors):
+            return ()
+    return tuple(chosen)
+
+
+def weights(basis: sympy.Matrix, row: Sequence[Expr]) -> list[Expr]:
+    """Return the coefficients with which the columns of `basis` add up to the vector `row`."""
+    normal = basis.T * basis
+    return list(normal.LUsolve(basis.T * sympy.Matrix(row)))
 
 
 def _only_argument(value: Expr) -> Expr:

@@ -165,8 +165,15 @@ def modified_equations(model: Model, scheme: Scheme, power: int) -> ModifiedEqua
     field_expressions = (expressions(fields[0], vector_field(phase)), *others)
     if model.form == "first-order":
         return ModifiedEquations(states, field_expressions, None, None)
-    hamiltonian = modified_hamiltonian(series, fields) if conservative is not None else None
-    if hamiltonian is not None and all(_generates(ring, h, f) for h, f in zip(hamiltonian, fields, strict=True)):
+    hamiltonian = modified_hamiltonian(series, fields) if conservative is not None else []
+    half, is_generated = len(states) // 2, bool(hamiltonian)
+    for h, field in zip(hamiltonian, fields, strict=False):  # dq/dt = dH/dp and dp/dt = -dH/dq
+        gradient = ring.gradient(h)[:-1]
+        slopes = (*gradient[half:], *(-g for g in gradient[:half]))
+        if not all(ring.vanishes(f - slope) for f, slope in zip(field[:-1], slopes, strict=True)):
+            is_generated = False
+            break
+    if is_generated:
         first = expressions(hamiltonian[:1], (phase.function,))
         terms = (*first, *(ring.expression(h) for h in hamiltonian[1:]))
         return ModifiedEquations(states, field_expressions, (), terms)
@@ -259,14 +266,6 @@ def modified_hamiltonian(series: FlowSeries, fields: Sequence[Sequence[Element]]
     return coefficients
 
 
-def _generates(ring: FunctionRing, hamiltonian: Element, field: Sequence[Element]) -> bool:
-    """Return True if a field is exactly the field of a Hamiltonian: dq/dt = dH/dp and dp/dt = -dH/dq."""
-    *gradient, _ = ring.gradient(hamiltonian)
-    dimension = len(gradient) // 2
-    slopes = (*gradient[dimension:], *(-g for g in gradient[:dimension]))
-    return all(ring.vanishes(f - s) for f, s in zip(field[:-1], slopes, strict=True))
-
-
 def _defects(ring: FunctionRing, field: Sequence[Element], power: int) -> list[Defect]:
     """Return the nonzero components of d(i_f omega), omega = sum dq ^ dp, for the coefficient f of h^power."""
     states = ring.variables[:-1]
@@ -298,8 +297,8 @@ class FlowSeries:
     action: Series | None
 
 
-def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
-    """Expand one step of a scheme to the power `order` of h.
+def flow_series(model: Model, scheme: Scheme, order: int, at: Mapping[Symbol, Rational] | None = None) -> FlowSeries:
+    """Expand one step of a scheme to the power `order` of h, from any state or from the numbers `at`.
 
     A one-step scheme needs a model of first-order or Hamiltonian form. A discrete Lagrangian needs the Lagrangian or
     Hamiltonian form. Variables are coordinates, momenta if there are any, and time. Controls, parameters and free
@@ -323,8 +322,9 @@ def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
     step = _Variational(model, phase, scheme) if scheme.variational else _OneStep(phase, scheme)
     variables = (*phase.coordinates, *phase.rates, phase.time)
     inner = {*step.at_left, *step.unknowns, *variables, STEP}
-    constants = sorted((step.symbols() - inner) | set(phase.controls), key=str)
-    roomy = FunctionRing(variables, constants)
+    symbols = set().union(*(e.free_symbols for e in (*step.equations, *step.others)))
+    constants = sorted((symbols - inner) | set(phase.controls), key=str)
+    roomy = FunctionRing(variables, constants, at or {})
     step.expanded(roomy, 1)
     ring = roomy.compressed(lambda ring: step.expanded(ring, 1))
     if not step.is_solved(ring):
@@ -333,16 +333,16 @@ def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
 
 
 class _Step(ABC):
-    """The equations of a step for its unknowns; `at_left` maps the symbols at the left node to variables."""
+    """The equations of a step for its unknowns; `at_left` maps the symbols at the left node to variables.
+
+    `others` are the action and other expressions of the step.
+    """
 
     at_left: dict[Symbol, Symbol]
     unknowns: tuple[Symbol, ...]
     equations: tuple[Expr, ...]
+    others: tuple[Expr, ...]
     _solution: Mapping[Symbol, Series]
-
-    @abstractmethod
-    def symbols(self) -> set[Symbol]:
-        """Return all symbols of the equations and of the action."""
 
     @abstractmethod
     def expanded(self, ring: FunctionRing, order: int) -> FlowSeries:
@@ -396,7 +396,7 @@ class _OneStep(_Step):
             momentum = sum((p * sympy.diff(phase.function, p) for p in phase.rates), S.Zero)
             phase = replace(phase, cost=momentum - phase.function)
         step = step_interval(phase, scheme)
-        self.action = step.cost if phase.form == "hamiltonian" else None
+        self.others = (step.cost,) if phase.form == "hamiltonian" else ()
         self.at_left = dict(zip((*step.q.left, *step.p.left), states, strict=True)) | {phase.time: phase.time}
         self.at_left |= dict(zip(step.q.left_controls, phase.controls, strict=True))
         self.right = (*step.q.right, *step.p.right)
@@ -419,10 +419,6 @@ class _OneStep(_Step):
             raise SchemeError(f"scheme {scheme.name!r} has stages that h = 0 does not determine", "use another scheme")
         self.inverse = slopes.inv()
 
-    def symbols(self) -> set[Symbol]:
-        expressions = (*self.equations, *([] if self.action is None else [self.action]))
-        return set().union(*(e.free_symbols for e in expressions))
-
     def expanded(self, ring: FunctionRing, order: int) -> FlowSeries:
         numbers = _numbers(ring, self.inverse)
 
@@ -431,7 +427,7 @@ class _OneStep(_Step):
 
         guess = [ring.symbol(self.origin[y]) if y in self.origin else ring.zero for y in self.unknowns]
         values = self._solve(ring, guess, order, correction)
-        action = None if self.action is None else Evaluation(ring, values, order)(self.action)
+        action = Evaluation(ring, values, order)(self.others[0]) if self.others else None
         flow = (*(values[y] for y in self.right), _clock(ring, order))
         return FlowSeries(ring, flow, action)
 
@@ -502,10 +498,7 @@ class _Variational(_Step):
         variables = (*phase.coordinates, *phase.rates, *phase.controls, phase.time)
         self.at_left = dict(zip((*self.form.left, phase.time), variables, strict=True))
         self.unknowns, self.equations = self.form.velocities, self.form.equations
-
-    def symbols(self) -> set[Symbol]:
-        every = (*self.equations, *self.form.momenta, self.form.action, self.phase.function)
-        return set().union(*(e.free_symbols for e in every))
+        self.others = (*self.form.momenta, self.form.action, phase.function)
 
     def expanded(self, ring: FunctionRing, order: int) -> FlowSeries:
         function, momenta, size = self.phase.function, self.phase.rates, len(self.phase.rates)

@@ -110,6 +110,7 @@ class Motion:
 
 
 Path: TypeAlias = Callable[[Array], Motion]  # a motion of a phase as a function of an array of times
+Curve: TypeAlias = Callable[[Array], tuple[Array, Array]]  # values and derivatives of a quantity at an array of times
 
 
 class Author:
@@ -174,7 +175,7 @@ class Author:
             values = {s: drawn.get(self._argument(s), float(s.value)) for s in self.parameters}
             try:
                 self.module.make_grid(self.levels[0], **drawn)
-                constants = {**values, **self._free_values(values), self.body: 0}
+                constants = {**values, **self._free_values(values), symbols.body_number(): 0}
                 parts = ((p.duration, *p.start.values(), *getattr(p, "end", {}).values()) for p in self.phases)
                 numbers = [value_at(value, constants) for part in parts for value in part]
             except Exception:  # values outside the domain of a formula
@@ -182,11 +183,6 @@ class Author:
             if np.isfinite(np.array(numbers, dtype=complex)).all() and np.isrealobj(np.array(numbers)):
                 return drawn
         return defaults
-
-    @property
-    def body(self) -> sympy.Symbol:
-        """The symbol of the number of a body."""
-        return symbols.body_number()
 
     @cached_property
     def constants(self) -> dict[sympy.Symbol, float]:
@@ -220,7 +216,7 @@ class Author:
 
     def numbers_of(self, body: int) -> dict[sympy.Symbol, float | Array]:
         """Return the values of constants, and the number of the body."""
-        return {**self.constants, self.body: body}
+        return {**self.constants, symbols.body_number(): body}
 
     @property
     def shifts(self) -> Mapping[sympy.Symbol, Expression]:
@@ -353,7 +349,7 @@ class Author:
         body: int,
     ) -> Path:
         """Return a random motion of a phase with the values `start` and `end`."""
-        numbers, curves = self.numbers_of(body), dict[sympy.Symbol, _Curve]()
+        numbers, curves = self.numbers_of(body), dict[sympy.Symbol, Curve]()
         guesses = getattr(phase, "guess", {})
         guesses = guesses if isinstance(guesses, Mapping) else {}
         for symbol in [*self.coordinates, *(self.rates if self.is_hamiltonian else ()), *self.controls]:
@@ -363,7 +359,7 @@ class Author:
             base = _guess(sympy.sympify(guess), self.time, numbers) if is_formula else None
             limits = self.limits(phase, symbol, body)
             ends = start.get(symbol), end.get(symbol), start.get(rate), end.get(rate)
-            curves[symbol] = _Curve.drawn(begin, length, base, ends, limits, amplitude, generator)
+            curves[symbol] = _curve(begin, length, base, ends, limits, amplitude, generator)
 
         def motion(t: Array) -> Motion:
             values: dict[sympy.Symbol, float | Array] = {**numbers, self.time: t}
@@ -409,9 +405,7 @@ class Author:
         return {q: values_along(slope, values, t) for q, slope in slopes.items()}
 
 
-def _guess(
-    expression: sympy.Expr, time: sympy.Symbol, numbers: Values
-) -> Callable[[Array], tuple[Array, Array]] | None:
+def _guess(expression: sympy.Expr, time: sympy.Symbol, numbers: Values) -> Curve | None:
     """Return value and derivative of an author's guess as a function of time; None for other guesses than formulas."""
     if expression.free_symbols - {time, *numbers}:
         return None
@@ -424,67 +418,51 @@ def _guess(
     return values
 
 
-@dataclass(frozen=True)
-class _Curve:
-    """A smooth function of time on [begin, begin + length]: a base, a cubic polynomial, and random oscillations.
+def _curve(
+    begin: float,
+    length: float,
+    base: Curve | None,
+    ends: tuple[float | None, float | None, float | None, float | None],
+    limits: tuple[float, float],
+    amplitude: float,
+    generator: np.random.Generator,
+) -> Curve:
+    """Return a random smooth function on [begin, begin + length]: a base, a cubic polynomial, and oscillations.
 
-    `cubic` are coefficients of powers of s = (t - begin)/length. `waves` are factors of sin(j pi s) s^2 (1 - s)^2.
+    `ends` are its values and slopes at both ends, where None means any value. Without a base the function oscillates
+    about a line. With s = (t - begin)/length the oscillations are factors of sin(j pi s) s^2 (1 - s)^2.
     """
+    first, last, first_slope, last_slope = ends
+    lower, upper = limits
+    is_bounded = math.isfinite(lower) and math.isfinite(upper)
+    if base is None:
+        middle = (lower + upper) / 2 if is_bounded else 0.0
+        a = first if first is not None else last if last is not None else middle
+        b = last if last is not None else a
 
-    begin: float
-    length: float
-    base: Callable[[Array], tuple[Array, Array]]
-    cubic: Array
-    waves: Array
+        def base(t: Array) -> tuple[Array, Array]:
+            return a + (b - a) * (t - begin) / length, np.full(t.shape, (b - a) / length)
 
-    @classmethod
-    def drawn(
-        cls,
-        begin: float,
-        length: float,
-        base: Callable[[Array], tuple[Array, Array]] | None,
-        ends: tuple[float | None, float | None, float | None, float | None],
-        limits: tuple[float, float],
-        amplitude: float,
-        generator: np.random.Generator,
-    ) -> _Curve:
-        """Return a random curve with given values and slopes at its `ends`, where None means any value."""
-        first, last, first_slope, last_slope = ends
-        lower, upper = limits
-        is_bounded = math.isfinite(lower) and math.isfinite(upper)
-        if base is None:
-            middle = (lower + upper) / 2 if is_bounded else 0.0
-            a = first if first is not None else last if last is not None else middle
-            b = last if last is not None else a
-            base = _line(begin, length, a, b)
-        t = np.linspace(begin, begin + length, 33)
+    value, slope = base(np.linspace(begin, begin + length, 33))
+    numbers = [abs(float(x)) for x in (*value, *(x for x in (first, last) if x is not None))]
+    size = max(np.ptp(value), max(numbers), (upper - lower) / 4 if is_bounded else 0.0) or 1.0
+    draw = generator.uniform(0.3, 1.0, 4) * generator.choice((-1.0, 1.0), 4) * amplitude * size
+    # Changes of the base at both ends, of values and of slopes by s.
+    c0 = first - value[0] if first is not None else draw[0]
+    c1 = last - value[-1] if last is not None else draw[1]
+    d0 = (first_slope - slope[0]) * length if first_slope is not None else draw[2]
+    d1 = (last_slope - slope[-1]) * length if last_slope is not None else draw[3]
+    cubic = np.array([2 * (c0 - c1) + d0 + d1, 3 * (c1 - c0) - 2 * d0 - d1, d0, c0])
+    waves = 8.0 * amplitude * size * generator.uniform(0.3, 1.0, 2) * generator.choice((-1.0, 1.0), 2)
+
+    def curve(t: Array) -> tuple[Array, Array]:
+        s = (t - begin) / length
         value, slope = base(t)
-        numbers = [abs(float(x)) for x in (*value, *(x for x in (first, last) if x is not None))]
-        size = max(np.ptp(value), max(numbers), (upper - lower) / 4 if is_bounded else 0.0) or 1.0
-        draw = generator.uniform(0.3, 1.0, 4) * generator.choice((-1.0, 1.0), 4) * amplitude * size
-        # Changes of the base at both ends, of values and of slopes by s.
-        c0 = first - value[0] if first is not None else draw[0]
-        c1 = last - value[-1] if last is not None else draw[1]
-        d0 = (first_slope - slope[0]) * length if first_slope is not None else draw[2]
-        d1 = (last_slope - slope[-1]) * length if last_slope is not None else draw[3]
-        cubic = np.array([c0, d0, 3 * (c1 - c0) - 2 * d0 - d1, 2 * (c0 - c1) + d0 + d1])
-        waves = 8.0 * amplitude * size * generator.uniform(0.3, 1.0, 2) * generator.choice((-1.0, 1.0), 2)
-        return cls(begin, length, base, cubic, waves)
-
-    def __call__(self, t: Array) -> tuple[Array, Array]:
-        """Return the values and the derivatives by time."""
-        s = (t - self.begin) / self.length
-        value, slope = self.base(t)
         bump, change = s**2 * (1 - s) ** 2, 2 * s * (1 - s) * (1 - 2 * s)
-        total, rate = np.polyval(self.cubic[::-1], s), np.polyval(np.polyder(self.cubic[::-1]), s)
-        for j, factor in enumerate(self.waves, start=1):
+        total, rate = np.polyval(cubic, s), np.polyval(np.polyder(cubic), s)
+        for j, factor in enumerate(waves, start=1):
             total = total + factor * bump * np.sin(j * math.pi * s)
             rate = rate + factor * (change * np.sin(j * math.pi * s) + bump * j * math.pi * np.cos(j * math.pi * s))
-        return value + total, slope + rate / self.length
+        return value + total, slope + rate / length
 
-
-def _line(begin: float, length: float, first: float, last: float) -> Callable[[Array], tuple[Array, Array]]:
-    def values(t: Array) -> tuple[Array, Array]:
-        return first + (last - first) * (t - begin) / length, np.full(t.shape, (last - first) / length)
-
-    return values
+    return curve

@@ -30,6 +30,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import chain, combinations
 from types import ModuleType
 
@@ -112,7 +113,8 @@ def check_authored(context: Context) -> Iterator[Finding]:
             yield from _verdict("duration", _duration_items(author))
             yield from _verdict("values at the start", _end_items(author, "start"))
             yield from _verdict("values at the end", _end_items(author, "end"))
-            yield from _verdict("bounds", _bound_items(author))
+            bounds = (i for i in _bound_items(author) if math.isfinite(i.author) or math.isfinite(i.module))
+            yield from _verdict("bounds", bounds)
             items = dict[str, list[Item]]()
             for seed in _SEEDS:
                 for subject, item in _measured_along(author, seed):
@@ -256,30 +258,25 @@ def _bound_items(author: Author) -> Iterator[Item]:
     size = grid.steps // len(author.phases)
     for number, phase in enumerate(author.phases):
         of_phase = f" in phase {number + 1}" if len(author.phases) > 1 else ""
+        present = set(quantities_in(phase))
+        moving = {*author.coordinates, *author.rates, *(u for u in author.controls if u in present)}
         for body in range(record.bodies):
             for kind, names in enumerate((record.node, record.interval)):
                 for index, name in enumerate(names):
                     symbol = named(author, name)
-                    if symbol not in (*author.coordinates, *author.rates, *author.controls):
-                        continue
-                    if isinstance(symbol, symbols.Velocity):
-                        continue
-                    if symbol in author.controls and symbol not in quantities_in(phase):
+                    if isinstance(symbol, symbols.Velocity) or symbol not in moving:
                         continue
                     row = number * size + size // 2 + 1
                     for side, expected in enumerate(author.limits(phase, symbol, body)):
                         label = f"{('lower', 'upper')[side]} bound of {symbol}{of_phase}{body_label(author, body)}"
-                        found = float(views[side][kind][body, row, index])
-                        if math.isfinite(expected) or math.isfinite(found):
-                            yield number_item(label, expected, found)
+                        yield number_item(label, expected, float(views[side][kind][body, row, index]))
     windows = [getattr(each, "window", (None, None)) for each in getattr(author.first, "waypoints", ())]
     clock = next((i for i, name in enumerate(record.node) if record.waypoints and name.startswith("time_")), 0)
     for number, window in enumerate(windows):
         for side, value in enumerate(window):
             expected = (-math.inf, math.inf)[side] if value is None else float(value_at(value, author.constants))
-            found = float(views[side][0][0, grid.inner[number], clock])
-            if math.isfinite(expected) or math.isfinite(found):
-                yield number_item(f"{('earliest', 'latest')[side]} time of waypoint {number + 1}", expected, found)
+            label = f"{('earliest', 'latest')[side]} time of waypoint {number + 1}"
+            yield number_item(label, expected, float(views[side][0][0, grid.inner[number], clock]))
     first = grid.is_multiplier.size - grid.problem.structure.root
     for index, name in enumerate(record.shared):
         symbol = named(author, name)
@@ -298,8 +295,7 @@ def _free_bounds(author: Author, symbol: sympy.Symbol, lower: float, upper: floa
         expected = values[0] if values else (-math.inf, math.inf)[side]
         if not values and side == 0 and any(phase.duration == symbol for phase in author.phases):
             expected = found if found == 0.0 else expected
-        if math.isfinite(expected) or math.isfinite(found):
-            yield number_item(f"{('lower', 'upper')[side]} bound of {symbol}", expected, found)
+        yield number_item(f"{('lower', 'upper')[side]} bound of {symbol}", expected, found)
 
 
 def _measured_along(author: Author, seed: int) -> list[tuple[str, Item]]:
@@ -328,11 +324,14 @@ def _limits_along(author: Author, seed: int, amplitude: float) -> Iterator[tuple
         for index, (phase, motion) in enumerate(zip(author.phases, of_phases, strict=True)):
             where = f" in phase {index + 1}" if len(author.phases) > 1 else ""
             leg = Leg(index, float(begins[index]), author.durations[index], body, where + body_label(author, body))
-            yield from (("equations of motion", item) for item in _motion_items(author, phase, motion, leg, samples))
+            t, weights = quadrature(leg.begin, leg.length)
+            for name, (label, terms) in _equations(author, phase, motion(t), *weight(t, leg)).items():
+                expected, size = sum(float(weights @ x) for x in terms), sum(float(weights @ np.abs(x)) for x in terms)
+                sums = [weighted_residual(author, sample, leg, name) for sample in samples]
+                yield "equations of motion", limit_of(f"{label}{leg.label}", expected, sums, size)
             if isinstance(phase, Control):
                 yield from (("path conditions", item) for item in _path_items(author, phase, motion, leg, samples))
                 # Both parts of the integral by their signs, the terminal cost, and all losses.
-                t, weights = quadrature(leg.begin, leg.length)
                 running = values_along(author.cost(phase), motion(t).values, t)
                 instant = np.array([leg.begin + leg.length])
                 terminal = sympy.sympify(phase.terminal_cost) - sympy.sympify(phase.terminal_maximise)
@@ -376,18 +375,6 @@ def _losses(phase: Control, motion: Path, leg: Leg) -> Iterator[float]:
         yield float(losses.sum())
 
 
-def _motion_items(
-    author: Author, phase: Control | Simulate, motion: Path, leg: Leg, samples: Sequence[Sample]
-) -> Iterator[Item]:
-    """Yield the weighted equations of motion of a phase."""
-    t, weights = quadrature(leg.begin, leg.length)
-    for name, (label, terms) in _equations(author, phase, motion(t), *weight(t, leg)).items():
-        expected = sum(float(weights @ term) for term in terms)
-        size = sum(float(weights @ np.abs(term)) for term in terms)
-        sums = [weighted_residual(author, sample, leg, name) for sample in samples]
-        yield limit_of(f"{label}{leg.label}", expected, sums, size)
-
-
 def _path_items(author: Author, phase: Control, motion: Path, leg: Leg, samples: Sequence[Sample]) -> Iterator[Item]:
     """Yield the weighted path conditions and holonomic constraints of a phase."""
     record, (t, weights) = author.record, quadrature(leg.begin, leg.length)
@@ -395,19 +382,20 @@ def _path_items(author: Author, phase: Control, motion: Path, leg: Leg, samples:
     names = [name for name in (*record.interval, *record.node) if record.kind(name) in (Kind.PATH, Kind.NODAL)]
     found = [[weighted_residual(author, s, leg, plain(name), by_length=True) for s in samples] for name in names]
     constraints = [plain(name) for name in record.node if record.kind(name) == Kind.CONSTRAINT]
-    for relation in author.path(phase):
-        g, label = values_along(relation.expression, values, t), f"{relation.name}{leg.label}"
-        expected, size = float(factors @ g), float(np.abs(factors) @ np.abs(g))
-        sums = _closest_limit(found, expected)
-        yield absent(label) if sums is None else limit_of(label, expected, sums, size)
     constraints += [plain(name) for name in record.node if record.kind(name) == Kind.ROLLING]
-    for index, c in enumerate((*phase.constraint, *(relation.expression for relation in relations_of(phase.rolling)))):
-        g, label = values_along(c, values, t), f"{c} = 0{leg.label}"
-        if index >= len(constraints):
-            yield absent(label)
-            continue
-        sums = [weighted_residual(author, s, leg, constraints[index], by_length=True) for s in samples]
-        yield limit_of(label, float(factors @ g), sums, float(np.abs(factors) @ np.abs(g)))
+    written = [(relation.name, relation.expression, -1) for relation in author.path(phase)]
+    forced = (*phase.constraint, *(relation.expression for relation in relations_of(phase.rolling)))
+    written += [(f"{c} = 0", c, index) for index, c in enumerate(forced)]
+    for name, expression, index in written:
+        g, label = values_along(expression, values, t), f"{name}{leg.label}"
+        expected, size = float(factors @ g), float(np.abs(factors) @ np.abs(g))
+        if index < 0:
+            sums = _closest_limit(found, expected)
+        elif index < len(constraints):
+            sums = [weighted_residual(author, s, leg, constraints[index], by_length=True) for s in samples]
+        else:
+            sums = None
+        yield absent(label) if sums is None else limit_of(label, expected, sums, size)
 
 
 def _equations(
@@ -722,11 +710,8 @@ def _events(author: Author, values: dict[sympy.Symbol, float | Array], state: Ar
     gaps = relations_of(getattr(phase, "unilateral", ()))
     if not events and not gaps:
         return
-    at, module = np.array([t]), author.module
+    module, number = author.module, partial(_number_along, values=values, t=np.array([t]))
     parameters = module.make_grid(1, **author.arguments).parameters
-
-    def number(expression: Expression) -> float:
-        return float(values_along(expression, values, at)[0])
 
     expressions = {**{name: e.expression for name, e in events.items()}, **{gap.name: -gap.expression for gap in gaps}}
     numbers = np.empty((len(expressions), 3))
@@ -761,7 +746,7 @@ def _constrained(author: Author, values: dict[sympy.Symbol, float | Array], t: A
         return np.eye(2 * size if author.has_momenta else size)
 
     def numbers(expressions: Iterable[Expression]) -> Array:
-        return np.array([values_along(e, values, t)[0] for e in expressions])
+        return np.array([_number_along(e, values, t) for e in expressions])
 
     written = [relation.expression for relation in constraints]
     slopes = [sympy.diff(c, q) for c in written for q in author.coordinates]
@@ -812,6 +797,10 @@ def _step_limits(author: Author, state: Array, t: float, sizes: Array, direction
     return min(found, key=worst)
 
 
+def _number_along(expression: Expression, values: Values, t: Array) -> float:
+    return float(values_along(expression, values, t)[0])
+
+
 def _state(author: Author, values: Values) -> Array:
     """Return the module's state at values of coordinates and velocities (or momenta, or states)."""
     t = np.zeros(1)
@@ -822,11 +811,7 @@ def _state(author: Author, values: Values) -> Array:
 
 def _rates(author: Author, values: Values, t: Array) -> list[list[float]]:
     """Return the terms of the derivative of each entry of the state."""
-    phase = author.first
-
-    def number(expression: Expression) -> float:
-        return float(values_along(expression, values, t)[0])
-
+    phase, number = author.first, partial(_number_along, values=values, t=t)
     if phase.dynamics is not None:
         return [[number(phase.dynamics[x])] for x in author.coordinates]
     if author.is_linear:
@@ -860,13 +845,11 @@ def _energy(author: Author, values: Values, t: Array) -> tuple[float, float]:
     """Return the Hamiltonian p v - L, and the sum of the moduli of its terms."""
     phase = author.first
     if author.is_hamiltonian:
-        terms = [
-            float(values_along(term, values, t)[0]) for term in sympy.Add.make_args(sympy.sympify(phase.hamiltonian))
-        ]
+        terms = [_number_along(term, values, t) for term in sympy.Add.make_args(sympy.sympify(phase.hamiltonian))]
     else:
         momenta = author.momenta(phase, values, t)
         terms = [float(momenta[q][0] * np.ravel(values[q.partner])[0]) for q in author.coordinates]
-        terms.append(-float(values_along(phase.lagrangian, values, t)[0]))
+        terms.append(-_number_along(phase.lagrangian, values, t))
     return sum(terms), sum(map(abs, terms))
 
 

@@ -400,24 +400,8 @@ def _references(table: TableData) -> Callable[[Sequence[int], Sequence[Vector]],
     if kind in ("cubic", "monotone"):
         curve = (CubicSpline if kind == "cubic" else PchipInterpolator)(axes[0], values)
         return lambda order, at: curve(at[0], nu=order[0])
-    interpolant = RegularGridInterpolator(axes, values, method="linear")
-
-    def linear(order: Sequence[int], at: Sequence[Vector]) -> Vector:
-        """Return derivatives of multilinear interpolation, by exact differences across a cell of the table."""
-        if max(order) > 1:
-            return np.zeros_like(at[0])
-        ends, lengths = [], np.ones_like(at[0])
-        for axis, o, x in zip(axes, order, at, strict=True):
-            cell = np.searchsorted(axis, x, side="right") - 1
-            ends.append(((-1.0, axis[cell]), (1.0, axis[cell + 1])) if o else ((1.0, x),))
-            lengths = lengths * (axis[cell + 1] - axis[cell]) ** o
-        total = np.zeros_like(at[0])
-        for corner in product(*ends):
-            signs, corners = zip(*corner, strict=True)
-            total += np.prod(signs) * interpolant(np.stack(corners, axis=1))
-        return total / lengths
-
-    return linear
+    interpolant = RegularGridInterpolator(axes, values, method="slinear")  # multilinear, with derivatives in a cell
+    return lambda order, at: interpolant(np.stack(at, axis=1), nu=order)
 
 
 _GRID = (0.1, 0.55, 0.35)

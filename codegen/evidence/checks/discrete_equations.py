@@ -569,10 +569,6 @@ def _turn(quaternion: Quaternion, left: Node, right: Node) -> list[mpmath.mpf]:
     return [part / (1 + c[0]) for part in c[1:]]
 
 
-def _slope(function: Callable[[mpmath.mpf], mpmath.mpf]) -> mpmath.mpf:
-    return (function(_INCREMENT) - function(-_INCREMENT)) / (2 * _INCREMENT)
-
-
 class _Action:
     """The discrete Lagrangian as a function of two nodes."""
 
@@ -611,28 +607,33 @@ class _Action:
 
     def momenta(self, left: Node, right: Node, stages: Sequence[Symbol]) -> Iterator[tuple[str, mpmath.mpf]]:
         """Yield the names of the equations for momenta, and the negative momenta."""
+
+        def slope(end: int, moved: Callable[[mpmath.mpf], Node]) -> mpmath.mpf:
+            """Return the derivative of the action as the left (`end` 0) or right node moves."""
+            after, before = (
+                self.of(moved(size), right) if end == 0 else self.of(left, moved(size))
+                for size in (_INCREMENT, -_INCREMENT)
+            )
+            return (after - before) / (2 * _INCREMENT)
+
+        def shifted(node: Node, x: Symbol, size: mpmath.mpf) -> Node:
+            return {**node, x: node[x] + size}
+
+        def turned(node: Node, quaternion: Quaternion, axis: int, angle: mpmath.mpf) -> Node:
+            """Return a node after a small turn about an axis of the body."""
+            change = [mpmath.mpf(i == axis) * angle / 2 for i in range(3)]
+            at = _unit(product([node[q] for q in quaternion], (1, *change)))
+            return {**node, **dict(zip(quaternion, at, strict=True))}
+
         for x in self.places:
-            yield f"left momentum of {x}", _slope(partial(self._shifted, (left, right), 0, x))
-            yield f"right momentum of {x}", -_slope(partial(self._shifted, (left, right), 1, x))
+            yield f"left momentum of {x}", slope(0, partial(shifted, left, x))
+            yield f"right momentum of {x}", -slope(1, partial(shifted, right, x))
         rates = iter(stages[len(self.places) :])
         for quaternion in self.model.rotations:
             first, last = (
-                [_slope(partial(self._turned, (left, right), end, quaternion, axis)) for axis in range(3)]
-                for end in (0, 1)
+                [slope(end, partial(turned, node, quaternion, axis)) for axis in range(3)]
+                for end, node in enumerate((left, right))
             )
-            yield from ((f"left momentum of {next(rates)}", slope) for slope in first)
+            yield from ((f"left momentum of {next(rates)}", p) for p in first)
             momentum = product([right[q] for q in quaternion], (0, *last))
             yield from ((f"right momentum of {q}", -2 * p) for q, p in zip(quaternion, momentum, strict=True))
-
-    def _shifted(self, nodes: tuple[Node, Node], end: int, x: Symbol, size: mpmath.mpf) -> mpmath.mpf:
-        moved = {**nodes[end], x: nodes[end][x] + size}
-        return self.of(*(moved if i == end else node for i, node in enumerate(nodes)))
-
-    def _turned(
-        self, nodes: tuple[Node, Node], end: int, quaternion: Quaternion, axis: int, angle: mpmath.mpf
-    ) -> mpmath.mpf:
-        """Return the discrete Lagrangian after a small turn of one end about an axis of the body."""
-        change = [mpmath.mpf(i == axis) * angle / 2 for i in range(3)]
-        turned = _unit(product([nodes[end][q] for q in quaternion], (1, *change)))
-        moved = {**nodes[end], **dict(zip(quaternion, turned, strict=True))}
-        return self.of(*(moved if i == end else node for i, node in enumerate(nodes)))

@@ -39,7 +39,8 @@ from codegen.discretise.schemes import METHODS
 from codegen.discretise.schemes.base import Scheme, Tableau
 from codegen.discretise.simulation import phase_functions
 from codegen.errors import DegenerateError, NumericsError
-from codegen.evidence.analysis.modified_equations import vector_field
+from codegen.evidence.analysis.function_ring import Evaluation
+from codegen.evidence.analysis.modified_equations import flow_series, vector_field
 from codegen.evidence.checks.base import Context, Finding, Function, Numbers, does_not_apply, function_of, random_points
 from codegen.problem.problem import Simulate
 from codegen.problem.symbols import coordinate, time
@@ -429,71 +430,23 @@ def first_difference(scheme: Scheme, highest: int) -> tuple[int, Expr]:
     The difference is zero if step and flow agree up to the power `highest`.
     """
     model = generic_model().with_free_ends
-    step = _step_series(model, scheme, highest)
-
-    # Taylor coefficients of the flow (q, p)(t + h), from x_{j+1} = [h^j] F(x_0 + x_1 h + ... ) / (j + 1).
     phase = legendre.hamiltonian_form(model)
-    flow: list[list[Expr]] = [[value] for value in _STATE]
+    states = (*phase.coordinates, *phase.rates)
+    series = flow_series(model, scheme, highest, dict(zip((*states, phase.time), (*_STATE, _INSTANT), strict=True)))
+    ring = series.ring
+    # Taylor coefficients of the flow (q, p)(t + h), from x_{j+1} = [h^j] F(x_0 + x_1 h + ... ) / (j + 1).
+    flow = [[ring.symbol(x)] for x in states]
     for power in range(highest):
-        at = {**_polynomials((*phase.coordinates, *phase.rates), flow), phase.time: _INSTANT + STEP}
-        coefficients = [_coefficient(rate.xreplace(at), power) for rate in vector_field(phase)]
-        for series, value in zip(flow, coefficients, strict=True):
-            series.append(value / (power + 1))
-
+        at = dict(zip(states, flow, strict=True)) | {phase.time: [ring.symbol(phase.time), ring.one]}
+        evaluate = Evaluation(ring, at, power)
+        rates = [evaluate(rate)[power] for rate in vector_field(phase)]
+        for coefficients, rate in zip(flow, rates, strict=True):
+            coefficients.append(rate * ring.number(Rational(1, power + 1)))
     for power in range(1, highest + 1):
-        largest = max((a[power] - b[power] for a, b in zip(step, flow, strict=True)), key=abs)
-        if largest != 0:
-            return power - 1, largest
+        differences = [ring.expression(a[power] - b[power]) for a, b in zip(series.flow, flow, strict=False)]
+        if any(differences):
+            return power - 1, max(differences, key=abs)
     return highest, S.Zero
-
-
-def _step_series(model: Model, scheme: Scheme, highest: int) -> list[list[Expr]]:
-    """Return the coefficients of h^0 to h^highest of each state after one step, by one linear system for each power."""
-    step = step_equations(model, scheme)
-    start = dict(zip(step.left, _STATE, strict=True)) | {model.time: _INSTANT}
-    size = len(step.left)
-    half = size // 2
-    # Equations that are regular at h = 0, their unknowns, and the values of the unknowns at h = 0. A variational scheme
-    # has the mean velocity V as unknown, with q_k1 = q_k + h V.
-    equations, unknowns = [e.xreplace(start) for e in step.equations], list(step.unknowns)
-    first = list(_STATE * (len(step.unknowns) // len(_STATE)))
-    if scheme.variational:
-        velocities = [Symbol(f"V{i}", real=True) for i in range(half)]
-        arrival = {q1: start[q] + STEP * v for q, q1, v in zip(step.left, step.right, velocities, strict=False)}
-        equations, unknowns = [sympy.cancel(e.xreplace(arrival)) for e in equations], [*velocities, *step.right[half:]]
-        momentum = dict(zip((*model.coordinates, *legendre.conjugate_symbols(model)), _STATE, strict=True))
-        initial = [v.xreplace({**momentum, model.time: _INSTANT}) for v in legendre.velocity_of_momentum(model)]
-        first = [*initial, *_STATE[half:]]
-    at_zero = dict(zip(unknowns, first, strict=True))
-    matrix = Matrix([[_coefficient(e.diff(y).xreplace(at_zero), 0) for y in unknowns] for e in equations])
-    series = [[value] for value in first]
-    for power in range(1, highest + 1):
-        at = _polynomials(unknowns, series)
-        residual = Matrix([_coefficient(e.xreplace(at), power) for e in equations])
-        for coefficients, value in zip(series, -matrix.LUsolve(residual), strict=True):
-            coefficients.append(value)
-    if not scheme.variational:
-        return series[-size:]
-    return [[q, *velocity[:-1]] for q, velocity in zip(_STATE[:half], series[:half], strict=True)] + series[half:]
-
-
-def _polynomials(symbols: Sequence[Symbol], series: Sequence[Sequence[Expr]]) -> dict[Symbol, Expr]:
-    return {
-        symbol: sum((c * STEP**i for i, c in enumerate(coefficients)), S.Zero)
-        for symbol, coefficients in zip(symbols, series, strict=True)
-    }
-
-
-def _coefficient(expression: Expr, power: int) -> Expr:
-    """Return the coefficient of h^power of a rational function of h that is regular at zero, by long division."""
-    numerator, denominator = sympy.fraction(sympy.cancel(sympy.together(expression)))
-    above, below = (sympy.Poly(part, STEP).all_coeffs()[::-1] for part in (numerator, denominator))
-    quotient: list[Expr] = []
-    for n in range(power + 1):
-        value = above[n] if n < len(above) else S.Zero
-        value -= sum((below[i] * quotient[n - i] for i in range(1, min(n, len(below) - 1) + 1)), S.Zero)
-        quotient.append(value / below[0])
-    return quotient[power]
 
 
 def check_midpoint_equivalence(context: Context) -> Iterator[Finding]:

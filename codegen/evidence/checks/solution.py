@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from types import ModuleType
 from typing import Any
@@ -369,8 +369,21 @@ def check_optimum(context: Context) -> Iterator[Finding]:
         )
         return
     subject = "convergence to the optimum"
+    model, first = context.model, context.solution
     try:
-        optimum, source = _optimal_cost(context)
+        exact = exact_optimum(model)
+        if exact is not None:
+            optimum, source = exact.cost_at(), "in closed form"
+        else:
+            # From the discrete motion collocation converges to the same local optimum. A motion with nodal controls may
+            # be a false optimum.
+            guess = None
+            if first.status == "solved" and context.choices.controls != "nodal":
+                rates = first.p if model.form == "hamiltonian" else np.gradient(first.q, first.t, axis=0)
+                states = np.hstack([first.q, rates])
+                guess = first.t, states, np.zeros_like(states)
+            reference = reference_optimum(model, tolerance=_TOLERANCE, guess=guess, seconds=_SECONDS)
+            optimum, source = reference.cost, "by collocation"
     except CodegenError as error:
         yield not_measured("optimum", subject, " ".join(str(error).split()))
         return
@@ -391,24 +404,6 @@ def check_optimum(context: Context) -> Iterator[Finding]:
     listed = ", ".join(f"{error:.3g} (N = {n})" for n, error in errors[-3:])
     detail = f"J* = {optimum:.12g} {source}; errors {listed}; order {rate:.2f}, {order} is expected"
     yield Finding("optimum", subject, passed, detail)
-
-
-def _optimal_cost(context: Context) -> tuple[float, str]:
-    """Return the cost of the continuous optimum, and its source in words: the closed form, or collocation.
-
-    The discrete motion is the initial guess of collocation, so that it converges to the same local optimum. A motion
-    with nodal controls is not used, because it may be a false optimum.
-    """
-    model, solution = context.model, context.solution
-    exact = exact_optimum(model)
-    if exact is not None:
-        return exact.cost_at(), "in closed form"
-    guess = None
-    if solution.status == "solved" and context.choices.controls != "nodal":
-        rates = solution.p if model.form == "hamiltonian" else np.gradient(solution.q, solution.t, axis=0)
-        states = np.hstack([solution.q, rates])
-        guess = solution.t, states, np.zeros_like(states)
-    return reference_optimum(model, tolerance=_TOLERANCE, guess=guess, seconds=_SECONDS).cost, "by collocation"
 
 
 _NOTHING = (1e-9, 1e-8, 1e-7)
@@ -508,24 +503,9 @@ Values = dict[str, Vector]
 """Cost, coordinates, controls and multipliers of a solution, or their derivatives, by the names in `_KINDS`."""
 
 
-@dataclass(frozen=True)
-class _Direction:
-    """The quantities to change, their values and changes; `prescribed` names quantities that depend on no parameter."""
-
-    subject: str
-    varied: tuple[Quantity, ...]
-    values: tuple[float | Vector, ...]
-    changes: Vector
-    prescribed: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _Reference:
-    """Central differences, `fine` with half the increments; `bend` is the gap between left and right derivatives."""
-
-    coarse: Values
-    fine: Values
-    bend: dict[str, float]
+_Reference = tuple[Values, Values, dict[str, float]]
+"""Central differences, the same with half the increments, and the gaps between left and right derivatives."""
+_Change = tuple[Quantity, float | Vector, float]  # a quantity, its value, and its change
 
 
 def check_sensitivities(context: Context) -> Iterator[Finding]:
@@ -546,62 +526,68 @@ def check_sensitivities(context: Context) -> Iterator[Finding]:
     values = tuple(v if i >= count else float(np.max(v)) for i, v in enumerate(columns))
     sizes = np.array([max(float(np.abs(value).max()), 0.1) for value in columns])
     signs = np.random.default_rng(11).uniform(0.3, 1.0, len(names)) * np.where(np.arange(len(names)) % 2, 1.0, -1.0)
-    varied, changes, prescribed = quantities(names, module, ()), sizes * signs, tuple(names[count:])
-    all_quantities = _Direction("all quantities by themselves", varied, values, changes, prescribed)
-    yield _compared_sensitivities(module, steps, solution, all_quantities)
+    varied = list(zip(quantities(names, module, ()), values, sizes * signs, strict=True))
+    prescribed = tuple(names[count:])  # quantities that depend on no parameter
+    yield _compared_sensitivities(module, steps, solution, "all quantities by themselves", varied, prescribed)
     if prescribed and count:
-        subject = "parameters, which others follow"
-        parameters = _Direction(subject, varied[:count], values[:count], changes[:count], ())
-        yield _compared_sensitivities(module, steps, solution, parameters)
+        yield _compared_sensitivities(module, steps, solution, "parameters, which others follow", varied[:count], ())
 
 
 def _compared_sensitivities(
-    module: ModuleType, steps: int, solution: ControlSolution, direction: _Direction
-) -> Finding:
-    grid, subject = module.make_grid(steps), f"{direction.subject}, {steps} intervals"
-    rates = module.sensitivities(grid, solution.unknowns, direction.prescribed)
+    module: ModuleType, steps: int, solution: ControlSolution, subject: str, varied: Sequence[_Change],
+    prescribed: tuple[str, ...],
+) -> Finding:  # fmt: skip
+    grid, subject = module.make_grid(steps), f"{subject}, {steps} intervals"
+    rates = module.sensitivities(grid, solution.unknowns, prescribed)
     if rates.failure:
         return not_measured("sensitivities", subject, rates.failure)
     if rates.doubtful.size:
         reason = f"strict complementarity fails for {rates.doubtful.size} unknowns"
         return not_measured("sensitivities", subject, reason)
-    values, changes, left_out = _values(solution), direction.changes, ""
+    values, left_out = _values(solution), ""
 
-    def moved(changes: Vector, part: float) -> Values | None:
-        triples = zip(direction.varied, direction.values, changes, strict=True)
-        data = given_to({quantity: value + part * change for quantity, value, change in triples})
+    def moved(changes: Sequence[_Change], part: float) -> Values | None:
+        data = given_to({quantity: value + part * change for quantity, value, change in changes})
         other = _solved_nearby(module, steps, data, solution.unknowns)
         return None if other is None else _values(other)
 
-    def references_along(changes: Vector) -> list[_Reference]:
+    def references_along(changes: Sequence[_Change]) -> list[_Reference]:
         """Return a reference for each length in `_LENGTHS`; an empty list if a changed problem is not solved."""
         references = []
         for length in _LENGTHS:
-            reference = _reference(lambda part: moved(changes, part), values, length)
+            reference = _reference(partial(moved, changes), values, length)
             if reference is None:
                 return []
             references.append(reference)
         return references
 
-    references = references_along(changes)
+    references = references_along(varied)
     if not references:
-        alone = [np.where(np.arange(changes.size) == i, changes, 0.0) for i in range(changes.size)]
-        longest = _LENGTHS[0]
-        can = np.array([all(moved(one, side * longest) is not None for side in (1, -1)) for one in alone])
-        if can.any() and not can.all():
-            left_out = ", without " + ", ".join(direction.varied[i].name for i in np.flatnonzero(~can))
-            changes = np.where(can, changes, 0.0)
-            references = references_along(changes)
+        resting = [(quantity, value, 0.0) for quantity, value, _ in varied]
+        can = [
+            all(moved([*resting[:i], one, *resting[i + 1 :]], side * _LENGTHS[0]) is not None for side in (1, -1))
+            for i, one in enumerate(varied)
+        ]
+        if any(can) and not all(can):
+            left_out = ", without " + ", ".join(one[0].name for one, is_possible in zip(varied, can) if not is_possible)
+            varied = [one if is_possible else rest for one, rest, is_possible in zip(varied, resting, can)]
+            references = references_along(varied)
     if not references:
         reason = f"the problem beside the solution is not solved{left_out}"
         return not_measured("sensitivities", subject, reason)
     subject += left_out
-    if any(_is_kinked(references, kind, values[kind]) for kind in _KINDS):
+    is_kinked = False  # for a kink, the gap between left and right derivatives does not shrink with the increment
+    (*_, longer), (_, fine, bend) = references[-2:]
+    for kind in _KINDS:
+        floor = _FLOOR * float(np.abs(values[kind]).max(initial=0.0))
+        largest = max(float(np.abs(fine[kind]).max(initial=0.0)), floor)
+        is_kinked = is_kinked or bend[kind] > max(0.3 * longer[kind], _KINK * largest)
+    if is_kinked:
         reason = "derivatives to both sides differ, as where bounds begin to hold"
         return not_measured("sensitivities", subject, reason)
 
     along: dict[str, Vector] = {kind: np.zeros(()) for kind in _KINDS}
-    for quantity, change in zip(direction.varied, changes, strict=True):
+    for quantity, _, change in varied:
         i = module.QUANTITIES.index(quantity.name)
         _, q, _, u, multipliers = module.unpacked_rates(grid, solution.unknowns, rates, i)
         for kind, derivative in (("cost", rates.cost[i]), ("q", q), ("u", u), ("multipliers", multipliers)):
@@ -614,9 +600,9 @@ def _compared_sensitivities(
         floor = _FLOOR * float(np.abs(values[kind]).max())
         errors = []
         for reference in references:
-            coarse, fine = reference.coarse[kind], reference.fine[kind]
-            scale = max(float(np.abs(fine).max()), floor, 1e-300)
-            errors.append((float(np.abs(fine - coarse).max()) / scale, float(np.abs(along[kind] - fine).max()) / scale))
+            coarse, exact = reference[0][kind], reference[1][kind]
+            scale, difference = max(float(np.abs(exact).max()), floor, 1e-300), np.abs(along[kind] - exact)
+            errors.append((float(np.abs(exact - coarse).max()) / scale, float(difference.max()) / scale))
         noise, error = min(errors)
         rough = max(rough, noise)
         worst = max(worst, error)
@@ -643,15 +629,7 @@ def _reference(moved: Callable[[float], Values | None], values: Values, length: 
     coarse, fine = (
         {kind: (4.0 * second[kind] - first[kind]) / 3.0 for kind in _KINDS} for first, second in pairwise(differences)
     )
-    return _Reference(coarse, fine, bend)
-
-
-def _is_kinked(references: Sequence[_Reference], kind: str, values: Vector) -> bool:
-    """Return True if the gap between left and right derivatives does not shrink with the increment, as for a kink."""
-    longer, last = references[-2].bend[kind], references[-1]
-    floor = _FLOOR * float(np.abs(values).max(initial=0.0))
-    largest = max(float(np.abs(last.fine[kind]).max(initial=0.0)), floor)
-    return bool(last.bend[kind] > max(0.3 * longer, _KINK * largest))
+    return coarse, fine, bend
 
 
 def _values(solution: ControlSolution) -> Values:

@@ -268,13 +268,20 @@ class Order:
 
 @dataclass(frozen=True)
 class Measured:
-    """The solves of a scheme by increasing number of steps, their errors, and the order with its verdict."""
+    """The solves of a scheme by increasing number of steps, their errors, and the order with its verdict.
+
+    A mesh sequence has unknowns with `switching` bounds, the finest number of steps with its error, and a remark.
+    """
 
     rows: list[Values]
     errors: list[float | None]
     order: Order | None
     expected: int
     verdict: str
+    switching: tuple[str, ...] = ()
+    finest: int | None = None
+    finest_error: float | None = None
+    remark: str = ""
 
 
 def measured_order(steps: Sequence[int], errors: Sequence[float | None], floor: float = 0.0) -> Order | None:

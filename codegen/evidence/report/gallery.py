@@ -70,16 +70,6 @@ def _operations(module: Values, column: int) -> int:
     return sum(pair[column] for pair in module["operations"].values())
 
 
-def general_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Yield a case for each general form: the comparison of its solve with the plain module's solve."""
-    for general in workshop.built(general_forms(workshop.store, problem, variants, extent)):
-        yield Case(
-            section_of(problem, "general form"),
-            general.label,
-            partial(_compared, workshop, general, extent.time_budget),
-        )
-
-
 def _compared(workshop: Workshop, general: Variant, budget: float) -> Values:
     """Return status and seconds of a solve with both forms, and the relative difference of costs or final states."""
     modules = workshop.module(replace(general, general=False)), workshop.module(general)
@@ -362,7 +352,9 @@ def _cases(chosen: Chosen, workshop: Workshop, extent: Extent) -> Iterator[Case]
         yield from KINDS[chosen.task].cases(chosen.problem, chosen.variants, workshop, extent)
         if chosen.task == "simulate":
             yield from simulations.drift_cases(chosen.problem, chosen.variants, workshop, extent)
-        yield from general_cases(chosen.problem, chosen.variants, workshop, extent)
+        for general in workshop.built(general_forms(workshop.store, chosen.problem, chosen.variants, extent)):
+            compare = partial(_compared, workshop, general, extent.time_budget)
+            yield Case(section_of(chosen.problem, "general form"), general.label, compare)
     if chosen.extra:
         yield from chosen.extra.cases(chosen.problem, chosen.extra.variants(chosen.problem), workshop, extent)
 

@@ -21,14 +21,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import fsolve, minimize
 
+from codegen.evidence.report.building import timed
 from codegen.evidence.report.store import Case, Settings, Store, Values, few_landmarks, smooth_pair
 from codegen.problem.points import PointSet
 from codegen.solving import api
@@ -158,6 +160,7 @@ def _field(module: ConnectModule, q: Vector, p: Vector, x: Vector) -> Vector:
 # ---- Growth with the number of landmarks and the dimension of space ----
 
 DIMENSION_SECTION = "dimension"
+BUDGET = 0.1  # seconds for the samples of a time
 COUNTS = (5, 10, 20, 50, 100, 200)
 KERNELS = (("plate", 2), ("plate", 3), ("gauss", 2), ("gauss", 3))
 WIDTH = 0.15
@@ -184,21 +187,10 @@ def _grown(settings: Settings, kernel: str, dimension: int, count: int) -> Value
         "status": solution.status,
         "residual": solution.residual,
         "iterations": solution.iterations,
-        "seconds": _least_time(partial(module.solve_case, case), 3 if count < 100 else 1),
-        "seconds of a trajectory": _least_time(partial(module.trajectory, case, solution.p[0]), 20),
+        "seconds": timed(partial(module.solve_case, case), BUDGET).processor,
+        "seconds of a trajectory": timed(partial(module.trajectory, case, solution.p[0]), BUDGET).processor,
         "operations": list(module.metadata.operations["hamiltonian_gradient"]),
     }
-
-
-def _least_time(run: Callable[[], object], repeats: int) -> float:
-    """Return the least processor time of warm runs, in seconds; other work on the machine has little effect on it."""
-    run()
-    times = []
-    for _ in range(repeats):
-        begin = time.process_time()
-        run()
-        times.append(time.process_time() - begin)
-    return min(times)
 
 
 # ---- The effort of the midpoint rule ----
@@ -223,8 +215,8 @@ def _generated(settings: Settings, count: int) -> Values:
         module = settings.module(scheme)
         case = module.make_case(points.start, points.target, 10)
         solution = module.solve_case(case)
-        values[f"{scheme} seconds"] = _least_time(partial(module.solve_case, case), 5)
-        values[f"{scheme} trajectory"] = _least_time(partial(module.trajectory, case, solution.p[0]), 20)
+        values[f"{scheme} seconds"] = timed(partial(module.solve_case, case), BUDGET).processor
+        values[f"{scheme} trajectory"] = timed(partial(module.trajectory, case, solution.p[0]), BUDGET).processor
         values[f"{scheme} cost"], values[f"{scheme} status"] = solution.cost, solution.status
     return values
 
@@ -420,7 +412,10 @@ def jump_cases(settings: Settings, store: Store) -> Iterator[Case]:
     if settings.quick:
         return
     for count in settings.counts[:2]:
-        yield Case(JUMPS_SECTION, f"null space; nc {count}", partial(_null_space, count))
+        # The numbers of directions of the unknowns that change neither cost nor constraints.
+        matrices = {momenta: unknowns(momenta, 2 * count, 10) for momenta in ("nodes", "intervals")}
+        free = {name: int(matrix.shape[1] - np.linalg.matrix_rank(matrix)) for name, matrix in matrices.items()}
+        yield Case(JUMPS_SECTION, f"null space; nc {count}", partial(dict, free))
         for variant in VARIANTS:
             for steps in settings.steps:
                 name = variant.case(count, steps)
@@ -430,12 +425,6 @@ def jump_cases(settings: Settings, store: Store) -> Iterator[Case]:
                     break
 
 
-def _null_space(count: int) -> Values:
-    """Return the numbers of directions of the unknowns that change neither cost nor constraints, by a matrix rank."""
-    matrices = {momenta: unknowns(momenta, 2 * count, 10) for momenta in ("nodes", "intervals")}
-    return {name: int(matrix.shape[1] - np.linalg.matrix_rank(matrix)) for name, matrix in matrices.items()}
-
-
 def unknowns(momenta: str, size: int, steps: int) -> Matrix:
     """Return the matrix that maps the unknowns of the minimiser to the unknowns of the action.
 
@@ -443,25 +432,15 @@ def unknowns(momenta: str, size: int, steps: int) -> Matrix:
     is "nodes", the minimiser has momenta on nodes, which are averaged between neighbours.
     """
     inner = (steps - 1) * size
-    if momenta == "intervals":
-        return np.eye(inner + steps * size)
-    matrix = np.zeros((inner + steps * size, inner + (steps + 1) * size))
-    matrix[:inner, :inner] = np.eye(inner)
-    for k in range(steps):
-        rows = slice(inner + k * size, inner + (k + 1) * size)
-        for node in (k, k + 1):
-            matrix[rows, inner + node * size : inner + (node + 1) * size] = 0.5 * np.eye(size)
-    return matrix
+    means = np.eye(steps) if momenta == "intervals" else 0.5 * (np.eye(steps, steps + 1) + np.eye(steps, steps + 1, 1))
+    return np.asarray(block_diag(np.eye(inner), np.kron(means, np.eye(size))))
 
 
 def _straight_path(module: ConnectModule, case: Any) -> Vector:
     """Return the positions on straight lines at constant speed and their momenta, shape (N + 1, 2, n, d)."""
-    states = np.zeros((case.steps + 1, 2, *case.start.shape))
     velocity = (case.target - case.start) / case.duration
-    for k in range(case.steps + 1):
-        states[k, 0] = case.start + k / case.steps * (case.target - case.start)
-        states[k, 1] = module.momenta_of(case, states[k, 0], velocity)
-    return states
+    places = [case.start + k / case.steps * (case.target - case.start) for k in range(case.steps + 1)]
+    return np.array([[q, module.momenta_of(case, q, velocity)] for q in places])
 
 
 def _minimised(settings: Settings, count: int, steps: int, variant: Minimisation) -> Values:
@@ -604,13 +583,9 @@ def _warp(settings: Settings, amplitude: float, steps: int) -> Values:
         return {"status": solution.status, "steps": steps}
     # The images of the grid under the steps, and the largest difference quotient of h v on the grid.
     x = grid().reshape(-1, 2)
-    count = solution.q.shape[1]
-    matrix, none = np.empty((count + len(x),) * 2), np.zeros((count + len(x), 0))
     steepest, spacing = 0.0, np.linalg.norm(grid()[0, 1] - grid()[0, 0])
     for q, p in zip(solution.q[:-1], solution.p[:-1], strict=True):
-        positions = np.concatenate([q, x])
-        module.momentum_matrix(np.stack([positions, np.zeros_like(positions)]), none, np.zeros(0), matrix)
-        step = (matrix[count:, :count] @ p) / (len(solution.q) - 1)
+        step = _field(module, q, p, x) / (len(solution.q) - 1)
         field = step.reshape(_ROWS, _ROWS, 2)
         slopes = [np.linalg.norm(np.diff(field, axis=a), axis=-1).max() / spacing for a in (0, 1)]
         steepest, x = max(steepest, *slopes), x + step

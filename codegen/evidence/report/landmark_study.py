@@ -97,6 +97,10 @@ def sections(settings: Settings, store: Store) -> list[Section]:
         "own steps do not depend on N.",
         svg(figures.best_of_each, settings, store),
     )
+    questions = [] if settings.quick else [
+        _paths(settings, store), _dimension(store), _smoothness(store), _jumps(settings, store),
+        _midpoint(settings, store), _orders(store), _ansatz(store),
+    ]  # fmt: skip
     return [
         Section("Control points and initial paths", (text,), (), (points,)),
         _routes(settings, store, "explicit-euler", "5.1 Explicit Euler", "5.2–5.4", "5.5–5.7"),
@@ -105,7 +109,7 @@ def sections(settings: Settings, store: Store) -> list[Section]:
         Section("5.3 The best of each", tuple(texts), (), (picture,)),
         _forty(store),
         _tolerances(store),
-        *([] if settings.quick else question_sections(settings, store)),
+        *questions,
     ]
 
 
@@ -295,14 +299,6 @@ def _tolerances(store: Store) -> Section:
 
 _THESIS = Minimisation("nodes", "curved", LOOSE)  # the variant of the minimisation that the thesis uses
 _JUMP = 5.0  # a jump is a growth of the error by this factor from one N to the next, while the iterations decrease
-
-
-def question_sections(settings: Settings, store: Store) -> list[Section]:
-    """Return the sections on the questions of chapter 6, then on the check of appendix B.2."""
-    return [
-        _paths(settings, store), _dimension(store), _smoothness(store), _jumps(settings, store),
-        _midpoint(settings, store), _orders(store), _ansatz(store),
-    ]  # fmt: skip
 
 
 def _paths(settings: Settings, store: Store) -> Section:

@@ -23,11 +23,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -40,7 +39,6 @@ from codegen.evidence.report.comparison import (
     LARGE,
     SETTLED,
     Measured,
-    Order,
     fitted_order,
     measured_order,
     order_text,
@@ -291,12 +289,9 @@ def fitted_limit(steps: Sequence[int], costs: Sequence[float], order: int) -> Li
     if len(rows) < 3:
         return Limit(rows[-1][1], math.inf, "")
     n, values = (np.array(column, dtype=float) for column in zip(*rows, strict=True))
-    weight = (n / n.max()) ** order
-    matrix = np.column_stack([weight, weight * (n / n.max()) ** -order])
-    (value, slope), *_ = np.linalg.lstsq(matrix, weight * values, rcond=None)
-    residuals = weight * values - matrix @ [value, slope]
-    variance = float(residuals @ residuals) / max(1, len(rows) - 2) * np.linalg.inv(matrix.T @ matrix)[0, 0]
-    return Limit(float(value), max(2.0 * math.sqrt(variance), 1e-15 * abs(value)),
+    decay = (n / n.max()) ** -order
+    (_, value), covariance = np.polyfit(decay, values, 1, w=1.0 / decay, cov=True)
+    return Limit(float(value), max(2.0 * math.sqrt(covariance[1, 1]), 1e-15 * abs(value)),
                  f"fitted to {len(rows)} grids by J + c {_power(order)}")  # fmt: skip
 
 
@@ -443,26 +438,21 @@ EXACT = 1e-9  # no order is measured if no relative error exceeds this value
 OCTAVES = 16  # the largest ratio of numbers of intervals in a fit
 
 
-@dataclass(frozen=True)
-class Convergence:
-    """A measured order and its verdict, unknowns with switching bounds, the finest N, the error there, and remarks."""
+def measured(store: Store, problem: Path, variant: Variant) -> Measured:
+    """Return the solves of a scheme, the relative errors of their costs, and the order of the mesh sequence.
 
-    order: Order | None
-    verdict: str
-    switching: tuple[str, ...] = ()
-    finest: int | None = None
-    error: float | None = None
-    remark: str = ""
-
-
-def convergence_of(store: Store, problem: Path, variant: Variant, expected: int) -> Convergence:
-    """Return the convergence of the mesh sequence of a scheme; the verdict compares it with the `expected` order."""
+    Errors are None if a solve failed or if there is no reference. The expected order is the order of the scheme, but at
+    most 2 where controls are constant on intervals.
+    """
+    rows = building.timed_rows(store, problem, variant, "optima")
+    reference = store.get(section_of(problem, "reference"), "cost") or {}
+    expected = next((int(order) for v in rows if (order := v.get("expected order")) is not None), variant.order)
+    solves = Measured(rows, [_error(v, reference.get("cost")) for v in rows], None, expected, "")
     values = store.get(section_of(problem, "mesh sequences"), variant.label)
     limit = None if values is None else _limit(values)
     if values is None or limit is None:
         failure = "" if values is None else values["failure"]
-        return Convergence(None, "no optimum on three successive grids", remark=failure)
-    reference = store.get(section_of(problem, "reference"), "cost") or {}
+        return replace(solves, verdict="no optimum on three successive grids", remark=failure)
     switching, target, floor, remark = tuple(values["switching"]), limit.value, limit.error, ""
     if reference.get("cost") is not None:
         cost, error = float(reference["cost"]), float(reference["error"])
@@ -473,22 +463,22 @@ def convergence_of(store: Store, problem: Path, variant: Variant, expected: int)
     scale = abs(target) or 1.0
     steps, costs = all_grids(values)
     errors = [abs(cost - target) / scale for cost in costs]
-    last: dict[str, Any] = {"switching": switching, "finest": steps[-1], "error": errors[-1], "remark": remark}
+    solves = replace(solves, switching=switching, finest=steps[-1], finest_error=errors[-1], remark=remark)
     if max(errors) < EXACT:
-        return Convergence(None, "exact on every grid", **last)
+        return replace(solves, verdict="exact on every grid")
     if switching:
         # If the reference is fitted to the finest quarter of these grids, only coarser grids can show an order. Grids
         # up to the last one with an unrelated optimum are left out.
         is_reference = variant.label == reference.get("scheme") or bool(remark)
         top = steps[-1] // 4 if is_reference else steps[-1]
-        rows = [(n, error) for n, error in zip(steps, errors, strict=True) if top <= OCTAVES * n and n <= top]
-        kept = rows[max((i + 1 for i, (_, error) in enumerate(rows) if error > LARGE), default=0) :]
+        coarse = [(n, error) for n, error in zip(steps, errors, strict=True) if top <= OCTAVES * n and n <= top]
+        kept = coarse[max((i + 1 for i, (_, error) in enumerate(coarse) if error > LARGE), default=0) :]
         order = fitted_order([n for n, _ in kept], [error for _, error in kept], floor / scale)
     else:
         order = measured_order(steps, errors, floor / scale)
     if order is None and values["failure"]:
-        last["remark"] = "; ".join(text for text in (remark, f"ended at {values['failure']}") if text)
-    return Convergence(order, verdict(order, expected), **last)
+        remark = "; ".join(text for text in (remark, f"ended at {values['failure']}") if text)
+    return replace(solves, order=order, verdict=verdict(order, expected), remark=remark)
 
 
 # ---- Sections of the page ----
@@ -514,19 +504,6 @@ _SWITCHING = (
     "2001 for bounds of states, Alt, Baier, Gerdts and Lempio 2012 for controls that switch), but without a steady "
     "factor. So they are fitted to six grids per doubling; ± is twice the standard error of the slope."
 )
-
-
-def measured(store: Store, problem: Path, variant: Variant) -> Measured:
-    """Return the solves of a scheme, the relative errors of their costs, and the order of the mesh sequence.
-
-    Errors are None if a solve failed or if there is no reference. The expected order is the order of the scheme, but at
-    most 2 where controls are constant on intervals.
-    """
-    rows = building.timed_rows(store, problem, variant, "optima")
-    exact = (store.get(section_of(problem, "reference"), "cost") or {}).get("cost")
-    expected = next((int(order) for v in rows if (order := v.get("expected order")) is not None), variant.order)
-    convergence = convergence_of(store, problem, variant, expected)
-    return Measured(rows, [_error(v, exact) for v in rows], convergence.order, expected, convergence.verdict)
 
 
 def _error(values: Values, exact: float | None) -> float | None:
@@ -576,7 +553,6 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     motion = store.get(section_of(problem, "reference"), "motion") or {}
     exact = cost.get("cost")
     schemes = {v: m for v in variants if (m := measured(store, problem, v)).rows}
-    convergences = {v: convergence_of(store, problem, v, m.expected) for v, m in schemes.items()}
     relative = 0.0 if exact is None else cost["error"] / (abs(exact) or 1.0)
     if exact is None:
         texts = [f"There is no reference cost: {cost.get('how', 'no scheme was built')}."]
@@ -614,13 +590,12 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     tables += [] if strange is None else [strange]
     everything = Section(f"{problem.stem}: all schemes", (building.RULE,), tuple(tables), tuple(pictures[1:]))
     texts, pictures = [_ORDERS], []
-    names = dict.fromkeys(name for convergence in convergences.values() for name in convergence.switching)
+    names = dict.fromkeys(name for scheme in schemes.values() for name in scheme.switching)
     if names:
         texts.append(_SWITCHING.format(names=listed(list(names))))
     orders, runs = [], []
     for variant, scheme in schemes.items():
-        convergence = convergences[variant]
-        kind = f"bounds of {', '.join(convergence.switching)}" if convergence.switching else "smooth"
+        kind = f"bounds of {', '.join(scheme.switching)}" if scheme.switching else "smooth"
         steps = [row["steps"] for row in scheme.rows]  # the orders of states and controls are those of the figures
         of_motion = [
             measured_order(steps, [row.get(key) for row in scheme.rows], uncertain.get(key) or 0.0)
@@ -629,8 +604,8 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         orders.append((
             variant.label, str(variant.order), str(scheme.expected), order_text(scheme.order, scheme.verdict),
             *("" if order is None else number(order.value) for order in of_motion),
-            scheme.order.range if scheme.order else "–", str(convergence.finest or "–"),
-            number(convergence.error, 2), kind, convergence.remark,
+            scheme.order.range if scheme.order else "–", str(scheme.finest or "–"),
+            number(scheme.finest_error, 2), kind, scheme.remark,
         ))  # fmt: skip
         last, error = scheme.rows[-1], scheme.errors[-1]
         remarks = [f"{v['steps']}: {v['status']}" for v in scheme.rows if v["status"] != "solved"]

@@ -29,7 +29,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from math import inf
@@ -50,13 +50,14 @@ from codegen.solving.loading import Matrix, Vector
 
 @dataclass(frozen=True)
 class Peer:
-    """Another program: its name on the page, its package, its class, its order, and the options of its solver."""
+    """Another program: its name on the page, its package, its class, its order, its solver and the solver's options."""
 
     name: str
     package: str
     program: type[_Program]
     order: int
-    options: Values = field(default_factory=dict)
+    solver: str
+    options: Values
 
 
 ANSWER_SECONDS = 15.0
@@ -118,11 +119,13 @@ def _serve(connection: Connection) -> None:
                 case Peer() as peer, Path() as problem:
                     try:
                         model = load_problem(problem, {})
-                        os.chdir(folder)  # dymos and opty write files
-                        program = peer.program(peer, model)
-                        connection.send(None)
-                    except (CodegenError, ImportError, NotImplementedError, NameError, TypeError, AttributeError) as e:
-                        connection.send(str(e))
+                        reason = peer.program.unsuited(peer, model)
+                        if not reason:
+                            os.chdir(folder)  # dymos and opty write files
+                            program = peer.program(peer, model)
+                        connection.send(reason or None)
+                    except (CodegenError, ImportError, NameError, TypeError, AttributeError) as error:
+                        connection.send(str(error))
                 case Guess() as guess, float() as budget:
                     assert program is not None
                     connection.send(program.row(guess, budget))
@@ -144,13 +147,16 @@ class _Found:
 class _Program(ABC):
     """The dynamics and the cost of a problem with numbers for its parameters, and their program by a peer."""
 
+    @staticmethod
+    def unsuited(peer: Peer, model: Any) -> str:
+        """Return the reason why the program does not take a model, or an empty text."""
+        features = [name for name in _ABSENT if getattr(model, name)] + (["bodies"] if model.bodies > 1 else [])
+        return f"no program for problems with {', '.join(features).replace('_', ' ')}" if features else ""
+
     def __init__(self, peer: Peer, model: Any) -> None:
-        """Read the model; raise NotImplementedError with the feature that the program has not."""
+        """Read the model, which must suit the program."""
         from codegen.evidence.analysis.maximum_principle import dynamics_of
 
-        features = [name for name in _ABSENT if getattr(model, name)] + (["bodies"] if model.bodies > 1 else [])
-        if features:
-            raise NotImplementedError(f"no program for problems with {', '.join(features).replace('_', ' ')}")
         self.peer, self.model, values = peer, model, model.default_values
         self.states, self.controls = (*model.coordinates, *model.rates), tuple(model.controls)
         self.symbols = (*self.states, *self.controls, model.time)
@@ -209,22 +215,20 @@ class _Program(ABC):
 class _Casadi(_Program):
     """Multiple shooting by rk4 with a solver of CasADi."""
 
-    solver: str
+    @staticmethod
+    def unsuited(peer: Peer, model: Any) -> str:
+        """Return the reason of `_Program.unsuited`, or that CasADi was built without the solver."""
+        lacking = "" if import_module("casadi").has_nlpsol(peer.solver) else f"this CasADi has no {peer.solver}"
+        return _Program.unsuited(peer, model) or lacking
 
     def __init__(self, peer: Peer, model: Any) -> None:
         """Print the right-hand sides."""
         super().__init__(peer, model)
         self.ca = import_module("casadi")
-        if not self.ca.has_nlpsol(self.solver):
-            raise NotImplementedError(f"this CasADi has no {self.solver}")
         if hasattr(self.ca.GlobalOptions, "setNumpyMode"):
             self.ca.GlobalOptions.setNumpyMode(-1)  # functions of numpy accept symbols of CasADi without a warning
         self.rates_and_cost = self.printed([*self.rates, self.cost], self.ca)
         self.final = self.printed([self.terminal_cost], self.ca)
-
-    def options(self, constraints: int) -> Values:
-        """Return the options of the solver for a number of constraints."""
-        return self.peer.options
 
     def on_grid(self, nodes: Matrix, u: Matrix) -> Callable[[], Callable[[], _Found]]:
         """Return the function that solves from a guess; the guess of controls is that of intervals."""
@@ -254,9 +258,11 @@ class _Casadi(_Program):
         begin = np.append(np.hstack([nodes[:-1], u]).ravel(), nodes[-1])
         lower, upper = (side.ravel()[: begin.size] for side in (low, high))
         constraints = ca.vertcat(gaps[:, 0], prescribed[0], ca.vec(gaps[:, 1:]), prescribed[1])
-        options = {"print_time": False, "expand": True, "error_on_fail": False, **self.options(constraints.numel())}
+        options = {"print_time": False, "expand": True, "error_on_fail": False, **self.peer.options}
+        if self.peer.solver == "fatrop":
+            options["equality"] = [True] * constraints.numel()
         nlp = {"x": w, "f": ca.sum2(costs) + final, "g": constraints}
-        solver = ca.nlpsol("solver", self.solver, nlp, options)
+        solver = ca.nlpsol("solver", self.peer.solver, nlp, options)
 
         def run() -> Callable[[], _Found]:
             solution, statistics = solver(x0=begin, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0), solver.stats()
@@ -276,18 +282,6 @@ class _Casadi(_Program):
         return run
 
 
-class _Ipopt(_Casadi):
-    solver = "ipopt"
-
-
-class _Fatrop(_Casadi):
-    solver = "fatrop"
-
-    def options(self, constraints: int) -> Values:
-        """Return the options with the kinds of constraints: all are equalities."""
-        return {**self.peer.options, "equality": [True] * constraints}
-
-
 class _Opty(_Program):
     """The midpoint rule of opty, with controls at nodes, and IPOPT.
 
@@ -295,14 +289,22 @@ class _Opty(_Program):
     cost nothing.
     """
 
+    @staticmethod
+    def unsuited(peer: Peer, model: Any) -> str:
+        """Return the reason of `_Program.unsuited`, or that the dynamics depend on time."""
+        from codegen.evidence.analysis.maximum_principle import dynamics_of
+
+        reason = _Program.unsuited(peer, model)
+        if not reason and any(rate.has(model.time) for rate in dynamics_of(model)):
+            reason = "no program of opty for dynamics that depend on time"
+        return reason
+
     def __init__(self, peer: Peer, model: Any) -> None:
         """Write the equations of motion with functions of time, and differentiate the cost."""
         import sympy
 
         super().__init__(peer, model)
         self.opty = import_module("opty")
-        if any(rate.has(model.time) for rate in self.rates):
-            raise NotImplementedError("no program of opty for dynamics that depend on time")
         self.time, variables = sympy.Symbol("t"), self.symbols[:-1]
         self.functions = [sympy.Function(f"f{i}")(self.time) for i in range(len(variables))]
         written = dict(zip(variables, self.functions, strict=True))
@@ -379,6 +381,12 @@ class _Opty(_Program):
 class _Dymos(_Program):
     """Radau collocation of dymos with three points on each interval, and SLSQP of scipy."""
 
+    @staticmethod
+    def unsuited(peer: Peer, model: Any) -> str:
+        """Return the reason of `_Program.unsuited`, or that the cost has a terminal part."""
+        terminal = "" if model.terminal_cost == 0 else "no program of dymos for a terminal cost"
+        return _Program.unsuited(peer, model) or terminal
+
     def __init__(self, peer: Peer, model: Any) -> None:
         """Differentiate rates and cost."""
         super().__init__(peer, model)
@@ -393,9 +401,6 @@ class _Dymos(_Program):
             if output.has(symbol)
         ]
         self.slopes = self.printed([outputs[i].diff(self.symbols[j]) for i, j in self.pairs], "numpy")
-        self.final = self.printed([self.terminal_cost], "numpy")
-        if self.terminal_cost != 0:
-            raise NotImplementedError("no program of dymos for a terminal cost")
 
     def component(self) -> type:
         """Return the class of the OpenMDAO component: inputs i0, i1, ... and outputs o0, o1, ..."""
@@ -432,7 +437,7 @@ class _Dymos(_Program):
         """Return the function that solves from a guess, which is linear between nodes and between midpoints."""
         steps, n = len(u), len(self.states)
         problem = self.om.Problem(model=self.om.Group(), reports=False)
-        problem.driver = self.om.ScipyOptimizeDriver(optimizer="SLSQP", **self.peer.options)
+        problem.driver = self.om.ScipyOptimizeDriver(optimizer=self.peer.solver, **self.peer.options)
         problem.driver.declare_coloring(show_summary=False)
         transcription = self.dymos.Radau(num_segments=steps, order=3)
         phase = self.dymos.Phase(ode_class=self.component(), transcription=transcription)
@@ -485,14 +490,15 @@ class _Dymos(_Program):
 
 TOLERANCE, MOST_ITERATIONS = 1e-10, 1000
 PEERS = (
-    Peer("CasADi + IPOPT, rk4", "casadi", _Ipopt, 4,
+    Peer("CasADi + IPOPT, rk4", "casadi", _Casadi, 4, "ipopt",
          {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": TOLERANCE, "ipopt.max_iter": MOST_ITERATIONS}),
-    Peer("CasADi + fatrop, rk4", "casadi", _Fatrop, 4,
+    Peer("CasADi + fatrop, rk4", "casadi", _Casadi, 4, "fatrop",
          {"structure_detection": "auto",
           "fatrop": {"print_level": 0, "tolerance": TOLERANCE, "max_iter": MOST_ITERATIONS}}),
-    Peer("opty + IPOPT, midpoint", "opty", _Opty, 2,
+    Peer("opty + IPOPT, midpoint", "opty", _Opty, 2, "ipopt",
          {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": MOST_ITERATIONS}),
-    Peer("dymos + SLSQP, Radau", "dymos", _Dymos, 5, {"tol": TOLERANCE, "maxiter": MOST_ITERATIONS, "disp": False}),
+    Peer("dymos + SLSQP, Radau", "dymos", _Dymos, 5, "SLSQP",
+         {"tol": TOLERANCE, "maxiter": MOST_ITERATIONS, "disp": False}),
 )  # fmt: skip
 """The peers; one that is not installed, or whose solver this CasADi has not, has no curve."""
 

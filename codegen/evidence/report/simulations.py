@@ -26,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.stats import linregress
 
 from codegen.errors import CodegenError
 from codegen.evidence.report import building
@@ -33,9 +34,10 @@ from codegen.evidence.report import comparison as compare
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.page import Section, Table, listed, number, power_of_ten
 from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
+from codegen.evidence.stress.cases import component_sizes, euler_field
 from codegen.runtime.record import Form
 from codegen.solving import api
-from codegen.solving.loading import Matrix, SimulateModule, Vector
+from codegen.solving.loading import Matrix, SimulateModule, SimulateSolution, Vector
 from codegen.solving.results.result import Result
 
 TIGHT, LOOSE = 3e-14, 1e-13
@@ -67,7 +69,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     """
     store, modules = workshop.store, {v: workshop.simulation(v) for v in workshop.built(variants)}
     euler = next((module for v, module in modules.items() if v.scheme == "explicit-euler"), None)
-    has_field = euler is not None and not (euler.metadata.events or euler.metadata.gaps)
+    has_field = euler is not None and not any(getattr(euler.metadata, name, ()) for name in ("events", "gaps"))
     if not modules:
         return
     finest = max(modules, key=lambda v: (v.order, v.label))
@@ -82,7 +84,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
         span = cache(partial(reference_motion, euler, ORDER_CHECKPOINTS))
         # Durations of the spans on which orders are measured, from the speeds along the reference motion.
         duration, states = _duration_of(euler), np.array(reference["states"], dtype=float)
-        field, sizes = _field_of(euler, duration), component_sizes(euler, states)
+        field, sizes = euler_field(euler, duration), component_sizes(euler, states)
         speeds = [float(np.linalg.norm(field(t, z) / sizes)) for t, z in zip(reference["times"], states, strict=True)]
         unit = 1.0 / (float(np.median(speeds)) or 1.0 / duration)
         durations = dict.fromkeys(min(duration, factor * unit) for factor in SPANS)
@@ -129,7 +131,8 @@ def reference_motion(module: SimulateModule, checkpoints: int, duration: float |
     `checkpoints` is the number of intervals. The default duration is the problem's own.
     """
     duration = _duration_of(module) if duration is None else duration
-    field, start, times = _field_of(module, duration), _start_of(module), np.linspace(0.0, duration, checkpoints + 1)
+    field, times = euler_field(module, duration), np.linspace(0.0, duration, checkpoints + 1)
+    start = np.asarray(module.make_grid(1).start, dtype=float).ravel()
     runs = []
     for tolerance in (LOOSE, TIGHT):
         states = [start]
@@ -147,42 +150,14 @@ def reference_motion(module: SimulateModule, checkpoints: int, duration: float |
     return Motion(times, runs[1], error, (float(max(works)) or 1.0), how)
 
 
-def _field_of(module: SimulateModule, duration: float) -> Callable[[float, Vector], Vector]:
-    """Return the vector field f(t, z) of a problem from one step of explicit Euler: (z_1 - z_0)/h, for a long h.
-
-    The step is linear in h, so that a long step loses no digits in the subtraction.
-    """
-    h = 2.0 ** math.ceil(math.log2(duration))
-    grid = module.make_grid(1, duration=h)
-    return lambda t, z: np.asarray((module.step(grid, z, t) - z) / h)
-
-
 def is_mechanical(module: SimulateModule) -> bool:
     """Return True if the state has positions and momenta, and False for first-order dynamics."""
     return bool(module.metadata.form != Form.FIRST_ORDER)
 
 
-def component_sizes(module: SimulateModule, states: Matrix) -> Vector:
-    """Return the sizes of all components of the state, shape (2n,).
-
-    These are the largest position for every position, and the largest momentum for every momentum. Every state of
-    first-order dynamics has a size of its own.
-    """
-    size = np.abs(states).max(axis=0)
-    if not is_mechanical(module):
-        return np.where(size > 0.0, size, 1.0)
-    half = size.size // 2
-    return np.concatenate([np.full(half, part.max() or 1.0) for part in (size[:half], size[half:])])
-
-
 def _duration_of(module: SimulateModule) -> float:
     grid = module.make_grid(1)
     return float(grid.h * grid.steps)
-
-
-def _start_of(module: SimulateModule) -> Vector:
-    """Return the initial state (q, p), or x, shape (2n,)."""
-    return np.asarray(module.make_grid(1).start, dtype=float).ravel()
 
 
 def conserved(module: SimulateModule) -> dict[str, Callable[[Matrix], Vector]]:
@@ -194,7 +169,7 @@ def conserved(module: SimulateModule) -> dict[str, Callable[[Matrix], Vector]]:
     """
     if not is_mechanical(module):
         return {}
-    field, start = _field_of(module, _duration_of(module)), _start_of(module)
+    field, start = euler_field(module, _duration_of(module)), np.asarray(module.make_grid(1).start, dtype=float).ravel()
     generator, half = np.random.default_rng(0), start.size // 2
     size = np.where(start == 0.0, 0.1 * float(np.abs(start).max() or 1.0), np.abs(start))
     states = [start + 0.2 * size * generator.uniform(-1.0, 1.0, start.size) for _ in range(_STATES)]
@@ -206,19 +181,23 @@ def conserved(module: SimulateModule) -> dict[str, Callable[[Matrix], Vector]]:
                 momenta[f"momentum {name}"] = partial(_total_momentum, first=half + i, axes=2 * half)
         return momenta
     axes = int(module.DIMENSION)
+
+    def vanish(terms: Iterable[Vector | list[Vector]]) -> bool:
+        return all(abs(np.sum(each)) <= 1e-10 * np.abs(each).sum() for each in terms)
+
     for a in range(axes):
-        if all(_vanishes(rate[half + a :: axes]) for rate in rates):
+        if vanish(rate[half + a :: axes] for rate in rates):
             momenta[f"total momentum along axis {a + 1}"] = partial(_total_momentum, first=half + a, axes=axes)
     for a in range(axes):
         for b in range(a):
-            if all(_vanishes(_torques(z, rate, a, b, axes)) for z, rate in zip(states, rates, strict=True)):
+            torques = []  # the terms of the rate of the angular momentum
+            for z, rate in zip(states, rates, strict=True):
+                (q, p), (dq, dp) = (np.reshape(each, (2, -1, axes)) for each in (z, rate))
+                torques.append([dq[:, b] * p[:, a], q[:, b] * dp[:, a], -dq[:, a] * p[:, b], -q[:, a] * dp[:, b]])
+            if vanish(torques):
                 name = f"angular momentum in the plane {b + 1}, {a + 1}"
                 momenta[name] = partial(_angular_momentum, a=a, b=b, axes=axes)
     return momenta
-
-
-def _vanishes(terms: Vector) -> bool:
-    return bool(abs(np.sum(terms)) <= 1e-10 * np.abs(terms).sum())
 
 
 def _total_momentum(z: Matrix, first: int, axes: int) -> Vector:
@@ -228,14 +207,6 @@ def _total_momentum(z: Matrix, first: int, axes: int) -> Vector:
 def _angular_momentum(z: Matrix, a: int, b: int, axes: int) -> Vector:
     q, p = np.split(z, 2, axis=-1)
     return np.asarray((q[..., b::axes] * p[..., a::axes] - q[..., a::axes] * p[..., b::axes]).sum(-1))
-
-
-def _torques(z: Vector, rate: Vector, a: int, b: int, axes: int) -> Vector:
-    """Return the terms of the rate of the angular momentum in the plane of the axes a and b."""
-    (q, p), (dq, dp) = np.split(z, 2), np.split(rate, 2)
-    return np.concatenate(
-        [dq[b::axes] * p[a::axes], q[b::axes] * dp[a::axes], -dq[a::axes] * p[b::axes], -q[a::axes] * dp[b::axes]]
-    )
 
 
 def order_values(module: SimulateModule, spans: Iterable[Motion], limit: float) -> Values:
@@ -254,9 +225,7 @@ def order_values(module: SimulateModule, spans: Iterable[Motion], limit: float) 
             solution = module.solve(count, duration=duration, every=count // ORDER_CHECKPOINTS)
             error = math.nan
             if solution.status == "solved":
-                shape = (ORDER_CHECKPOINTS + 1, -1)
-                states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
-                error = float(np.sqrt(np.mean(((states - motion.states) / sizes)[1:] ** 2)))
+                error = float(np.sqrt(np.mean(((_states(solution) - motion.states) / sizes)[1:] ** 2)))
             steps.append(count)
             errors.append(error if math.isfinite(error) else None)
             order = compare.measured_order(steps, errors, motion.error)
@@ -318,8 +287,9 @@ def _by_steps(module: SimulateModule, label: str) -> Values:
     }  # fmt: skip
 
 
-def _states(result: Result) -> Matrix:
-    return np.hstack([result.q, result.p])
+def _states(motion: Result | SimulateSolution) -> Matrix:
+    """Return the states (q, p) at all times as rows."""
+    return np.hstack([np.reshape(part, (len(motion.t), -1)) for part in (motion.q, motion.p)])
 
 
 def _distance(module: SimulateModule, states: Matrix, times: Vector, exact: Matrix, exact_times: Vector) -> float:
@@ -467,8 +437,7 @@ def drift_values(module: SimulateModule, steps: int) -> Values:
         return {"status": f"refused: {error}"}
     if solution.status != "solved":
         return {"status": solution.status, "defect": defect}
-    shape = (len(solution.t), -1)
-    states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
+    states = _states(solution)
     assert solution.energy is not None, "a mechanical system has an energy"
     assert first.energy is not None, "a mechanical system has an energy"
     errors = solution.energy - solution.energy[0]
@@ -523,15 +492,13 @@ class Trend:
 
 def trend_of(times: Vector, values: Vector) -> Trend:
     """Return the trend of oscillating values by block means; correlated residuals (lag one) enlarge its error."""
-    size = len(values) // BLOCKS
+    size, duration = len(values) // BLOCKS, times[-1] - times[0]
     x, y = (np.reshape(column[: BLOCKS * size], (BLOCKS, size)).mean(axis=1) for column in (times, values))
-    x = (x - x.mean()) / (times[-1] - times[0])
-    slope = float(x @ (y - y.mean()) / (x @ x))
-    residuals = y - y.mean() - slope * x
+    fit = linregress(x / duration, y)
+    residuals = y - fit.intercept - fit.slope * x / duration
     square = float(residuals @ residuals)
     correlation = max(0.0, float(residuals[1:] @ residuals[:-1]) / square) if square else 0.0
-    error = np.sqrt(square / (BLOCKS - 2) / float(x @ x) * (1.0 + correlation) / (1.0 - correlation))
-    return Trend(slope, float(error))
+    return Trend(float(fit.slope), float(fit.stderr * np.sqrt((1.0 + correlation) / (1.0 - correlation))))
 
 
 def drift_section(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:

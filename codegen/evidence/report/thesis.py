@@ -280,7 +280,7 @@ def orbit_sections(store: Store, problem: Path) -> list[Section]:
         Picture("Orbits of the three methods (Figures 3.5 and 3.6); grey: first and last orbit.", svg(_orbits, store)),
         Picture("Optimal forces (Figures 3.7 to 3.9) with controls on intervals.", svg(_forces, store)),
         Picture("The same with controls at nodes, as in the thesis: the noise of Figures 3.7 to 3.9. The largest "
-                "forces above are below 1.", svg(_nodal_forces, store)),
+                "forces above are below 1.", svg(_forces, store, True)),
     )  # fmt: skip
     rows = []
     for revolutions in SWEEPS:
@@ -362,36 +362,22 @@ def _orbits(store: Store) -> Figure:
     return figure
 
 
-def _forces(store: Store) -> Figure:
-    """Draw the forces by midpoint and Euler against time."""
-    figure = Figure(figsize=(9.6, 5.4), layout="constrained")
-    axes = figure.subplots(2, 3, sharex="row", sharey="row")
+def _forces(store: Store, nodal: bool = False) -> Figure:
+    """Draw the forces by midpoint and Euler against time, or by midpoint with controls at nodes."""
+    figure = Figure(figsize=(9.6, 4.6 if nodal else 5.4), layout="constrained")
+    axes = figure.subplots(2, 3, sharex="row", sharey="none" if nodal else "row")
     for row, (revolutions, counts) in zip(axes, FORCES.items(), strict=True):
         for panel, steps in zip(row, counts, strict=True):
-            for label, *_, colour in ORBIT_METHODS:
+            for label, colour in [(NODAL, BLUE)] if nodal else [(label, colour) for label, *_, colour in ORBIT_METHODS]:
                 values = store.get(ORBIT_SECTION, _name(label, revolutions, steps))
-                if values is not None:
+                if values is not None and nodal:
+                    panel.plot(values["t"], values["u"], color=colour, linewidth=0.7)
+                elif values is not None:
                     panel.stairs(values["u"], values["t"], color=colour, label=label, baseline=None, linewidth=1.2)
-            panel.set_title(f"$p = {revolutions}$, $N = {steps}$")
-        row[0].set_ylabel("force $u$")
-        for panel in row:
-            panel.set_xlabel("time")
-    axes[0][0].legend()
-    return figure
-
-
-def _nodal_forces(store: Store) -> Figure:
-    """Draw the forces by midpoint with controls at nodes against time."""
-    figure = Figure(figsize=(9.6, 4.6), layout="constrained")
-    axes = figure.subplots(2, 3, sharex="row")
-    for row, (revolutions, counts) in zip(axes, FORCES.items(), strict=True):
-        for panel, steps in zip(row, counts, strict=True):
-            values = store.get(ORBIT_SECTION, _name(NODAL, revolutions, steps))
-            if values is not None:
-                panel.plot(values["t"], values["u"], color=BLUE, linewidth=0.7)
-            panel.set_title(f"$p = {revolutions}$, $N = {steps}$")
-            panel.set_xlabel("time")
-        row[0].set_ylabel("force $u$ at nodes")
+            panel.set(title=f"$p = {revolutions}$, $N = {steps}$", xlabel="time")
+        row[0].set_ylabel("force $u$ at nodes" if nodal else "force $u$")
+    if not nodal:
+        axes[0][0].legend()
     return figure
 
 

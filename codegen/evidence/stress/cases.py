@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from codegen.runtime.record import Form
 from codegen.runtime.search import point
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.solving.drivers import DRIVERS
+from codegen.solving.loading import Matrix, SimulateModule, Vector
 from codegen.solving.results.control import bound_distances, held_at_bounds
 from codegen.solving.results.motions import rounding_level
 from codegen.solving.results.result import STATUSES, Result
@@ -79,6 +81,28 @@ class Truth:
     conserved: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
     energy: float = math.nan
     rate: float = math.nan
+
+
+def euler_field(module: SimulateModule, duration: float) -> Callable[[float, Vector], Vector]:
+    """Return the vector field f(t, z) of a problem from one step of explicit Euler: (z_1 - z_0)/h, for a long h.
+
+    The step is linear in h, so that a long step loses no digits in the subtraction.
+    """
+    grid = module.make_grid(1, duration=2.0 ** math.ceil(math.log2(duration)))
+    return lambda t, z: np.asarray((module.step(grid, z, t) - z) / grid.h)
+
+
+def component_sizes(module: SimulateModule, states: Matrix) -> Vector:
+    """Return the sizes of all components of the state, shape (2n,).
+
+    These are the largest position for every position, and the largest momentum for every momentum. Every state of
+    first-order dynamics has a size of its own.
+    """
+    size = np.abs(states).max(axis=0)
+    if module.metadata.form == Form.FIRST_ORDER:
+        return np.where(size > 0.0, size, 1.0)
+    half = size.size // 2
+    return np.repeat([size[:half].max() or 1.0, size[half:].max() or 1.0], half)
 
 
 @dataclass(frozen=True)
@@ -257,21 +281,6 @@ def _stability(case: Case, run: Measurement) -> str:
     return f"stable below h omega = {run.stable_below:.3f} (measured)"
 
 
-@dataclass(frozen=True)
-class Expectation:
-    """The differences between tasks in the generation and the measurement of cases.
-
-    `violation` returns two numbers from module, case and result: how far the result is from a solution, and the limit.
-    `failures` counts the failures of Newton's method in a result. `drift` is the largest accepted relative change of
-    energy, NaN if the task has no energy. `keeps_energy` is True if an energy that is not finite counts as drift.
-    """
-
-    violation: Callable[[ModuleType, Case, Result], tuple[float, float]]
-    failures: Callable[[Result], int]
-    drift: float
-    keeps_energy: bool = False
-
-
 def _rounding(*arrays: NDArray[np.float64] | None) -> float:
     """Return a thousand rounding errors of the largest entry of the arrays."""
     largest = max((float(np.abs(a).max()) for a in arrays if a is not None and np.size(a)), default=1.0)
@@ -345,9 +354,7 @@ def _of_connections(module: ModuleType, case: Case, result: Result) -> tuple[flo
     return result.residual, limit
 
 
-EXPECTATIONS = {
-    "simulate": Expectation(_of_simulations, lambda r: int(not r.solved), drift=0.1, keeps_energy=True),
-    "control": Expectation(_of_optima, lambda r: int(not r.solved), drift=math.nan),
-    "connect": Expectation(_of_connections, lambda r: int(r.summary["attempts"]) - int(r.solved), drift=1.0),
-}
-"""The expectations by the name of a task in `codegen.solving.drivers`."""
+VIOLATIONS: dict[str, Callable[[ModuleType, Case, Result], tuple[float, float]]] = {
+    "simulate": _of_simulations, "control": _of_optima, "connect": _of_connections,
+}  # fmt: skip
+"""Functions by task that return how far a result is from a solution, and the largest distance that passes."""

@@ -20,7 +20,7 @@ from codegen.discretise.schemes import METHODS, find, of_method
 from codegen.discretise.schemes.base import FIRST_ORDER, Scheme
 from codegen.errors import NumericsError
 from codegen.evidence.stress import systems
-from codegen.evidence.stress.cases import Case, Row, Setup, Truth
+from codegen.evidence.stress.cases import Case, Row, Setup, Truth, component_sizes, euler_field
 from codegen.evidence.stress.motions import CONSTANT
 from codegen.problem.points import read_points
 from codegen.runtime.record import Form, Method
@@ -170,12 +170,8 @@ def exact_motion(module: SimulateModule, grids: Sequence[int]) -> tuple[Truth, n
     eigenvalue, or the largest speed of a component relative to its size. A fall has speeds and no eigenvalues.
     """
     grid = module.make_grid(1)
-    duration, start = float(grid.h), np.asarray(grid.start, dtype=float)
-    far = module.make_grid(1, duration=2.0 ** math.ceil(math.log2(duration)))
-    parameters = grid.parameters
-
-    def field(t: float, z: Vector) -> Vector:
-        return np.asarray((module.step(far, z, t) - z) / far.h)
+    duration, start, parameters = float(grid.h), np.asarray(grid.start, dtype=float), grid.parameters
+    field = euler_field(module, duration)
 
     def jacobian(t: float, z: Vector) -> Matrix:
         changes = 6e-6 * np.maximum(np.abs(z), 1e-3 * (np.abs(z).max() or 1.0))
@@ -201,12 +197,9 @@ def exact_motion(module: SimulateModule, grids: Sequence[int]) -> tuple[Truth, n
     rates = np.array([np.linalg.eigvals(jacobian(t, z)) for t, z in zip(times[at_samples], loose, strict=True)])
     is_stiff = max(0.0, -float(rates.real.min())) * duration > STIFF
     states = follow("Radau", 1e-11) if is_stiff else follow("DOP853", 3e-14)
-    sizes, energy, conserved = np.abs(states).max(axis=0), math.nan, np.zeros(start.size, bool)
-    sizes = np.where(sizes > 0.0, sizes, 1.0)
-    if module.metadata.form != Form.FIRST_ORDER:  # one size for all positions, and one for all momenta
+    sizes, energy, conserved = component_sizes(module, states), math.nan, np.zeros(start.size, bool)
+    if module.metadata.form != Form.FIRST_ORDER:
         half = start.size // 2
-        largest = np.abs(states).max(axis=0)
-        sizes = np.repeat([largest[:half].max() or 1.0, largest[half:].max() or 1.0], half)
         conserved[half:] = (np.ptp(states, axis=0) <= 1e-10 * sizes)[half:]
         if module.metadata.conservative:
             rest = [np.concatenate([z[:half], 0.0 * z[half:]]) for z in states]

@@ -6,9 +6,13 @@ equations II. Ascher and Reich is The midpoint scheme and variants for Hamiltoni
 SIAM Journal on Scientific Computing 21 (1999).
 """
 
+from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
+from typing import Any
 
-from sympy import Rational, cos, log, pi, sin, sqrt
+import numpy as np
+from sympy import Matrix, Rational, cos, hessian, lambdify, log, pi, sin, sqrt
 
 from codegen import (
     Connect,
@@ -25,6 +29,8 @@ from codegen import (
     states,
     time,
 )
+from codegen.problem.description import quantities_in
+from codegen.problem.symbols import Coordinate, Parameter
 
 
 def problem(system: str = "oscillator") -> Simulate | Control | Connect:
@@ -358,3 +364,36 @@ PROBLEMS = {
         gravity, landmarks
     )
 }  # fmt: skip
+
+
+# ---- Equations of motion ----
+
+
+@cache
+def defaults(name: str) -> Mapping[str, float]:
+    """Return the parameters of a problem by name; none for the name of a problem of another file."""
+    known = quantities_in(PROBLEMS[name]()) if name in PROBLEMS else ()
+    return {symbol.name: float(symbol.value) for symbol in known if isinstance(symbol, Parameter)}
+
+
+@cache
+def field_of(name: str) -> Callable[[Mapping[str, Any], Any], Any]:
+    """Return the rates of a problem as a function of its parameters and the state, in any floating type of numpy.
+
+    The state is x of first-order dynamics, (q, p) of a Hamiltonian, or (q, v) of a Lagrangian.
+    """
+    written = PROBLEMS[name]()
+    if written.dynamics is not None:
+        symbols, rates = list(written.dynamics), list(written.dynamics.values())
+    else:
+        q = [symbol for symbol in quantities_in(written) if isinstance(symbol, Coordinate)]
+        moving = [x.partner for x in q]
+        symbols, H, L = [*q, *moving], written.hamiltonian, written.lagrangian
+        if H is not None:
+            rates = [*(H.diff(p) for p in moving), *(-H.diff(x) for x in q)]
+        else:  # L_vv v' = L_q - L_vq v
+            bends = Matrix([L.diff(v) for v in moving]).jacobian(q) * Matrix(moving)
+            rates = [*moving, *hessian(L, moving).LUsolve(Matrix([L.diff(x) for x in q]) - bends)]
+    constants = [symbol for symbol in quantities_in(written) if isinstance(symbol, Parameter)]
+    function = lambdify([constants, symbols], rates, "numpy", cse=True)
+    return lambda values, state: np.array(function([values[p.name] for p in constants], state))

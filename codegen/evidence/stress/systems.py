@@ -1,6 +1,7 @@
-"""The mechanics of the stress problems, written by hand in numpy for a comparison with generated code.
+"""The mechanics of the stress problems for a comparison with generated code, and the effects of schemes.
 
-Forces accept arrays of any floating type: scipy needs double precision, the textbook equations extended precision.
+The equations of motion are those of `problems.field_of`, in any floating type: scipy needs double precision, the
+textbook equations extended precision. The kernel of landmarks is written by hand.
 
 The textbook equations of a step are evaluated in extended precision on the states that a module returns, for H =
 |p|^2/2 + V(q) with f = -V_q. No generated code takes part. Source of all forms: Hairer, Lubich and Wanner (2006),
@@ -27,71 +28,15 @@ from scipy.linalg import solve_triangular
 
 from codegen.discretise.schemes.base import Scheme
 from codegen.evidence.stress.cases import Case
+from codegen.evidence.stress.problems import defaults, field_of
 from codegen.solving.loading import Vector
 from codegen.solving.results.result import Result
 
-# ---- Forces ----
+# ---- Equilibria ----
 
 Array: TypeAlias = Any
 Number: TypeAlias = Any  # a float, or a number of mpmath
 Parameters: TypeAlias = Mapping[str, Any]
-Force = Callable[[Parameters, Array], Array]
-
-
-def spring_force(values: Parameters, q: Array) -> Array:
-    """Return the force of a spring of natural length one and of gravity."""
-    length = np.sqrt(q[0] * q[0] + q[1] * q[1])
-    pull = -values["k"] * (length - 1) / length
-    return np.stack([pull * q[0], pull * q[1] - 1])
-
-
-def fput_force(values: Parameters, q: Array) -> Array:
-    """Return the forces of stiff springs inside three pairs, and of quartic springs between pairs and to the walls."""
-    force = np.zeros_like(q)
-    for i in (0, 2, 4):
-        pull = values["omega"] ** 2 / 2 * (q[i + 1] - q[i])
-        force[i], force[i + 1] = force[i] + pull, force[i + 1] - pull
-    for i in (-1, 1, 3, 5):
-        first = q[i] if i >= 0 else q[0] * 0
-        second = q[i + 1] if i + 1 < len(q) else q[0] * 0
-        pull = 4 * (second - first) ** 3
-        if i >= 0:
-            force[i] = force[i] + pull
-        if i + 1 < len(q):
-            force[i + 1] = force[i + 1] - pull
-    return force
-
-
-def rod_force(values: Parameters, q: Array) -> Array:
-    """Return the forces of gravity and of a chain of elastic rods that starts at the origin; q holds x1, y1, x2, ..."""
-    joints = np.concatenate([np.zeros_like(q[:2])[None], q.reshape(-1, 2)])
-    along = joints[1:] - joints[:-1]
-    length = np.sqrt((along**2).sum(axis=1))[:, None]
-    pull = values["k"] * (length - 1) * along / length
-    force = -pull
-    force[:-1] += pull[1:]
-    force[:, 1] -= 1
-    return force.reshape(q.shape)
-
-
-FORCES: dict[str, Force] = {
-    "oscillator": lambda values, q: -(values["omega"] ** 2) * q,
-    "spring_pendulum": spring_force,
-    "fput": fput_force,
-    "rod_chain": rod_force,
-    "kepler": lambda values, q: -values["mu"] * q / np.sqrt(q[0] * q[0] + q[1] * q[1]) ** 3,
-}
-"""Forces of the problems with unit masses, H = |p|^2/2 + V(q), by the name of the problem file."""
-
-DEFAULTS: dict[str, dict[str, float]] = {
-    "oscillator": {"omega": 1.0},
-    "spring_pendulum": {"k": 1e4},
-    "fput": {"omega": 50.0},
-    "rod_chain": {"k": 1e4},
-    "kepler": {"mu": 1.0},
-    "pendulum_chain": {"heavy": 1.0, "light": 1.0, "g": 1.0},
-}
-"""The parameters of the problem files, by the name of the file."""
 
 _STIFF = 1e4
 REST: dict[str, tuple[dict[str, float], tuple[float, ...]]] = {
@@ -105,18 +50,6 @@ REST: dict[str, tuple[dict[str, float], tuple[float, ...]]] = {
 def frequency(problem: str, values: Parameters) -> float:
     """Return the largest frequency of small motions about the equilibrium."""
     return math.sqrt(values["k"]) if problem == "spring_pendulum" else float(values["omega"])
-
-
-def chain_acceleration(values: Parameters, angles: Array, rates: Array) -> Array:
-    """Return the angular accelerations q'' of a chain of unit pendulums: M(q) q'' = -C(q) q'^2 - gravity."""
-    count = len(angles)
-    masses = np.ones(count)
-    masses[0], masses[-1] = values["heavy"], values["light"]
-    below = np.cumsum(masses[::-1])[::-1]
-    carried = below[np.maximum.outer(np.arange(count), np.arange(count))]
-    difference = np.subtract.outer(angles, angles)
-    right = -(carried * np.sin(difference)) @ rates**2 - below * values["g"] * np.sin(angles)
-    return np.linalg.solve(carried * np.cos(difference), right)
 
 
 def plate_gradient(q: Array, p: Array) -> tuple[Array, Array]:
@@ -186,13 +119,13 @@ def textbook_errors(module: ModuleType, case: Case, result: Result) -> float:
     if result.steps != len(result.t) - 1:
         raise ValueError("the textbook's equations need every step")
     problem = case.setup.problem
-    parameters = DEFAULTS[problem] | dict(case.values)
-    values = {name: np.longdouble(parameters[name]) for name in DEFAULTS[problem]}
+    parameters = {**defaults(problem), **dict(case.values)}
+    values = {name: np.longdouble(parameters[name]) for name in defaults(problem)}
     h = np.longdouble(module.make_grid(result.steps).h)
     q, p = (np.asarray(a[: COUNT + 1], dtype=np.longdouble) for a in (result.q, result.p))
 
     def field(positions: Array) -> Array:
-        return FORCES[problem](values, positions)
+        return field_of(problem)(values, np.concatenate([positions, 0 * positions]))[len(positions) :]
 
     worst, eps, tiny = 0.0, np.finfo(float).eps, np.finfo(float).tiny  # below tiny, numbers have fewer digits
     signs = (-1.0) ** np.arange(q.shape[1])  # neighbours are perturbed in opposite directions
@@ -463,38 +396,3 @@ def followed(scheme: Scheme, rate: float, steps: int, start: float) -> Vector:
             slopes = solve(matrix, rate * (y[-1] - np.cos(t)) - np.sin(t))
             y.append(float(y[-1] + h * b @ slopes))
     return np.array(y)
-
-
-def robertson(t: float, y: Vector) -> Vector:
-    """Return the rates of three reactions."""
-    slow, fast, back = 0.04 * y[0], 3e7 * y[1] ** 2, 1e4 * y[1] * y[2]
-    return np.array([back - slow, slow - back - fast, fast])
-
-
-def hires(t: float, y: Vector) -> Vector:
-    """Return the rates of eight reactions."""
-    matrix = np.zeros((8, 8))
-    for i, j, value in (
-        (0, 0, -1.71), (0, 1, 0.43), (0, 2, 8.32), (1, 0, 1.71), (1, 1, -8.75), (2, 2, -10.03), (2, 3, 0.43),
-        (2, 4, 0.035), (3, 1, 8.32), (3, 2, 1.71), (3, 3, -1.12), (4, 4, -1.745), (4, 5, 0.43), (4, 6, 0.43),
-        (5, 3, 0.69), (5, 4, 1.71), (5, 5, -0.43), (5, 6, 0.69), (6, 6, -1.81), (7, 6, 1.81),
-    ):  # fmt: skip
-        matrix[i, j] = value
-    rates = matrix @ y
-    rates[0] += 0.0007
-    rates[5:] += np.array([-1.0, 1.0, -1.0]) * 280.0 * y[5] * y[7]
-    return np.asarray(rates)
-
-
-def contact(t: float, y: Vector) -> Vector:
-    """Return velocity and acceleration of a mass above a spring with a damper."""
-    depth = (math.hypot(y[0], 1e-4) - y[0]) / 2.0
-    return np.array([y[1], 1e6 * depth - 1e3 * depth / (depth + 1e-4) * y[1] - 1.0])
-
-
-RATES: dict[str, Callable[[float, Vector], Vector]] = {
-    "robertson": robertson,
-    "hires": hires,
-    "contact": contact,
-    "van_der_pol": lambda t, y: np.array([y[1], 1000.0 * ((1.0 - y[0] ** 2) * y[1] - y[0])]),
-}
