@@ -20,6 +20,7 @@ from codegen.runtime.search.grid import NONE, with_pinned_values
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.runtime.search.messages import describe
 from codegen.runtime.search.point import evaluate, fill, lagrangian
+from codegen.runtime.search.scaling import slacks
 from codegen.runtime.search.shooting import (
     scaled_shooting_grid,
     shooting_grid,
@@ -109,7 +110,9 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
 
     `scaled` is the grid with the scaling factors of the guess. If equations or cost have much larger factors at the
     guess than at the solution, the tolerance means little. The search then continues from the solution, with the
-    factors there. After a failure the problem is solved in its own units. If that succeeds, `scaled` has no factors.
+    factors there. Quantities that vanish at the solution do not count, because they have no size there. Slacks do not
+    count, because they have the factors of their equations. After a failure the problem is solved in its own units. If
+    that succeeds, `scaled` has no factors.
     For an explicit scheme, the searches have no stages, see `shooting`; `point` and `scaled` have them.
     """
     if scaling not in ("auto", "none"):
@@ -141,7 +144,8 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
         finer_scaled = scaled_shooting_grid(grid, measured, is_solution=True)
         finer = shooting_grid(finer_scaled)
         forces = finer.forces if finer.sizes.size else 1.0
-        if not (forces > np.where(searched.is_multiplier, STEEPER, STEEPER_COST) * searched.forces).any():
+        steeper = forces > np.where(searched.is_multiplier, STEEPER, STEEPER_COST) * searched.forces
+        if not (steeper & (searched.is_multiplier | (measured != 0.0)) & ~slacks(searched)).any():
             break
         scaled, searched, remaining = finer_scaled, finer, max_iterations - iterations
         status, point, further = minimise(finer, scaled_unknowns(finer, begin), tolerance, remaining, True, log)
