@@ -53,6 +53,7 @@ BEYOND = 1e6  # a motion that grows by this factor diverges
 
 CONTRADICTORY = 1e-6  # equations contradict each other if their least violation, relative to the first, exceeds it
 ROUNDINGS = 4.0  # residual that one Newton step may leave, in rounding errors of the equations' terms
+MOST_MULTIPLIER_STEPS = 10  # largest number of steps with equations that depend on each other
 LARGE = 1e6  # a larger step, relative to the unknowns, means that the problem is unbounded
 
 
@@ -357,6 +358,9 @@ def solve_linear_quadratic(grid, unknowns, tolerance, log, system=None):
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if excess != 0:
+            optimum, steps = with_redundant_equations(grid, point, system, tolerance)
+            if optimum is not None:
+                return "solved", optimum, iteration + steps
             return *without_minimum(grid, point, system), iteration
         if (iteration > 0 or point.error <= WORTH_MEASURING) and is_solved(grid, point, tolerance, ROUNDINGS):
             return "solved", point, iteration
@@ -364,6 +368,26 @@ def solve_linear_quadratic(grid, unknowns, tolerance, log, system=None):
             solve_kkt(grid, system, point.gradient, step)
         point = evaluate(grid, point.unknowns + step)
     return "stalled", point, 3
+
+
+def with_redundant_equations(grid, point, system, tolerance):
+    """Return (point, steps): the unique optimum of a problem whose equations depend on each other and agree, or None.
+
+    The KKT matrix has -FLAT on the diagonal of the multipliers, and the steps are those of the method of multipliers.
+    An example is a prescribed momentum that is conserved. Source: Friedlander and Orban (2012), A primal-dual
+    regularized interior-point method for convex quadratic programs.
+    """
+    step, diagonal = np.empty_like(point.unknowns), np.where(grid.is_multiplier, -FLAT, 0.0)
+    if factor_kkt(grid, point.unknowns, 1.0, diagonal, system, point.gradient, step) != 0:
+        return None, 0
+    for number in range(1, MOST_MULTIPLIER_STEPS + 1):
+        point = evaluate(grid, point.unknowns + step)
+        if not point.error < np.inf:
+            break
+        if is_solved(grid, point, tolerance, ROUNDINGS):
+            return point, number
+        solve_kkt(grid, system, point.gradient, step)
+    return None, 0
 
 
 def without_minimum(grid, point, system):
