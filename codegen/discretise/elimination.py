@@ -23,6 +23,7 @@ from sympy import Add, Expr, S, Symbol, expand
 
 from codegen.discretise.interval import STEP
 from codegen.symbolic import checks as expressions
+from codegen.symbolic import parts
 from codegen.symbolic.graph import Assignment
 from codegen.symbolic.zeros import identically_zero
 
@@ -65,7 +66,7 @@ def eliminate(
 
     def cost(result: Elimination) -> tuple[int, bool, int]:
         assigned = (value for _, value in (*result.before, *result.after))
-        operations = sum(int(e.count_ops()) for e in (*result.residual, *assigned))
+        operations = sum(map(parts.operations, (*result.residual, *assigned)))
         return len(result.unknowns), not result.linear, operations
 
     forward = range(len(unknowns))
@@ -87,7 +88,7 @@ class _Equation:
 
     @classmethod
     def of(cls, expression: Expr) -> _Equation:
-        return cls(expression, frozenset(expression.free_symbols), int(expression.count_ops()))
+        return cls(expression, parts.symbols_of(expression), parts.operations(expression))
 
 
 class _System:
@@ -120,7 +121,7 @@ class _System:
         for readable, sequence in ((frozenset[Symbol](), before), (self.open, after)):
             while True:
                 missing = ({y for y, _ in waiting} | self.open) - readable
-                ready = [assignment for assignment in waiting if not assignment[1].free_symbols & missing]
+                ready = [assignment for assignment in waiting if not parts.symbols_of(assignment[1]) & missing]
                 if not ready:
                     break
                 sequence += ready
@@ -167,7 +168,11 @@ class _System:
             # The pivot must not vanish where the system is regular. In equation i, constants are safe pivots of unknown
             # i. In other equations a parameter, such as a friction, may be zero; numbers and powers of h are safe.
             trusted = {STEP} if is_foreign else self.constants | {STEP}
-            if solution is None or not solution[0].free_symbols <= trusted or (is_foreign and self._is_small(i, y)):
+            if (
+                solution is None
+                or not parts.symbols_of(solution[0]) <= trusted
+                or (is_foreign and self._is_small(i, y))
+            ):
                 self.rejected.add((i, y))
                 continue
             if (others := self._substituted(i, y, solution[1])) is not None:
@@ -188,7 +193,7 @@ class _System:
             if total > self.limit:
                 return None
             if y in e.symbols:
-                others[j] = _Equation.of(e.expression.xreplace({y: value}))
+                others[j] = _Equation.of(parts.replaced(e.expression, {y: value}))
                 total += others[j].operations
         return others if total <= self.limit else None
 
@@ -226,7 +231,7 @@ class _System:
                 is_determined = len(present) == 1  # then other equations keep the symbol
                 if (
                     solution is None
-                    or not (is_determined or solution[0].free_symbols <= trusted)
+                    or not (is_determined or parts.symbols_of(solution[0]) <= trusted)
                     or (others and not is_determined and expressions.longer_than(_SUBSTITUTED, [solution[1]]))
                     or (y != self.unknowns[i] and self._is_small(i, y))
                 ):
@@ -237,7 +242,7 @@ class _System:
                 self.assignments.append((y, solution[1]))
                 for j in sorted(others):
                     if not is_determined:
-                        self.equations[j] = _Equation.of(self.equations[j].expression.xreplace({y: solution[1]}))
+                        self.equations[j] = _Equation.of(parts.replaced(self.equations[j].expression, {y: solution[1]}))
                     for z in self._present(j):
                         readers[z].add(j)
                         self.rejected.discard((j, z))
@@ -283,7 +288,7 @@ def linear_in(expression: Expr, y: Symbol, variables: AbstractSet[Symbol]) -> Ex
     coefficient = Add(*terms).diff(y)
     if nonlinear and expressions.multiplied_out(coefficient) <= _EXPANSION_LIMIT:
         coefficient = expand(coefficient)
-    return None if coefficient.free_symbols & variables else coefficient
+    return None if parts.symbols_of(coefficient) & variables else coefficient
 
 
 def _nonlinear_symbols(expression: Expr, variables: AbstractSet[Symbol]) -> AbstractSet[Symbol]:
@@ -297,7 +302,7 @@ def _nonlinear_symbols(expression: Expr, variables: AbstractSet[Symbol]) -> Abst
 @lru_cache(maxsize=10_000)
 def _symbols_of(expression: Expr) -> AbstractSet[Symbol]:
     """Return the symbols of a term, cached because every unknown is tested."""
-    return frozenset(expression.free_symbols)
+    return frozenset(parts.symbols_of(expression))
 
 
 _SHORT, _SMALL = sympy.Rational(1, 10**4), sympy.Rational(1, 100)
@@ -315,7 +320,7 @@ def in_bands(solution: Elimination) -> Elimination:
     """
     if len(solution.unknowns) < _LARGE:
         return solution
-    present = [equation.free_symbols for equation in solution.residual]
+    present = [parts.symbols_of(equation) for equation in solution.residual]
     pattern = np.array([[y in symbols for y in solution.unknowns] for symbols in present])
     order = reverse_cuthill_mckee(csr_array(pattern.T.astype(int) @ pattern.astype(int)), symmetric_mode=True)
     middles = [np.flatnonzero(row).mean() for row in pattern[:, order]]

@@ -38,6 +38,7 @@ from codegen.discretise.program import Names, symbols
 from codegen.discretise.schemes.base import Scheme
 from codegen.problem.rotations import angular_velocity, conjugate, product, squared_length
 from codegen.symbolic.derivatives import gradient
+from codegen.symbolic.parts import replaced
 
 Equation = tuple[str, Expr]
 
@@ -106,10 +107,10 @@ def in_body_rates(model: Model, function: Expr, rates: Mapping[tuple[Symbol, ...
         length = squared_length(quaternion)
         # An author writes L in omega = numerator/|q|^2, and the numerator is a sum that sympy leaves as it is.
         numerators = [part * length for part in angular_velocity(quaternion, moving)]
-        function = function.xreplace({n: w * length for n, w in zip(numerators, omega, strict=True)})
-        function = function.xreplace({Add(*(q * v for q, v in zip(quaternion, moving, strict=True))): S.Zero})
+        function = replaced(function, {n: w * length for n, w in zip(numerators, omega, strict=True)})
+        function = replaced(function, {Add(*(q * v for q, v in zip(quaternion, moving, strict=True))): S.Zero})
         turning = product(quaternion, (S.Zero, *omega))
-        function = function.xreplace({v: part / 2 for v, part in zip(moving, turning, strict=True)})
+        function = replaced(function, {v: part / 2 for v, part in zip(moving, turning, strict=True)})
     return function
 
 
@@ -283,7 +284,7 @@ def step_with_rotations(
 
 
 def _at_point(lengths: Mapping[Expr, Expr], here: Mapping[Expr, Expr], expression: Expr) -> Expr:
-    return expression.xreplace(lengths).xreplace(here)
+    return replaced(replaced(expression, lengths), here)
 
 
 class _Joints:
@@ -377,7 +378,8 @@ class _Joints:
     def in_forces(self, expression: Expr) -> Expr:
         """Return an expression of impulses in terms of the forces kappa."""
         pairs = ((self._impulse[mark], self._kappa[mark]) for mark in ("_k", "_k1"))
-        return expression.xreplace({i: STEP * k / 2 for left, right in pairs for i, k in zip(left, right, strict=True)})
+        forces = {i: STEP * k / 2 for left, right in pairs for i, k in zip(left, right, strict=True)}
+        return replaced(expression, forces)
 
     def _at(self, mark: str) -> dict[Expr, Expr]:
         node = at_nodes(self.model.coordinates, mark)

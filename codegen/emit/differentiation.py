@@ -36,6 +36,7 @@ from codegen.symbolic import checks as expressions
 from codegen.symbolic.derivatives import first_derivatives, mixed_derivatives, second_derivatives
 from codegen.symbolic.derivatives import jacobian as differentiated
 from codegen.symbolic.graph import Assignment
+from codegen.symbolic.parts import operations
 from codegen.symbolic.terms import Family, are_many, families
 from codegen.symbolic.zeros import identically_zero
 
@@ -205,7 +206,7 @@ def step_derivatives(program: StepProgram) -> StepDerivatives:
     found = families([[r] for r in residual], set(program.unknowns).__contains__)
     if are_many(found):
         jacobian = _jacobian_of(found, program.unknowns)
-    elif sum(int(r.count_ops()) for r in residual) < _LONG_STEP:
+    elif sum(map(operations, residual)) < _LONG_STEP:
         slopes = [[sympy.diff(r, y) for y in program.unknowns] for r in residual]
         jacobian = tuple(tuple(sympy.S.Zero if identically_zero(s) else s for s in row) for row in slopes)
     else:

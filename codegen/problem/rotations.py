@@ -41,6 +41,7 @@ from sympy.matrices.matrixbase import MatrixBase
 
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
 from codegen.problem.symbols import Coordinate, Quantity, State, Time, Velocity, coordinates, time
+from codegen.symbolic.parts import replaced
 
 _NEARLY = 1e-6
 """Largest deviation from orthogonality, or from length one, of numbers for an attitude that is taken for rounding."""
@@ -240,6 +241,24 @@ def names_of(symbols: Iterable[Symbol]) -> list[str]:
         else:
             names.setdefault(f"the {'angular ' if sphere.is_attitude else ''}velocity of {sphere.name}")
     return list(names)
+
+
+def in_matrices(expression: Expr) -> Expr:
+    """Return an expression for messages, in which entries of R and omega of every rotation R are symbols.
+
+    The symbols are called `R[0, 1]` and `omega_R[2]`. Other parts of the expression keep the components of quaternions.
+    """
+    for sphere in (sphere for sphere in spheres_in(expression) if sphere.is_attitude):
+        squares = squared_length(sphere.coordinates)
+        places = ((row, column) for row in range(3) for column in range(3))
+        values = {
+            entry * squares: Symbol(f"{sphere.name}[{row}, {column}]") * squares
+            for entry, (row, column) in zip(sphere.matrix, places, strict=True)
+        }
+        for index, part in enumerate(sphere.angular_velocity if sphere.velocities else ()):
+            values[part * squares] = Symbol(f"omega_{sphere.name}[{index}]") * squares
+        expression = replaced(replaced(expression, values), {squares: sympy.S.One})
+    return expression
 
 
 def in_coordinates(problem: Any) -> dict[str, object]:

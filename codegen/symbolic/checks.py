@@ -16,6 +16,7 @@ from sympy.core.function import AppliedUndef
 from codegen.errors import ExpressionError
 from codegen.symbolic import functions
 from codegen.symbolic.functions import TableBase
+from codegen.symbolic.parts import parts
 from codegen.symbolic.terms import EachBodyBase
 from codegen.symbolic.zeros import identically_zero
 
@@ -63,7 +64,7 @@ def checked(value: object, what: str) -> sympy.Expr:
             raise ExpressionError(f"{what} contains {number}, which no double-precision number is", remedy)
     if expression.has(sympy.I):
         raise ExpressionError(f"{what} is complex", "use real expressions")
-    for part in sympy.preorder_traversal(expression):
+    for part in parts(expression):
         if isinstance(part, AppliedUndef) or not isinstance(part, (*_ARITHMETIC, *PRINTABLE)):
             raise functions.refusal(part, what)
     return expression

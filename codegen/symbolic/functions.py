@@ -23,6 +23,7 @@ from sympy.printing.printer import Printer
 
 from codegen.errors import ExpressionError
 from codegen.identifiers import in_latex
+from codegen.symbolic.parts import parts
 from codegen.symbolic.tables import DEGREE, Number, TableData, derivative
 
 STEMS = ("polygamma", "sinc_derivative")
@@ -292,7 +293,7 @@ def tables_of(*holders: object) -> tuple[TableData, ...]:
     while waiting:
         part = waiting.pop()
         if isinstance(part, sympy.Basic):
-            tables |= dict.fromkeys(function.table for function in part.atoms(TableBase))
+            tables |= dict.fromkeys(each.table for each in parts(part) if isinstance(each, TableBase))
         elif is_dataclass(part):
             waiting += [getattr(part, field.name) for field in fields(part)]
         elif isinstance(part, (tuple, list)):

@@ -33,6 +33,8 @@ from sympy.codegen.cfunctions import log1p
 from sympy.core.random import seed
 from sympy.printing.printer import Printer
 
+from codegen.symbolic import parts
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -361,17 +363,17 @@ def families(rows: Sequence[Sequence[Expr]], kind: Callable[[Symbol], Hashable] 
 
     Symbols in the same slot have the same `kind`, such as the array in which a kernel finds them.
     """
-    names = {symbol.name for row in rows for value in row for symbol in value.free_symbols}
+    names = {symbol.name for row in rows for value in row for symbol in parts.symbols_of(value)}
     slots: list[Symbol] = []
     fresh = (Symbol(f"s{i}", real=True) for i in count() if f"s{i}" not in names)
     found: dict[Hashable, list[Member]] = {}
     templates: dict[Hashable, tuple[tuple[Expr, ...], int]] = {}
     for number, row in enumerate(rows):
-        symbols = sorted(set[Symbol]().union(*(value.free_symbols for value in row)), key=_natural)
+        symbols = sorted(set[Symbol]().union(*map(parts.symbols_of, row)), key=_natural)
         while len(slots) < len(symbols):
             slots.append(next(fresh))
         places = dict(zip(symbols, slots, strict=False))
-        template = tuple(value.xreplace(places) for value in row)
+        template = tuple(parts.replaced(value, places) for value in row)
         key = template, tuple(map(kind, symbols))
         templates[key] = template, len(symbols)
         found.setdefault(key, []).append(Member(number, tuple(symbols)))

@@ -124,6 +124,26 @@ def test_the_pyramid_of_friction_acts_on_the_faster_component_first():
     assert np.abs(result.q[:, 2]).max() < SMALL
 
 
+@pytest.mark.parametrize("n", [20, 40, 41])
+def test_a_wall_stops_a_mass_at_the_end_without_effort(n):
+    """The least effort over a distance d in the time T with a free velocity at the end is 3 d^2 / T^3."""
+    x, dx = coordinate("x")
+    u = control("u")
+    problem = Control(
+        lagrangian=dx**2 / 2,
+        force={x: u},
+        cost=u**2,
+        duration=1,
+        start={x: 0, dx: 0},
+        end={x: 1, dx: 0},
+        unilateral={"wall": 1 - x >= 0},
+        steps=n,
+    )
+    result = codegen.solve(problem)
+    assert result.solved, result.message
+    assert result.cost == pytest.approx(3 / (1 - 1 / (4 * n**2)), rel=1e-5)
+
+
 @pytest.mark.parametrize(("n", "part"), [(40, 0.045), (160, 0.025)])
 def test_a_mass_waits_on_the_floor_and_is_lifted_with_the_least_effort(n, part):
     """The force m (g + a) without waiting has the cost m^2 (g^2 T + 12 d^2 / T^3), which is least for T^2 = 6 d / g."""

@@ -470,6 +470,9 @@ REFUSED = {
     "too many restitutions": (
         lambda: ball(unilateral=floor, restitution=[0.5, 0.6]), ExpressionError, "restitution has 2 values for 1 gaps",
     ),
+    "a restitution without a gap": (
+        lambda: ball(restitution=0.5), ExpressionError, "restitution without unilateral; write unilateral=[gap >= 0]",
+    ),
     "a gap that depends on a velocity": (
         lambda: ball(unilateral=lambda y, v, e: [v >= -1]), ExpressionError, "depends on dy",
     ),

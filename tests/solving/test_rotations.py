@@ -194,6 +194,55 @@ def test_top_on_a_joint_agrees_with_eulers_equations():
     assert slopes(errors, steps) == pytest.approx(2, abs=0.15)
 
 
+def test_a_tippe_top_agrees_with_newton_and_euler():
+    """A ball on a table with a low centre of mass slides with viscous friction, from which its axis rises.
+
+    The tree of the torque has 14 000 parts, of which 115 are distinct.
+    """
+    (x, R), (v, omega) = pose("B")
+    m, radius, low, viscosity, g = 0.02, 0.02, 0.003, 0.08, 9.81
+    inertia = np.array([3.2e-6, 3.2e-6, 3e-6])
+    up = Matrix([0, 0, 1])
+    lever = low * (R @ up) - radius * up  # from the centre of mass to the point of contact
+    slip = v + R @ omega.cross(R.T @ lever)
+    friction = Matrix([-viscosity * slip[0], -viscosity * slip[1], 0])
+    spin = np.array([0.0, 0.0, 100.0])
+    problem = Simulate(
+        lagrangian=m * v.dot(v) / 2 + omega.dot(diag(*inertia.tolist()) * omega) / 2 - m * g * x[2],
+        force={x: friction, R: R.T @ lever.cross(friction)},
+        constraint=[x[2] + low * R[2, 2] - radius],
+        duration=0.5,
+        start={x: (0, 0, radius - low * np.cos(0.1)), R: ([0, 1, 0], 0.1), v: (0, 0, 0), omega: tuple(spin)},
+    )
+
+    def rates(_, state):
+        R, v, w = state[:9].reshape(3, 3), state[9:12], state[12:]
+        axis, W = R[:, 2], R @ w
+        lever = low * axis - radius * np.array([0, 0, 1])
+        slip = v + np.cross(W, lever)
+
+        def accelerations(normal):
+            force = np.array([-viscosity * slip[0], -viscosity * slip[1], normal])
+            turning = (R.T @ np.cross(lever, force) - np.cross(w, inertia * w)) / inertia
+            bending = np.cross(R @ turning, axis) + np.cross(W, np.cross(W, axis))
+            moving = force / m - [0, 0, g]
+            return moving, turning, moving[2] + low * bending[2]
+
+        without, per_newton = accelerations(0.0)[2], accelerations(1.0)[2] - accelerations(0.0)[2]
+        moving, turning, _ = accelerations(-without / per_newton)
+        return np.concatenate([(R @ np.cross(np.eye(3), w)).ravel(), moving, turning])
+
+    begin = np.concatenate([about([0, 1, 0], 0.1).as_matrix().ravel(), np.zeros(3), spin])
+    exact = solve_ivp(rates, (0, 0.5), begin, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    solver, steps, errors = codegen.compile(problem), [500, 1000], []
+    for n in steps:
+        result = solver.solve(steps=n)
+        assert result.solved, result.message
+        errors.append(np.abs(result["B"][-1] - exact[:9].reshape(3, 3)).max())
+    assert errors[-1] < 1e-2
+    assert slopes(errors, steps) == pytest.approx(2, abs=0.1)
+
+
 def test_two_bodies_on_a_ball_joint_agree_with_newton_and_euler():
     """The force of the joint and both angular accelerations solve nine linear equations; scipy integrates them."""
     (x, R), (v, a) = pose("A")
@@ -587,6 +636,7 @@ def test_symbols_of_matrices():
 def _simulate(start, lagrangian=None, **others):
     R, omega = rotation("R")
     written = omega.dot(omega) / 2 if lagrangian is None else lagrangian(R, omega)
+    others = {name: value(R, omega) if callable(value) else value for name, value in others.items()}
     return Simulate(lagrangian=written, duration=1, start=start(R, omega), **others)
 
 
@@ -676,10 +726,32 @@ def test_values_that_are_no_attitudes_are_refused(what):
             ExpressionError,
             "lagrangian is a matrix; give one scalar expression",
         ),
+        (
+            lambda: slew(([0, 0, 1], 1), bounds={rotation("R")[1][2]: (0, 1)}),
+            SymbolError,
+            "bounds has the key omega_R[2], which is no symbol; write path=[omega_R[2] <= ...]",
+        ),
+        (
+            lambda: _simulate(lambda R, w: {R: eye(3), w[0]: 1}),
+            SymbolError,
+            "start has the key omega_R[0], which is no single symbol; give all of R or omega",
+        ),
+        (
+            lambda: _simulate(
+                lambda R, w: {R: eye(3), w: (0, 0, 1)}, events=lambda R, w: {"half": Event(R[0, 0], then={w: -w})}
+            ),
+            SymbolError,
+            "event 'half' has the key the angular velocity of R, which is no single symbol; an event changes no",
+        ),
+        (
+            lambda: _simulate(lambda R, w: {R: eye(3), w: (0, 0, 1)}, constraint=lambda R, w: [w[0]]),
+            ExpressionError,
+            "constraint omega_R[0] = 0 depends on the angular velocity of R; write an equation between velocities in",
+        ),
     ],
     ids=[
         *("degenerate", "bounds", "end", "scale", "name", "names", "first order", "guess", "gap", "number", "dynamics"),
-        *("twice", "matrix"),
+        *("twice", "matrix", "bound of a component", "start of a component", "event", "constraint"),
     ],
 )
 def test_other_mistakes_are_refused(make, error, text):

@@ -30,6 +30,7 @@ from codegen.discretise.conditions.base import (
     ConditionKind,
     Latex,
     Points,
+    Remedies,
     Scope,
     conditions_of,
     dependent,
@@ -46,7 +47,7 @@ from codegen.discretise.schemes.base import Scheme
 from codegen.errors import ArgumentError, DegenerateError, ExpressionError, SchemeError
 from codegen.problem.problem import Control, Simulate
 from codegen.problem.rotations import squared_length
-from codegen.problem.symbols import Coordinate, Parameter, Time
+from codegen.problem.symbols import Coordinate, Parameter, Time, Velocity
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic.derivatives import gradient, partials
 
@@ -56,6 +57,7 @@ class Holonomic(ConditionKind):
 
     argument, field, words = "constraint", "holonomic", "holonomic constraints"
     scope: ClassVar[Scope] = {"constraint": (Coordinate, Time, Parameter)}
+    remedies: ClassVar[Remedies] = {Velocity: "write an equation between velocities in rolling"}
     check = "holonomic drift"
 
     def written(self, control: Control | Simulate) -> Iterator[Entry]:

@@ -52,6 +52,8 @@ def written(problem: Simulate) -> Iterator[Entry]:
         yield from _changes(name, what, event.then)
     yield from relation_entries("unilateral", problem.unilateral)
     values, count = problem.restitution, len(problem.unilateral)
+    if not count and values not in (1, [], ()):
+        raise ExpressionError("restitution without unilateral", "write unilateral=[gap >= 0], or leave restitution out")
     if isinstance(values, (list, tuple)):
         if len(values) != count:
             raise ExpressionError(

@@ -13,6 +13,7 @@ from sympy.logic import boolalg
 
 from codegen.errors import ExpressionError, SymbolError
 from codegen.problem.problem import Expression
+from codegen.problem.rotations import in_matrices, names_of, spheres_in
 from codegen.problem.symbols import Coordinate, FreeParameter, Momentum, Parameter, Quantity, State, Velocity
 from codegen.symbolic import checks as expressions
 
@@ -64,7 +65,16 @@ def require_declared(what: str, has: str, symbol: Expression) -> None:
         )
     quantities = symbol.atoms(Quantity) if isinstance(symbol, sympy.Expr) else set()
     if what == "bounds" and quantities and symbol.free_symbols <= quantities:
-        raise SymbolError(f"bounds has the key {symbol}, which is no symbol", f"write path=[{symbol} <= ...]")
+        raise SymbolError(
+            f"bounds has the key {text(symbol)}, which is no symbol", f"write path=[{text(symbol)} <= ...]"
+        )
+    if spheres := spheres_in(symbol):
+        is_matrix = getattr(symbol, "is_Matrix", False)
+        key = names_of(sorted(symbol.free_symbols, key=str))[-1] if is_matrix else text(symbol)
+        remedy = f"give all of R or omega, by the matrix that the declaration of {spheres[0].name} returned"
+        if what.startswith("then of"):
+            remedy = "an event changes no rotation or unit vector: end the motion there, and start another one"
+        raise SymbolError(f"{what} {has} {key}, which is no single symbol", remedy)
     raise SymbolError(
         f"{what} {has} {short(repr(symbol))}, which was never declared",
         "use the symbols that coordinates(...) or control(...) returned",
@@ -127,7 +137,7 @@ def named_relations(what: str, values: object) -> Iterator[tuple[str, Expression
 
 def text(expression: sympy.Expr) -> str:
     """Return an expression on one line, with decimal numbers as short as their author wrote them."""
-    return str(sympy.sstr(expression, full_prec=False))
+    return str(sympy.sstr(in_matrices(expression), full_prec=False))
 
 
 def short(name: str, limit: int = 60) -> str:

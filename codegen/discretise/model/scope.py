@@ -18,7 +18,7 @@ from codegen.discretise.model.relations import MOVING, STATIC, Entry
 from codegen.drawing import Item
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
 from codegen.problem.problem import Expression, Problem
-from codegen.problem.rotations import spheres_in
+from codegen.problem.rotations import names_of, spheres_in
 from codegen.problem.symbols import (
     BodyNumber,
     ControlInput,
@@ -191,7 +191,7 @@ def _out_of_scope(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError 
     """Return the error, with a remedy, for a symbol that may not occur in an expression."""
     if isinstance(symbol, ControlInput) and entry.role in ("lagrangian", "hamiltonian"):
         return SymbolError(f"control {symbol} in the {form}", "let controls act through force={...}")
-    finding = f"{entry.what} depends on {symbol}"
+    finding = f"{entry.what} depends on {names_of([symbol])[0]}"
     if isinstance(symbol, Delayed):
         where = "force, cost, path or integral" if form != "dynamics" else "dynamics, cost, path or integral"
         return ExpressionError(finding, f"let values of the past act through {where}")

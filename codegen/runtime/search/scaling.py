@@ -201,6 +201,11 @@ def scaled_grid(grid, unknowns, is_solution=False):
     return grid._replace(sizes=factors, forces=weight * factors, weight=weight, bounds=bounds)
 
 
+def slacks(grid):
+    """Return a mask (n,) of the unknowns of a grid that are slacks."""
+    return quantities_of(grid.problem).is_slack[sampled(grid.problem, grid.steps, grid.inner)[0]]
+
+
 @lru_cache(maxsize=8)
 def sampled(problem, steps, inner):
     """Return data for the scaling factors on a grid with nodes at `inner` times: kinds, places, lacks, counts.

@@ -21,6 +21,7 @@ from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is
 from codegen.runtime.search.messages import describe
 from codegen.runtime.search.optimality import WORTH_MEASURING
 from codegen.runtime.search.point import evaluate, fill, lagrangian
+from codegen.runtime.search.scaling import slacks
 from codegen.runtime.search.shooting import (
     scaled_shooting_grid,
     shooting_grid,
@@ -53,6 +54,7 @@ BEYOND = 1e6  # a motion that grows by this factor diverges
 
 CONTRADICTORY = 1e-6  # equations contradict each other if their least violation, relative to the first, exceeds it
 ROUNDINGS = 4.0  # residual that one Newton step may leave, in rounding errors of the equations' terms
+MOST_MULTIPLIER_STEPS = 10  # largest number of steps with equations that depend on each other
 LARGE = 1e6  # a larger step, relative to the unknowns, means that the problem is unbounded
 
 
@@ -110,7 +112,9 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
 
     `scaled` is the grid with the scaling factors of the guess. If equations or cost have much larger factors at the
     guess than at the solution, the tolerance means little. The search then continues from the solution, with the
-    factors there. After a failure the problem is solved in its own units. If that succeeds, `scaled` has no factors.
+    factors there. Quantities that vanish at the solution do not count, because they have no size there. Slacks do not
+    count, because they have the factors of their equations. After a failure the problem is solved in its own units. If
+    that succeeds, `scaled` has no factors.
     For an explicit scheme, the searches have no stages, see `shooting`; `point` and `scaled` have them.
     """
     if scaling not in ("auto", "none"):
@@ -142,7 +146,8 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
         finer_scaled = scaled_shooting_grid(grid, measured, is_solution=True)
         finer = shooting_grid(finer_scaled)
         forces = finer.forces if finer.sizes.size else 1.0
-        if not (forces > np.where(searched.is_multiplier, STEEPER, STEEPER_COST) * searched.forces).any():
+        steeper = forces > np.where(searched.is_multiplier, STEEPER, STEEPER_COST) * searched.forces
+        if not (steeper & (searched.is_multiplier | (measured != 0.0)) & ~slacks(searched)).any():
             break
         scaled, searched, remaining = finer_scaled, finer, max_iterations - iterations
         status, point, further = minimise(finer, scaled_unknowns(finer, begin), tolerance, remaining, True, log)
@@ -354,6 +359,9 @@ def solve_linear_quadratic(grid, unknowns, tolerance, log, system=None):
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if excess != 0:
+            optimum, steps = with_redundant_equations(grid, point, system, tolerance)
+            if optimum is not None:
+                return "solved", optimum, iteration + steps
             return *without_minimum(grid, point, system), iteration
         if (iteration > 0 or point.error <= WORTH_MEASURING) and is_solved(grid, point, tolerance, ROUNDINGS):
             return "solved", point, iteration
@@ -361,6 +369,26 @@ def solve_linear_quadratic(grid, unknowns, tolerance, log, system=None):
             solve_kkt(grid, system, point.gradient, step)
         point = evaluate(grid, point.unknowns + step)
     return "stalled", point, 3
+
+
+def with_redundant_equations(grid, point, system, tolerance):
+    """Return (point, steps) for the unique optimum of a problem with dependent equations that agree, else (None, 0).
+
+    The KKT matrix has -FLAT on the diagonal of the multipliers, and the steps are those of the method of multipliers.
+    An example is a prescribed momentum that is conserved. Source: Friedlander and Orban (2012), A primal-dual
+    regularized interior-point method for convex quadratic programs.
+    """
+    step, diagonal = np.empty_like(point.unknowns), np.where(grid.is_multiplier, -FLAT, 0.0)
+    if factor_kkt(grid, point.unknowns, 1.0, diagonal, system, point.gradient, step) != 0:
+        return None, 0
+    for number in range(1, MOST_MULTIPLIER_STEPS + 1):
+        point = evaluate(grid, point.unknowns + step)
+        if not point.error < np.inf:
+            break
+        if is_solved(grid, point, tolerance, ROUNDINGS):
+            return point, number
+        solve_kkt(grid, system, point.gradient, step)
+    return None, 0
 
 
 def without_minimum(grid, point, system):
