@@ -66,6 +66,17 @@ def problem() -> Simulate:
         lagrangian=(dr**2 + r**2 * dphi**2) / 2 + 1 / r, duration=1, start={r: 1, phi: 0, dr: 0.1, dphi: 1.1}, steps=10
     )
 '''
+SPRINGS = '''"""Let three unit masses on a line swing on springs between each two of them."""
+
+from codegen import Pairwise, Simulate, particles
+
+
+def problem() -> Simulate:
+    i, j = particles("x", "p")
+    (x, p), (y, _) = (*i.q, *i.p), (*j.q, *j.p)
+    pairs = Pairwise((i, j), self_term=p**2 / 2, pair_term=(x - y) ** 2 / 2)
+    return Simulate(hamiltonian=pairs, start={x: [-1, 0, 1], p: [0, 0, 0]}, duration=3, steps=30)
+'''
 TINY = Extent(
     quick=True, simulation_doublings=4, control_doublings=3, reference_seconds=2.0, most_schemes=2, most_simulated=3,
     limit=9.0, time_budget=0.01, drift_steps=2000, sequence_seconds=1.0, peers=False, driver_unknowns=200,
@@ -321,6 +332,19 @@ def test_what_is_killed_while_writing_is_measured_again(tmp_path):
     path.write_text(path.read_text()[:-5])
     assert Store(path).measured(case)
     assert len(calls) == 2
+
+
+def test_a_report_on_particles(tmp_path, inline):
+    """Outer masses are x = -+cos(sqrt(3) t): the schemes have their orders."""
+    (springs,) = written(tmp_path, springs=SPRINGS)
+    gallery.run([springs], tmp_path / "out", TINY)
+    store = Store(tmp_path / "out" / "quick.jsonl")
+    (reference,) = [values for _, values in store.rows("springs: reference")]
+    states = np.array(reference["states"])
+    np.testing.assert_allclose(states[:, 0], -np.cos(np.sqrt(3.0) * np.array(reference["times"])), atol=1e-9)
+    for variant in gallery.choose(springs, store, TINY).variants:
+        order = simulations.measured(store, springs, variant).order
+        assert abs(order.value - variant.order) < (0.1 if variant.order < 6 else 0.3)
 
 
 def test_a_problem_that_cannot_be_read_is_said_on_the_page(tmp_path, inline):
