@@ -1,15 +1,20 @@
 """Compiled linear systems: one for each Shape, with its numbers as constants, and one for all shapes.
 
-numba translates the system once on a machine, see `intermediate`. For each Shape, LLVM then makes machine code of this
-code, with the numbers of unknowns as constants. Constants halve the time of a factorisation. Problems of equal Shape
-share the machine code. It is kept in the cache folder.
+numba translates the system once on a machine into LLVM's intermediate code, in which the sizes of a Shape are
+arguments. For each Shape, LLVM then makes machine code of this code, with the numbers of unknowns as constants.
+Constants halve the time of a factorisation. Problems of equal Shape share the machine code. It is kept in the cache
+folder.
 
 The system for all shapes reads the numbers at run time and needs no compilation for a new Shape. This takes less time
 for many small problems, such as tests.
+
+The program `python -m codegen.runtime.kkt.specialised` prints the intermediate code. It is a program, because numba
+gives no machine code to functions that are linked into their callers, and Python could no longer call them.
 """
 
 import hashlib
 import os
+import re
 import subprocess
 import sys
 from functools import lru_cache, partial
@@ -18,19 +23,20 @@ from threading import get_ident
 from types import SimpleNamespace
 
 import llvmlite.binding as llvm
-from numba import config
+from numba import config, njit
 
 from codegen.runtime.addresses import SYSTEM, callback
 from codegen.runtime.kept_code import SEALED, fingerprint, is_sealed, sealed
 from codegen.runtime.kkt.shape import SHAPE, Shape, place_of
 from codegen.runtime.kkt.system import solve_system
+from codegen.runtime.linking import link_inner_functions
 
 ENTRY = "linear_system"
 """The name of the function in the machine code."""
 PROGRAM = """
 import runpy, sys
 sys.path.insert(0, sys.argv.pop(1))
-runpy.run_module("codegen.runtime.kkt.intermediate", run_name="__main__")
+runpy.run_module("codegen.runtime.kkt.specialised", run_name="__main__")
 """
 
 
@@ -140,11 +146,31 @@ def compiled_system(shape):
     return SimpleNamespace(address=engine.get_function_address(ENTRY), engine=engine)  # the code lives in the engine
 
 
-def solve_any_shape(is_new, bodies, steps, inverses, tables, *others):
-    """Call `solve_system` with the Shape in the index tables, in Python."""
+def solve_any_shape(
+    is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step, is_wanted
+):
+    """Call `solve_system` with the Shape in the index tables."""
     p = place_of(tables, SHAPE)
-    shape = Shape(*(int(tables[p + i]) for i in range(len(Shape._fields))))
-    return solve_system(shape, is_new, bodies, steps, inverses, tables, *others)
+    shape = Shape(
+        tables[p], tables[p + 1], tables[p + 2], tables[p + 3], tables[p + 4], tables[p + 5], tables[p + 6],
+        tables[p + 7], tables[p + 8], tables[p + 9], tables[p + 10], tables[p + 11], tables[p + 12], tables[p + 13],
+    )  # fmt: skip
+    return solve_system(
+        shape, is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
+        is_wanted,
+    )  # fmt: skip
+
+
+def translated():
+    """Return the intermediate code of `solve_any_shape` and of all functions that it calls."""
+    function = njit(error_model="numpy")(solve_any_shape)
+    files = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("codegen.runtime.kkt.")]
+    link_inner_functions(value for space in files for value in space.values() if hasattr(value, "py_func"))
+    link_inner_functions([function])
+    function.compile(SYSTEM.args)
+    # numba counts references to arrays. The linear system works on the memory of its caller, where there are none.
+    code = function.inspect_llvm(SYSTEM.args)
+    return re.sub(r"^.*\bcall\b.*@NRT_(incref|decref)\(.*\n", "", code, flags=re.MULTILINE)
 
 
 def is_made(shape):
@@ -153,3 +179,7 @@ def is_made(shape):
         return is_sealed(path_of(shape).read_bytes())
     except FileNotFoundError:
         return False
+
+
+if __name__ == "__main__":
+    sys.stdout.write(translated())
