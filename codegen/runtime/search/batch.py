@@ -189,7 +189,8 @@ class Found(NamedTuple):
     sizes, weights : (k, m), (k,)
         Scaling factors of all unknowns and of the cost; sizes are ones for a case without scaling factors.
     costs, stationarities : (k,)
-        The corrected cost, and the stationarity, which is the change of the cost if unknowns change by their factors.
+        The cost, corrected to first order for the residuals, and the stationarity. The stationarity is the change of
+        the cost if unknowns change by their scaling factors.
     iterations : (k,)
         Numbers of iterations.
     """
@@ -466,7 +467,7 @@ def is_case_verified(case, common, numbers, tolerance, found, gradient, whole, r
 
 
 class Optimum(NamedTuple):
-    """The outcome for one case: status, message, corrected cost, residual, stationarity, iterations, unknowns (m,)."""
+    """The outcome for one case: all m unknowns, and numbers as in `Optima`."""
 
     status: str
     message: str
@@ -489,7 +490,8 @@ class Optima(NamedTuple):
     status : (k,)
         See `descent.WORDS`; empty for a case without an outcome.
     cost, residual, stationarity, iterations : (k,)
-        The corrected costs, the largest moduli of residuals, the stationarities, the numbers of iterations.
+        The costs, corrected to first order for the residuals, the largest moduli of residuals, the stationarities, and
+        the numbers of iterations.
     unknowns : (k, m)
         All unknowns.
     messages : dict of int to str
