@@ -139,17 +139,17 @@ class LinkingVariables:
 
     @property
     def of_bodies(self) -> tuple[Unknown, ...]:
-        """The variables of each body."""
+        """The linking variables that each body has for itself."""
         return self.unknowns[: self.own]
 
     @property
     def common(self) -> tuple[Unknown, ...]:
-        """The variables of the whole problem."""
+        """The linking variables of the whole problem, such as static parameters."""
         return self.unknowns[self.own :]
 
     @property
     def common_symbols(self) -> tuple[Symbol, ...]:
-        """The symbols of the variables of the whole problem."""
+        """The symbols of the linking variables of the whole problem."""
         return self.symbols[self.own :]
 
 

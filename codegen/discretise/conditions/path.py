@@ -152,7 +152,7 @@ def start_inequalities(model: Model) -> tuple[Condition, ...]:
 
 
 def bounded_stages(model: Model, inside: Sequence[StateValue], stages: Sequence[Unknown]) -> tuple[Unknown, ...]:
-    """Return the `stages`, unknowns of an interval, with the bounds of the states whose inner values they are."""
+    """Return the unknowns `stages` of an interval, each with the bounds of the state whose value it is."""
     quantities = {v.value.name: v.quantity for v in inside if isinstance(v.value, Symbol)}
     bounds = {bound.symbol: bound for bound in model.bounds}
     pairs = ((unknown, bounds.get(quantities.get(unknown.name))) for unknown in stages)
