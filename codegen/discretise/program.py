@@ -395,7 +395,7 @@ class ControlProgram:
 
     @property
     def holonomic_multipliers(self) -> tuple[Unknown, ...]:
-        """The unknowns of a node that are forces of constraints, first of holonomic constraints."""
+        """The unknowns of a node that are forces of constraints: of holonomic, then of rolling constraints."""
         return tuple(unknown for unknown in self.node if unknown.kind is Kind.NORMAL_FORCE)
 
     def in_time(self, expression: Expr) -> Expr:

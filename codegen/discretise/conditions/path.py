@@ -140,7 +140,11 @@ def with_inner_path(model: Model) -> Model:
 
 
 def start_inequalities(model: Model) -> tuple[Condition, ...]:
-    """Return the path inequalities on coordinates that are not fixed, periodic or joined at the start."""
+    """Return the path inequalities that are imposed at the start.
+
+    Inequalities are left out if all their coordinates are fixed there, or equal those of another node: of the end of a
+    periodic motion, or of the end of the segment before.
+    """
     inequalities = ((g, g.expression) for g in nodal_conditions(model, equality=False))
     return tuple(
         g
