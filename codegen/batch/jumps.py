@@ -219,7 +219,10 @@ _BLOCK = 4096  # number of predictions that are computed together, which bounds 
 
 @dataclass(frozen=True, eq=False)
 class Scattered:
-    """The neighbours among the solved cases of a chunk; each cloud has the cases of one family."""
+    """The neighbours among the solved cases of a chunk of samples.
+
+    Each of the `clouds` has the cases of one family, see `scattered`; cases of two families are no neighbours.
+    """
 
     clouds: tuple[_Cloud, ...]
 

@@ -69,7 +69,7 @@ class Solutions(Cases):
     guesses : sequence of ndarray (m,) or None
         The guess of each case; None for the problem's own.
     grids : ndarray of object, (n,)
-        A function (case) -> grid, from the numbers of a block of cases; None without formulas on arrays.
+        For each case, a function from the number of the case to its grid; None if grids are made one by one.
     background : Background or None
         The module and the problem, for figures of single cases.
     """

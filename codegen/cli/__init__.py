@@ -16,7 +16,7 @@ from codegen.terminal import OneLineErrors
 HELP_WIDTH = 120  # the largest width of help texts in columns; otherwise they have the width of the terminal
 main = typer.Typer(
     cls=OneLineErrors,
-    help="Derive, emit and solve discrete mechanics: problems in sympy become self-contained numba solvers.",
+    help="Solve mechanical problems: a problem in sympy becomes a Python module that solves the discrete problem.",
     context_settings={"max_content_width": HELP_WIDTH},
     rich_markup_mode=None,  # plain help does not import rich
 )

@@ -98,7 +98,9 @@ def build(
     ] = False,
     out: Annotated[Path, typer.Option(help="Folder for the module.")] = Path("generated"),
     no_compile: Annotated[bool, typer.Option("--no-compile", help="Compile at the first solve.")] = False,
-    time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of derivation.")] = BUILD,
+    time_limit: Annotated[
+        float, typer.Option(min=0.1, metavar="S", help="Time limit of the derivation in seconds.")
+    ] = BUILD,
 ) -> None:
     """Derive, write and compile the module that solves a problem."""
     from codegen.problem.sources import parse_arguments

@@ -61,15 +61,15 @@ def solve(
         typer.Option(metavar="E", help="Largest error of an equation (newton, ipopt), or of an adaptive step."),
     ] = None,
     max_iterations: Annotated[
-        int | None, typer.Option(parser=options.positive, metavar="N", help="Most iterations of an optimiser.")
+        int | None, typer.Option(parser=options.positive, metavar="N", help="Largest number of iterations of a search.")
     ] = None,
     time_limit: Annotated[
-        float | None, typer.Option(metavar="S", help="Most seconds of a search (newton, ipopt).")
+        float | None, typer.Option(metavar="S", help="Time limit of a search in seconds (newton, ipopt).")
     ] = None,
     scaling: Annotated[str, typer.Option(help="auto, or none to work in the problem's own units (newton).")] = "auto",
     warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
     doublings: Annotated[
-        int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")
+        int, typer.Option(min=0, max=12, help="Number of further solves, each on twice as many intervals.")
     ] = 0,
     accuracy: Annotated[
         float | None,
@@ -86,10 +86,10 @@ def solve(
         list[Path], typer.Option(metavar="FILE.csv", help="Other measurements; of several bodies one file for each.")
     ] = [],  # noqa: B006
     guesses: Annotated[
-        int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")
+        int, typer.Option(min=1, max=10000, help="Number of initial guesses; the best solution is kept.")
     ] = 1,
     sensitivities: Annotated[
-        bool, typer.Option("--sensitivities", help="Derivatives by parameters, boundary values and a given duration.")
+        bool, typer.Option("--sensitivities", help="Differentiate by parameters, boundary values and a given duration.")
     ] = False,
     plot: options.Plot = None,
     style: options.PictureStyle = options.PictureStyles.PAGE,
@@ -295,7 +295,7 @@ def sweep(
     time_limit: Annotated[float | None, typer.Option(metavar="S", help="Time limit of a solve in seconds.")] = None,
     scaling: Annotated[str, typer.Option(help="auto or none, as for codegen solve (newton).")] = "auto",
     sensitivities: Annotated[
-        bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of arrays by --keep.")
+        bool, typer.Option("--sensitivities", help="Differentiate the cost by all quantities; arrays by --keep.")
     ] = False,
     plot: options.Plot = None,
     style: options.PictureStyle = options.PictureStyles.PAGE,

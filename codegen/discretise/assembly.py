@@ -82,7 +82,7 @@ def assemble(
         )
 
     def at_left_node(expression: Expr) -> Expr:
-        """Return an expression in coordinates and rates in the symbols of the left node of an interval."""
+        """Return an expression of coordinates and rates, written in the symbols of the left node of an interval."""
         left: dict[Symbol, Expr] = dict(zip(model.coordinates, at_nodes(model.coordinates, "_k"), strict=True))
         if expression.has(*model.rates):
             left |= dict(zip(model.rates, motion.left_rates(), strict=True))

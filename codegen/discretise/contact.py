@@ -198,10 +198,11 @@ class EndImpulse:
 
 
 def end_impulse(model: Model, matched: set[int], values: Mapping[Symbol, Expr], names: Names) -> EndImpulse:
-    """Return the impulses of contacts at the end, of those gaps that may be closed there.
+    """Return the impulses of contacts at the end, for the gaps that may be closed there.
 
-    `matched` are the coordinates whose velocities are matched at the end, and `values` the values of the symbols of
-    boundary values. A gap is open if the values that the author prescribes are those of an open gap.
+    `matched` are the indices of the coordinates whose discrete momenta match velocities at the end. Only gaps that
+    depend on them have impulses. `values` maps symbols of boundary values to values. If the prescribed values at the
+    end make a gap positive, the gap is open and has no impulse.
     """
     numbers = values_at_guess(model)
     numbers |= {s: value for s, x in values.items() if (value := rounded_at(x, numbers)) is not None}

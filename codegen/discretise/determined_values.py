@@ -389,8 +389,8 @@ class ChainJacobian:
     def reduced(self, program: ControlProgram) -> tuple[Array, Array, Array]:
         """Return Jacobian (m, n), residuals (m,) and row scales (m,) of the equations in the free unknowns.
 
-        The program must have the same elements as the chain. Rows and columns of the Jacobian are scaled to the same
-        size; residuals are not scaled.
+        `program` must have the same intervals and linking variables as the program of the chain. Rows and columns of
+        the Jacobian are scaled to the same size; residuals are not scaled.
         """
         free, matrix = np.ones(self.size, bool), self.matrix.copy()
         for end, k in ((program.start, 0), (program.end, self.steps)):

@@ -49,7 +49,7 @@ class EventAtNode:
 
     @property
     def row(self) -> tuple[Expr, ...]:
-        """Value, rate and scale."""
+        """The value, the rate and the scale, a row of the array that the kernel of events fills."""
         return self.value, self.rate, self.scale
 
 

@@ -252,7 +252,7 @@ class Transition:
             matched |= further
 
     def at(self, expression: Expr) -> Expr:
-        """Return an expression in coordinates and rates before the jump in symbols of the interval."""
+        """Return an expression of coordinates and rates before the jump, written in symbols of the interval."""
         return expression.subs(self.substitution, simultaneous=True)
 
     def jumped(self, symbol: Symbol) -> Expr:
@@ -260,7 +260,7 @@ class Transition:
         return self.at(self.jump.get(symbol, symbol))
 
     def after_jump(self, expression: Expr) -> Expr:
-        """Return an expression in coordinates and rates after the jump in symbols of the interval."""
+        """Return an expression of coordinates and rates after the jump, written in symbols of the interval."""
         after = {s: self.jumped(s) for s in self.quantities if s in self.substitution}
         return expression.subs(after, simultaneous=True)
 

@@ -139,17 +139,17 @@ class LinkingVariables:
 
     @property
     def of_bodies(self) -> tuple[Unknown, ...]:
-        """The variables of each body."""
+        """The linking variables that each body has for itself."""
         return self.unknowns[: self.own]
 
     @property
     def common(self) -> tuple[Unknown, ...]:
-        """The variables of the whole problem."""
+        """The linking variables of the whole problem, such as static parameters."""
         return self.unknowns[self.own :]
 
     @property
     def common_symbols(self) -> tuple[Symbol, ...]:
-        """The symbols of the variables of the whole problem."""
+        """The symbols of the linking variables of the whole problem."""
         return self.symbols[self.own :]
 
 
@@ -395,7 +395,7 @@ class ControlProgram:
 
     @property
     def holonomic_multipliers(self) -> tuple[Unknown, ...]:
-        """The unknowns of a node that are forces of constraints, first of holonomic constraints."""
+        """The unknowns of a node that are forces of constraints: of holonomic, then of rolling constraints."""
         return tuple(unknown for unknown in self.node if unknown.kind is Kind.NORMAL_FORCE)
 
     def in_time(self, expression: Expr) -> Expr:

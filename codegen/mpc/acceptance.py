@@ -85,7 +85,7 @@ class BestIterate:
                 self.best = stored(search).point
 
     def add(self, point: Point, _length: float) -> None:
-        """Record an iterate of the search for a linear-quadratic problem, which has no time limit."""
+        """Record an iterate of a linear-quadratic problem, whose search has no time limit."""
         now = self._clock()
         if self.beginning is None:
             self.beginning = now - self._begin

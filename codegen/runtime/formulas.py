@@ -44,9 +44,9 @@ def inner_kernel(function):
 
 
 def translate_formulas(space):
-    """Replace the inner kernels of formulas in a module's namespace by functions with a translation.
+    """Replace kernels of formulas in the namespace of a module by kernels that are translated from their syntax trees.
 
-    The attribute `py_func` stays the function of the module.
+    The attribute `py_func` of a new kernel is still the function of the module.
     """
     for name, value in list(space.items()):
         if getattr(value, "may_be_formulas", False):

@@ -593,7 +593,7 @@ class Attitudes:
         return Matrix([part.xreplace(at_identity) / 2 for part in parts])
 
     def lagrangian(self) -> Block:
-        """Return the Lagrangian, with the forces and torques."""
+        """Return the block of the Lagrangian, the generalised forces and the torques, written in attitudes."""
         rows = [(_named("L"), self.written(self.model.function))]
         force = dict(zip(self.model.coordinates, self.model.force, strict=True))
         rows += [(_named(f"f_{x}"), self.written(force[x])) for x in self.positions if force[x] != 0]
@@ -606,7 +606,7 @@ class Attitudes:
         return Block(heading, tuple(rows), tuple((about, about.replace("_", r"\_")) for about in abouts))
 
     def balances(self, shorten: Shorten) -> Block:
-        """Return the Euler-Lagrange equations of positions, and Euler's equations of attitudes."""
+        """Return the block of the Euler-Lagrange equations of positions and of Euler's equations of attitudes."""
         model, function = self.model, self.written(self.model.function)
         force = dict(zip(model.coordinates, model.force, strict=True))
         lengths = [squared_length(body.quaternion) - 1 for body in self.bodies]

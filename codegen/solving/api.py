@@ -200,7 +200,7 @@ class Outcome:
     def for_python(self) -> Result:
         """The result with all notes, which name the untried options as arguments.
 
-        Warnings about the problem are part of a result without a solution only. The command line prints them, and the
+        Only results without a solution contain the warnings about the problem. The command line prints them, and the
         notes on estimates and sensitivities, by itself.
         """
         result = self._advised([option.in_python for option in self.untried])

@@ -66,7 +66,7 @@ class Grid(Protocol):
 class ControlSolution(Protocol):
     """The return value of `solve` of an optimal-control module.
 
-    `log` has a row for each iterate; `scaled` is the grid with the first scaling factors.
+    `log` has a row for each iterate; `scaled` is the grid with the scaling factors with which the search began.
     """
 
     status: str

@@ -209,6 +209,12 @@ UNBOUNDED = [
 
 NON_FINITE = [
     Failing(
+        "logarithm-in-the-guess",
+        mass(guess="{x: log(time() - 2)}"),
+        "non-finite",
+        ("the initial guess of x at node 1 (t = 0.167) is nan", "change the guess"),
+    ),
+    Failing(
         "logarithm-in-the-cost",
         mass(cost="u**2 + log(x - 0.1)", end="{x: 1}"),
         "non-finite",

@@ -64,7 +64,10 @@ def in_threads(
 
 @contextmanager
 def threads(work: Work, workers: int) -> Iterator[Callable[[Iterable[int]], Results[int, Done]]]:
-    """Yield the function that solves chunks in threads, which end with the chunks they are at; see `Executor`."""
+    """Yield the function that solves chunks in threads, see `Executor`.
+
+    At the end each thread finishes its present chunk.
+    """
     work = work.loaded()
 
     def solved(number: int, is_wanted: Callable[[], bool]) -> Done:

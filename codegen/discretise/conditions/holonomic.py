@@ -150,10 +150,12 @@ class Constraints:
     def nodal_terms(
         self, matched: tuple[set[int], set[int]], by_pi: tuple[set[int], set[int]], scheme: Scheme
     ) -> NodalTerms:
-        """Return the unknowns of nodes; kappa is zero at an end where no momentum of its coordinates is matched.
+        """Return the unknowns of nodes for the forces kappa of all constraints, and their share of the Lagrangian.
 
-        `matched` and `by_pi` are, at start and end, the indices of momenta matched to velocities and to unknowns pi.
-        Where both ends match the same pi, only the sum of both kappa acts, and the kappa of the end is zero.
+        `matched` has, for the start and for the end, the indices of coordinates whose momenta match velocities. `by_pi`
+        has those whose momenta equal the unknowns pi of a periodic motion. The kappa of a constraint is zero at an end
+        without any of these coordinates. If both ends have the same pi, only the sum of both kappa acts, and the kappa
+        of the end is zero.
         """
         pairs = list(zip(self.kappa, self.touched, strict=True))
         conditions = [Condition(str(c), c) for c in self.model.holonomic]

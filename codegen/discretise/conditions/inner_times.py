@@ -276,10 +276,10 @@ def _require_order(model: Model) -> None:
 def inner_terms(
     model: Model, at_left: Callable[[Expr], Expr], names: Names, clock: Clock | None
 ) -> tuple[NodalTerms, InnerTimes]:
-    """Return the unknowns that nodes need for conditions at inner times, and the times with the numbers of nodes.
+    """Return the unknowns that conditions at inner times add to each node, and the InnerTimes of a program.
 
-    `at_left` writes an expression in the symbols of an interval's left node. The indices in the times count these
-    unknowns from zero. With a `clock` the times are free.
+    `at_left` writes an expression in the symbols of the left node of an interval. The indices in the InnerTimes count
+    only the added unknowns, from zero. If the times are free, `clock` has the unknowns for them, otherwise it is None.
     """
     if not model.inner_conditions:
         return NodalTerms(), InnerTimes()

@@ -140,7 +140,11 @@ def with_inner_path(model: Model) -> Model:
 
 
 def start_inequalities(model: Model) -> tuple[Condition, ...]:
-    """Return the path inequalities on coordinates that are not fixed, periodic or joined at the start."""
+    """Return the path inequalities that are imposed at the start.
+
+    Inequalities are left out if all their coordinates are fixed there, or equal those of another node: of the end of a
+    periodic motion, or of the end of the segment before.
+    """
     inequalities = ((g, g.expression) for g in nodal_conditions(model, equality=False))
     return tuple(
         g
@@ -152,7 +156,7 @@ def start_inequalities(model: Model) -> tuple[Condition, ...]:
 
 
 def bounded_stages(model: Model, inside: Sequence[StateValue], stages: Sequence[Unknown]) -> tuple[Unknown, ...]:
-    """Return the `stages`, unknowns of an interval, with the bounds of the states whose inner values they are."""
+    """Return the unknowns `stages` of an interval, each with the bounds of the state whose value it is."""
     quantities = {v.value.name: v.quantity for v in inside if isinstance(v.value, Symbol)}
     bounds = {bound.symbol: bound for bound in model.bounds}
     pairs = ((unknown, bounds.get(quantities.get(unknown.name))) for unknown in stages)

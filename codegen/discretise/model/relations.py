@@ -27,7 +27,7 @@ STATIC = (Parameter, FreeParameter)
 class Entry:
     """An expression of a problem.
 
-    `role` says where it occurs, such as "cost" or "start". `what` is its name in messages, and `key` the symbol that it
+    `role` is where it occurs, such as "cost" or "start". `what` is its name in messages, and `key` the symbol that it
     belongs to, if any. Relations have a `name`: in an equality the expression vanishes, else it is not positive.
     """
 
@@ -92,7 +92,7 @@ def checked_sequence(what: str, values: object, entry: str) -> Sequence[Expressi
 
 
 def value_entries(what: str, mapping: object) -> Iterator[Entry]:
-    """Yield the values of symbols in the argument `what`, which becomes their role."""
+    """Yield an Entry for each value of the argument `what`, a mapping by symbols; the role is `what`."""
     for key, value in checked_mapping(what, mapping, "symbol: value").items():
         if what in ("start", "end") and isinstance(value, (tuple, list)):
             raise ExpressionError(
@@ -108,7 +108,10 @@ def value_entries(what: str, mapping: object) -> Iterator[Entry]:
 
 
 def relation_entries(what: str, values: object) -> Iterator[Entry]:
-    """Yield the relations in the argument `what`, their role; raise ExpressionError for equal names or relations."""
+    """Yield an Entry for each relation in the argument `what`; the role is `what`.
+
+    Raise ExpressionError for equal names or relations.
+    """
     seen, named = set[sympy.Expr](), set[str]()
     for index, (chosen_name, written) in enumerate(named_relations(what, values)):
         written_name, expression, equality = relation(written, f"{what}[{chosen_name or index!r}]")

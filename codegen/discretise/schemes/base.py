@@ -171,7 +171,10 @@ class Scheme:
         return left > 0.0 and left * right - mixed**2 > LEAST_DETERMINANT
 
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
-        """Return the scheme that is repeated, with the given lengths of its substeps; `step` is the symbol h."""
+        """Return the scheme of one repetition, see `parts`; a scheme without repetitions returns itself.
+
+        `lengths` are the lengths of its step or of its substeps, and `step` is the symbol h.
+        """
         return self
 
     def step(self) -> Step:

@@ -36,7 +36,7 @@ class Composition(Scheme):
         return self.base.is_chain
 
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
-        """Return the base scheme; with several lengths, these are the lengths of its substeps."""
+        """Return the base scheme; several `lengths` replace the lengths of its substeps."""
         if len(lengths) == 1:
             return self.base
         pairs = zip(self._base().substeps, lengths, strict=True)

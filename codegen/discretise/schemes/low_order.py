@@ -14,7 +14,11 @@ _ZERO, _HALF, _ONE = Rational(0), Rational(1, 2), Rational(1)
 
 @dataclass(frozen=True)
 class Substep:
-    """A fraction of the step, with the field at q = (1-a) q0 + a q1, p = (1-b) p0 + b p1, a and b in [0, 1]."""
+    """A part of the step, which has the length `fraction` h and evaluates the field at one point.
+
+    From (q0, p0) to (q1, p1) the point is q = (1-a) q0 + a q1, p = (1-b) p0 + b p1. The numbers a and b in [0, 1] are
+    `position` and `momentum`.
+    """
 
     fraction: Expr
     position: Rational
@@ -23,7 +27,10 @@ class Substep:
 
 @dataclass(frozen=True)
 class OneStep(Scheme):
-    """A chain of substeps q1 = q0 + g h H_p(q, p), p1 = p0 - g h H_q(q, p) + g h f(q, p)."""
+    """A chain of substeps q1 = q0 + g h H_p(q, p), p1 = p0 - g h H_q(q, p) + g h f(q, p).
+
+    Each substep has its fraction g of the step and its point (q, p), see `Substep`.
+    """
 
     substeps: tuple[Substep, ...]
 

@@ -3,7 +3,7 @@
 Runge-Kutta methods are Gauss, Radau and Lobatto collocation, diagonally implicit and explicit methods. Discrete
 Lagrangians use straight lines or polynomials (Galerkin variational integrators) with the same quadrature rules.
 
-The tables are exact; `tests/discretise/test_orders.py` proves orders and symplecticity from them. Integrators with
+The tableaux are exact; `tests/discretise/test_orders.py` proves orders and symplecticity from them. Integrators with
 adaptive steps are references for particles whose ends are both fixed.
 """
 
@@ -28,7 +28,10 @@ from codegen.discretise.schemes.base import (
 
 @dataclass(frozen=True)
 class RungeKutta(Scheme):
-    """X_i = x0 + h sum_j a_ij F(X_j), x1 = x0 + h sum_i b_i F(X_i), with tables a_ij for coordinates and momenta."""
+    """X_i = x0 + h sum_j a_ij F(X_j), x1 = x0 + h sum_i b_i F(X_i).
+
+    Coordinates and momenta have a tableau a_ij each.
+    """
 
     weights: tuple[Expr, ...]
     positions: Rows
@@ -36,11 +39,11 @@ class RungeKutta(Scheme):
 
     @property
     def abscissae(self) -> tuple[Expr, ...]:
-        """The fractions c_i of the step at the stages: the row sums of the table for coordinates."""
+        """The fractions c_i of the step at the stages: the row sums of the tableau a_ij for coordinates."""
         return tuple(sum(row, S.Zero) for row in self.positions)
 
     def step(self) -> Step:
-        """Return the step in which stage i is state i, unless its row in the table shows that it equals a node."""
+        """Return the step in which stage i is state i, unless its row in the tableau shows that it equals a node."""
         end, numbers = Update(0, S.One, self.weights), range(1, len(self.weights) + 1)
 
         def state(number: int, row: tuple[Expr, ...]) -> int:
@@ -104,7 +107,7 @@ _DORMAND_PRINCE = _table(
 
 
 def _gauss_8() -> Rows:
-    """Return the table of Kuntzmann and Butcher, with the outer points first and last."""
+    """Return the tableau of Kuntzmann and Butcher, with the outer points first and last."""
     outer, inner = (sqrt((15 + sign * 2 * _ROOT_30) / 35) / 2 for sign in (1, -1))
     half = [Rational(1, 8) - sign * _ROOT_30 / 144 for sign in (1, -1)]
     third = [outer * (Rational(1, 6) + _ROOT_30 / 24), inner * (Rational(1, 6) - _ROOT_30 / 24)]

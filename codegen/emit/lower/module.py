@@ -55,9 +55,10 @@ def system_fields(model: Model, tables: Sequence[TableData]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Origin:
-    """The origin of a generated module: the source, and `command` and `place` (as words) that build the module again.
+    """The origin of a generated module, for its header: the source, and the command that builds the module again.
 
-    `inputs` is the digest of the inputs. `reads` has a line for each data file that the problem reads.
+    `place` is a phrase for the folder in which the command has to run. `inputs` is the digest of the inputs. `reads`
+    has a line for each data file that the problem reads.
     """
 
     source: str

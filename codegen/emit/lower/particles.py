@@ -322,7 +322,11 @@ class BlockLoop:
 
 
 def gathered_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[BlockLoop, ...]:
-    """Return the gathered gradient loop if one without branches exists; raise ExpressionError if threads need it."""
+    """Return the loop that gathers the gradient of each particle, or an empty tuple for a model without such a loop.
+
+    The loop exists if a particle acts on itself as on others, and if the limit there is smooth. Raise ExpressionError
+    if a parallel model has no such loop.
+    """
     acts_on_itself = False
     if model.limit is not None and model.smooth:
         own = dict(zip((*model.second.p, *model.second.own), (*model.first.p, *model.first.own), strict=True))

@@ -463,7 +463,7 @@ class _Hamiltonian:
         self.numbers, self.step = complex_numbers(np.clongdouble), step_of(np.clongdouble)
 
     def at(self, state: Array, own: Array, parameters: Array) -> tuple[Array, Array, Array]:
-        """Return H, its gradient (2, n, d), and its Hessian (2nd, 2nd) with respect to the flattened state."""
+        """Return H, its gradient (2, n, d), and its Hessian (2 n d, 2 n d) with respect to the flattened state."""
         size = state.size
         flat = state.reshape(-1).astype(np.clongdouble)
         # Rows are the state itself, then states displaced by +-length in each entry; columns are complex steps.

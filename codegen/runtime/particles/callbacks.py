@@ -30,7 +30,7 @@ def first_momenta(case):
 
 
 def trajectory(case, momenta):
-    """Make all steps from initial momenta (nd,); return the outcome, the states, and the points.
+    """Make all steps from initial momenta (n d,); return the outcome, the states, and the points.
 
     The outcome is negative if a step fails. H is evaluated at the points. States have shape (N + 1, 2, n, d), points
     (N POINTS, 2, n, d).
@@ -43,7 +43,7 @@ def trajectory(case, momenta):
 
 
 def residual(case, momenta):
-    """Return the residual (nd,) of the end conditions for initial momenta (nd,); NaN if a step fails.
+    """Return the residual (n d,) of the end conditions for initial momenta (n d,); NaN if a step fails.
 
     The residual is q_N + sigma^2 p_N - target.
     """
@@ -52,7 +52,7 @@ def residual(case, momenta):
 
 
 def jacobian(case, momenta):
-    """Return the derivative (nd, nd) of `residual` with respect to the initial momenta; NaN if a step fails."""
+    """Return the derivative (n d, n d) of `residual` with respect to the initial momenta; NaN if a step fails."""
     outcome, _, points = trajectory(case, momenta)
     if outcome < 0:
         return np.full((case.start.size, case.start.size), np.nan)
@@ -67,7 +67,7 @@ def path_cost(case, path):
 
 
 def path_errors(case, path):
-    """Return the defects (N, 2, n, d) of the states `path`, and the residual (nd,) of the end conditions.
+    """Return the defects (N, 2, n, d) of the states `path`, and the residual (n d,) of the end conditions.
 
     A defect is the step from a state minus the next state. All defects are NaN if a step fails.
     """
@@ -105,13 +105,13 @@ def path_of(case, unknowns):
 
 
 def first_unknowns(case):
-    """Return the initial guess (2ndN,) of the unknowns of `all_equations`, from the guessed path."""
+    """Return the initial guess (2 n d N,) of the unknowns of `all_equations`, from the guessed path."""
     path = guessed_path(case)
     return np.concatenate([path[1:-1, 0].ravel(), path[:, 1].ravel()])
 
 
 def all_equations(case, unknowns):
-    """Return each step from a state minus the next state, as a vector (2ndN,).
+    """Return each step from a state minus the next state, as a vector (2 n d N,).
 
     The unknowns are the positions at inner nodes, then the momenta at all nodes. The last positions are
     target - sigma^2 p_N.
@@ -120,7 +120,7 @@ def all_equations(case, unknowns):
 
 
 def all_equations_jacobian(case, unknowns):
-    """Return the derivative (2ndN, 2ndN) of `all_equations` with respect to the unknowns."""
+    """Return the derivative (2 n d N, 2 n d N) of `all_equations` with respect to the unknowns."""
     path, size, steps = path_of(case, unknowns), case.start.size, case.steps
     linear = Linearised(case, stepped(case, path)[1], None)
     matrix, inner = np.zeros((2 * size * steps, 2 * size * steps)), (steps - 1) * size
@@ -142,7 +142,7 @@ def all_equations_jacobian(case, unknowns):
 
 
 def action_start(case):
-    """Return the initial guess (nd (2 N - 1),) of the unknowns of the discrete action, from the guessed path."""
+    """Return the initial guess (n d (2 N - 1),) of the unknowns of the discrete action, from the guessed path."""
     path = guessed_path(case)
     return np.concatenate([path[1:-1, 0].ravel(), path[:-1, 1].ravel()])
 
@@ -172,7 +172,7 @@ def action_gradients(case, states):
 
 
 def action_cost_gradient(case, unknowns):
-    """Return the gradient (nd (2 N - 1),) of the discrete cost with respect to the unknowns."""
+    """Return the gradient (n d (2 N - 1),) of the discrete cost with respect to the unknowns."""
     gradients = 2.0 * case.duration / case.steps * action_gradients(case, action_states(case, unknowns)[1])
     at_nodes, c = np.zeros((case.steps + 1, *case.start.shape)), case.problem.abscissa
     at_nodes[:-1] += (1.0 - c) * gradients[:, 0]
@@ -181,14 +181,14 @@ def action_cost_gradient(case, unknowns):
 
 
 def action_constraints(case, unknowns):
-    """Return q_k+1 - q_k - h H_p of all intervals, as a vector (ndN,)."""
+    """Return q_k+1 - q_k - h H_p of all intervals, as a vector (n d N,)."""
     positions, states = action_states(case, unknowns)
     velocities = action_gradients(case, states)[:, 1]
     return (positions[1:] - positions[:-1] - case.duration / case.steps * velocities).ravel()
 
 
 def action_blocks(case, states):
-    """Return the second derivatives (N, 2nd, 2nd) of H at the states (N, 2, n, d)."""
+    """Return the second derivatives (N, 2 n d, 2 n d) of H at the states (N, 2, n, d)."""
     hessians = np.empty((len(states), states[0].size, states[0].size))
     for z, hessian in zip(states, hessians, strict=True):
         case.problem.hessian(z, case.own, case.parameters, hessian)
@@ -207,7 +207,7 @@ def action_columns(case, k):
 
 
 def action_jacobian(case, unknowns):
-    """Return the derivative (ndN, nd (2 N - 1)) of `action_constraints` with respect to the unknowns."""
+    """Return the derivative (n d N, n d (2 N - 1)) of `action_constraints` with respect to the unknowns."""
     _, states = action_states(case, unknowns)
     size, h, c = case.start.size, case.duration / case.steps, case.problem.abscissa
     matrix = np.zeros((case.steps * size, unknowns.size))
@@ -223,7 +223,7 @@ def action_jacobian(case, unknowns):
 
 
 def action_hessian(case, unknowns, multipliers):
-    """Return the second derivatives (nd (2 N - 1), nd (2 N - 1)) of cost + multipliers . constraints.
+    """Return the second derivatives (n d (2 N - 1), n d (2 N - 1)) of cost + multipliers . constraints.
 
     H is quadratic in the momenta: v . H_p(q, P) = H(q, P + v) - H(q, P) - H(q, v). Therefore no third derivatives are
     needed.

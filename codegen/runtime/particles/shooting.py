@@ -31,7 +31,7 @@ ENOUGH = 1e-4  # relative accuracy of implicit steps, divided by the last relati
 
 @njit(error_model="numpy")
 def fill_end_residual(state, target, sigma, residual):
-    """Fill `residual` (nd,) with q_N + sigma^2 p_N - target, from the last state (2, n, d).
+    """Fill `residual` (n d,) with q_N + sigma^2 p_N - target, from the last state (2, n, d).
 
     Return the largest modulus of an entry, and the 2-norm.
     """
@@ -46,7 +46,7 @@ def fill_end_residual(state, target, sigma, residual):
 
 @njit(error_model="numpy")
 def approximate_inverse(factor, left, right, values, change):
-    """Fill `change` (nd,) with the approximate inverse of the derivative times `values` (nd,).
+    """Fill `change` (n d,) with the approximate inverse of the derivative times `values` (n d,).
 
     `factor` is the result of `preconditioner`. Row i of `left` and of `right` (steps, nd) is the correction by step i
     of Broyden's method: the inverse is multiplied by 1 + left[i] right[i]'.
@@ -122,7 +122,7 @@ VISIBLE = 1e-8  # residuals above this are not attributed to rounding errors
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def tangents(pairs, hessians, points, steps, h, own, parameters, directions):
-    """Propagate `directions` (2nd, m) over all steps in place; return True if all linear equations were solved."""
+    """Propagate `directions` (2 n d, m) over all steps in place; return True if all linear equations were solved."""
     after = np.empty(directions.shape)
     for k in range(steps):
         if not advance_directions(pairs, hessians, points, k * pairs.points, h, own, parameters, directions, after):
@@ -134,14 +134,14 @@ def tangents(pairs, hessians, points, steps, h, own, parameters, directions):
 
 
 def end_residual_change(directions, sigma):
-    """Return the change (nd, m) of q_N + sigma^2 p_N for changes `directions` (2nd, m) of the last state."""
+    """Return the change (n d, m) of q_N + sigma^2 p_N for changes `directions` (2 n d, m) of the last state."""
     half = directions.shape[0] // 2
     variances = np.repeat(sigma**2, half // sigma.size)
     return directions[:half] + variances[:, None] * directions[half:]
 
 
 def end_residual(state, target, sigma):
-    """Return q_N + sigma^2 p_N - target (nd,) for the last state (2, n, d)."""
+    """Return q_N + sigma^2 p_N - target (n d,) for the last state (2, n, d)."""
     return (state[0] + sigma[:, None] ** 2 * state[1] - target).ravel()
 
 
@@ -195,7 +195,7 @@ class Linearised:
         self.pairs = case.problem.pairs if self.hessians.size else case.problem.pairs_with_products
 
     def advance(self, k, directions, after):
-        """Fill `after` (2nd, m) with the derivative of step k times `directions` (2nd, m).
+        """Fill `after` (2 n d, m) with the derivative of step k times `directions` (2 n d, m).
 
         Return True if the linear equations of the step were solved.
         """
@@ -204,7 +204,7 @@ class Linearised:
         return advance_directions(*arguments, directions, after)
 
     def tangents(self, directions):
-        """Propagate `directions` (2nd, m) over all steps in place, and return them.
+        """Propagate `directions` (2 n d, m) over all steps in place, and return them.
 
         The result is NaN if the linear equations of a step cannot be solved.
         """
@@ -217,18 +217,18 @@ class Linearised:
         return directions
 
     def product(self, change):
-        """Return the change (nd,) of the residual for a `change` (nd,) of the initial momenta."""
+        """Return the change (n d,) of the residual for a `change` (n d,) of the initial momenta."""
         directions = np.zeros((2 * change.size, 1))
         directions[change.size :, 0] = change
         return end_residual_change(self.tangents(directions), self.case.sigma)[:, 0]
 
     def matrix(self):
-        """Return the derivative of the residual with respect to the initial momenta as a matrix (nd, nd)."""
+        """Return the derivative of the residual with respect to the initial momenta as a matrix (n d, n d)."""
         size = self.case.start.size
         return end_residual_change(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
 
     def solved(self, right, forcing):
-        """Return the change (nd,) of the initial momenta that changes the residual by `right` (nd,).
+        """Return the change (n d,) of the initial momenta that changes the residual by `right` (n d,).
 
         The result is NaN if the derivative is singular. GMRES stops at a residual of `forcing` relative to `right`.
         """
@@ -241,7 +241,7 @@ class Linearised:
         return solution
 
     def preconditioned(self, vector):
-        """Return the inverse of the preconditioner times a vector (nd,)."""
+        """Return the inverse of the preconditioner times a vector (n d,)."""
         if self.factor is None:
             return vector
         result = vector.copy().reshape(self.factor.shape[0], -1)
@@ -272,7 +272,7 @@ class Linearised:
 def preconditioner(case):
     """Return the Cholesky factor of duration times H_pp at the start plus sigma^2.
 
-    This matrix, (n, n) or (nd, nd), is the derivative of `end_residual` for small momenta. The result is None if the
+    This matrix, (n, n) or (n d, n d), is the derivative of `end_residual` for small momenta. The result is None if the
     matrix is not positive definite.
     """
     size = case.start.shape[0] if case.problem.blocks == 1 else case.start.size
@@ -421,7 +421,7 @@ def all_states(case, factor, path, points, log):
 
 
 def shift_states(linear, errors, shifts):
-    """Fill shifts[1:] (N, 2nd, 1) with changes of the states that remove the defects of all steps.
+    """Fill shifts[1:] (N, 2 n d, 1) with changes of the states that remove the defects of all steps.
 
     `errors` (N, 2, n, d) holds the defects. The changes follow the linearised trajectory from shifts[0]. If the linear
     equations of a step cannot be solved, later changes are NaN.

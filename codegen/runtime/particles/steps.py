@@ -270,7 +270,7 @@ def newton_substep(pairs, before, step, a, b, own, parameters, gradient, point, 
 
 @njit(error_model="numpy")
 def substep_matrix(hessian, step, a, b, matrix):
-    """Fill `matrix` (2nd, 2nd) with the unit matrix minus step J H'' diag(a, b).
+    """Fill `matrix` (2 n d, 2 n d) with the unit matrix minus step J H'' diag(a, b).
 
     This is the derivative of the equations of a substep with respect to the state at its end.
     """
@@ -285,7 +285,7 @@ def substep_matrix(hessian, step, a, b, matrix):
 
 
 def curvature_at(problem, points, own, parameters):
-    """Return the second derivatives (P, 2nd, 2nd) of H at points (P, 2, n, d).
+    """Return the second derivatives (P, 2 n d, 2 n d) of H at points (P, 2, n, d).
 
     The array is empty if there are more than STORED entries.
     """
@@ -298,7 +298,7 @@ def curvature_at(problem, points, own, parameters):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_curvature(hessian, points, own, parameters, hessians):
-    """Fill `hessians` (P, 2nd, 2nd) with the second derivatives of H at all points.
+    """Fill `hessians` (P, 2 n d, 2 n d) with the second derivatives of H at all points.
 
     `hessian` is the address of the kernel.
     """
@@ -308,9 +308,9 @@ def fill_curvature(hessian, points, own, parameters, hessians):
 
 @njit(error_model="numpy")
 def linearised_field(pairs, hessians, points, k, own, parameters, directions, products):
-    """Fill `products` (2nd, m) with the derivative J H'' of the field at the k-th point times `directions` (2nd, m).
+    """Fill `products` with the derivative J H'' of the field at the k-th point times `directions`, both (2 n d, m).
 
-    H'' is read from `hessians` (P, 2nd, 2nd). If this array is empty, a kernel computes the products.
+    H'' is read from `hessians` (P, 2 n d, 2 n d). If this array is empty, a kernel computes the products.
     """
     if hessians.shape[0] > 0:
         symmetric_product(hessians[k], directions, products)
@@ -328,7 +328,7 @@ def linearised_field(pairs, hessians, points, k, own, parameters, directions, pr
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_directions(pairs, hessians, points, first, h, own, parameters, directions, after):
-    """Fill `after` (2nd, m) with the derivative of a step times `directions`.
+    """Fill `after` (2 n d, m) with the derivative of a step times `directions`.
 
     The points of the step begin at index `first` of `points`. Return True if the linear equations of all substeps were
     solved.
@@ -363,7 +363,7 @@ def advance_directions(pairs, hessians, points, first, h, own, parameters, direc
 
 @njit(error_model="numpy")
 def combined_directions(directions, h, rates, weights, count, result):
-    """Fill `result` (2nd, m) with directions + h sum_r weights[r] rates[r] over the first `count` stages."""
+    """Fill `result` (2 n d, m) with directions + h sum_r weights[r] rates[r] over the first `count` stages."""
     for row in range(directions.shape[0]):
         for c in range(directions.shape[1]):
             value = directions[row, c]
@@ -374,7 +374,7 @@ def combined_directions(directions, h, rates, weights, count, result):
 
 @njit(error_model="numpy")
 def implicit_directions(pairs, hessians, points, k, step, a, b, own, parameters, before, products, after):
-    """Fill `after` (2nd, m) with the derivative of an implicit substep times the directions `before` (2nd, m).
+    """Fill `after` (2 n d, m) with the derivative of an implicit substep times the directions `before` (2 n d, m).
 
     Return True if the linear equations were solved. `k` is the index of the point of the substep.
     """
@@ -409,7 +409,7 @@ def implicit_directions(pairs, hessians, points, k, step, a, b, own, parameters,
 def direct_directions(hessian, step, a, b, before, after):
     """Solve the linear equations of an implicit substep by elimination.
 
-    The results are as in `implicit_directions`. `hessian` (2nd, 2nd) holds the second derivatives at the point.
+    The results are as in `implicit_directions`. `hessian` (2 n d, 2 n d) holds the second derivatives at the point.
     """
     size, half = hessian.shape[0], hessian.shape[0] // 2
     matrix, pivots, middle, right = np.empty((size, size)), np.empty(size, np.int64), np.empty(size), np.empty(size)

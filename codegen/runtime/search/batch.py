@@ -190,7 +190,8 @@ class Found(NamedTuple):
     sizes, weights : (k, m), (k,)
         Scaling factors of all unknowns and of the cost; sizes are ones for a case without scaling factors.
     costs, stationarities : (k,)
-        The corrected cost, and the stationarity, which is the change of the cost if unknowns change by their factors.
+        The cost, corrected to first order for the residuals, and the stationarity. The stationarity is the change of
+        the cost if unknowns change by their scaling factors.
     iterations : (k,)
         Numbers of iterations.
     """

@@ -379,7 +379,7 @@ def is_minimum(problem, grid, system, bounds, x, g, distance, duals, tolerance, 
     Instead of bounds, their barrier is added to the Hessian. Curvatures count as positive if they are above a small
     negative number, which is a multiple of the tolerance. Dependent equations need a delta_c, which lowers the
     curvature of an optimum that may move, such as a periodic motion in time, by delta_c times the square of the change
-    of its multipliers. It is therefore left out first, unless the search has met dependent equations.
+    of its multipliers. Therefore delta_c is zero at first, unless the search has met dependent equations.
     """
     shift = max(FLAT, 100.0 * tolerance)
     for delta_c in (0.0, FLAT):

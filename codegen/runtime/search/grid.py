@@ -210,7 +210,7 @@ def primal_unknowns(grid):
 
 
 def multiplier_unknowns(grid):
-    """Return the indices of the multipliers whose equations are imposed."""
+    """Return the indices of the multipliers that have an equation, see `free_unknowns`."""
     return layout_of(grid).multipliers
 
 

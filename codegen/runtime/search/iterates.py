@@ -198,7 +198,10 @@ class Search(NamedTuple):
 
     @property
     def equations(self):
-        """The indices of the multipliers of all equations that are imposed."""
+        """The indices of the multipliers of all equations.
+
+        Multipliers without an equation are left out, such as those of conditions at inner times at all other nodes.
+        """
         return multiplier_unknowns(self.grid)
 
 
@@ -332,9 +335,10 @@ def central_duals(mu, distance):
 
 
 def with_least_squares_multipliers(search, iterate):
-    """Return `iterate` with multipliers that solve the stationarity conditions by least squares (36).
+    """Return `iterate` with multipliers that solve the stationarity conditions by least squares.
 
     All multipliers of `iterate` are zero. They stay zero if the solution is huge or does not exist.
+    Source: Waechter and Biegler (2006), equation (36).
     """
     load(search, iterate)
     first_iterate.estimate_multipliers(*search.arguments, search.work.reals, search.work.vectors, search.work.barriers)

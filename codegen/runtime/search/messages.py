@@ -99,7 +99,7 @@ def tables_beyond(grid, unknowns):
 def finding(grid, guess, point, status):
     """Return a text on the reason of a status, with the names of the author."""
     if status == "non-finite":
-        return not_finite(grid, point)
+        return not_finite(grid, point) if np.isfinite(guess).all() else guess_not_finite(grid, guess)
     if status == "infeasible" or (status == "rank-deficient" and point.residual > HOLDS):
         return violated(grid, point)
     if status == "rank-deficient":
@@ -200,6 +200,12 @@ def negative_curvature_unknown(grid, point):
     """Return the name of the unknown that changes most along the direction of most negative curvature."""
     direction = np.where(grid.is_multiplier, 0.0, negative_curvature_direction(grid, point.unknowns))
     return unknown_name(grid, point.unknowns, int(np.argmax(np.abs(direction))))
+
+
+def guess_not_finite(grid, guess):
+    """Return a text on the first unknown whose initial guess is infinite or NaN."""
+    index = int(np.flatnonzero(~np.isfinite(guess))[0])
+    return f"the initial guess of {unknown_name(grid, guess, index)} is {guess[index]}"
 
 
 def not_finite(grid, point):

@@ -72,7 +72,7 @@ class Stack(NamedTuple):
 
 
 class Optimum(NamedTuple):
-    """The outcome for one case: status, message, corrected cost, residual, stationarity, iterations, unknowns (m,)."""
+    """The outcome for one case: all m unknowns, and numbers as in `Optima`."""
 
     status: str
     message: str
@@ -95,7 +95,8 @@ class Optima(NamedTuple):
     status : (k,)
         See `workspace.WORDS`; empty for a case without an outcome.
     cost, residual, stationarity, iterations : (k,)
-        The corrected costs, the largest moduli of residuals, the stationarities, the numbers of iterations.
+        The costs, corrected to first order for the residuals, the largest moduli of residuals, the stationarities, and
+        the numbers of iterations.
     unknowns : (k, m)
         All unknowns.
     messages : dict of int to str

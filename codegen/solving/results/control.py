@@ -202,7 +202,7 @@ def control_outline(module: ControlModule, driver: str, run: Run, attempt: Contr
 
 
 def outline_of_optimum(module: ControlModule, grid: Grid, optimum: Optimum) -> Outline:
-    """Return the outline of an optimum that the compiled batch has found, and evaluated outside its search."""
+    """Return the Outline of an optimum of a batch, which has evaluated the equations again outside its search."""
     return _outline(module, grid, optimum, optimum.unknowns)
 
 

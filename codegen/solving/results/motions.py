@@ -156,7 +156,10 @@ def simulate_numbers(metadata: Record, run: Run) -> int:
 
 
 def rounding_of(path: NDArray[np.float64], step: ArrayLike) -> NDArray[np.float64]:
-    """Return the residual (..,) that rounding errors explain at once, along paths (.., M, states) with steps (..,)."""
+    """Return a residual (..,) of paths (.., M, states) with steps (..,) that rounding errors alone can cause.
+
+    A smaller residual needs no `rounding_level`, which takes two evaluations.
+    """
     largest = np.maximum(1.0, np.nanmax(np.abs(path), axis=(-2, -1), initial=0.0))
     with np.errstate(divide="ignore"):
         inverse = np.where(np.asarray(step) > 0.0, 1.0 / np.asarray(step), 1.0)
