@@ -311,7 +311,7 @@ def _hessian_products(writer: Writer) -> PairLoop:
         operations = made.operations_before + along.operations_before, made.operations_after + along.operations_after
     visit = writer.loop(
         "hessian_products",
-        "Fill `products`, shape (2nd, m), with the second derivatives of H times m directions, shape (2nd, m).",
+        "Fill `products`, shape (2 n d, m), with the second derivatives of H times m directions, shape (2 n d, m).",
         (*STATE, "directions", "products"), kernels[0], kernels[1],
         head=[half, Line("products[:]", "0.0")],
         directions=(lines[0], lines[1]),

@@ -120,7 +120,11 @@ def analysis(
 
 @dataclass(frozen=True)
 class Defect:
-    """A nonzero component of d(i_f omega), omega = sum dq ^ dp: coefficient f of h^power has no Hamiltonian."""
+    """The proof that a coefficient of a modified field has no Hamiltonian.
+
+    The coefficient f belongs to h^power. With omega = sum dq ^ dp, the component of d(i_f omega) for the two variables
+    `pair` has the `value`, which would vanish for a Hamiltonian field.
+    """
 
     power: int
     pair: tuple[Symbol, Symbol]

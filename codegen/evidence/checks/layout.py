@@ -84,7 +84,7 @@ class FlatVector:
     """The positions of unknowns in the flat vector for `steps` intervals. `body` and `k` (node, interval) start at 0.
 
     `inside` are the unknowns of a node and of the interval after it. `chain` is the number of unknowns in the nodes and
-    intervals of a body. `inner_nodes` maps nodes to inner times, by index, if one interval separates any two times.
+    intervals of a body. `inner_nodes` maps the number of a node to the number of the inner time at this node.
     """
 
     def __init__(self, program: ControlProgram, steps: int) -> None:

@@ -57,7 +57,7 @@ class Item:
 
 
 def number_item(name: str, author: float, module: float) -> Item:
-    """Return the item of two numbers, which may be infinite, with a tolerance for rounding errors."""
+    """Return the comparison of a number of the author with that of the module, up to rounding; both may be infinite."""
     size = max(abs(author), abs(module)) if math.isfinite(author) and math.isfinite(module) else 0.0
     return Item(name, float(author), float(module), ROUNDING * size + 1e-14)
 
@@ -113,9 +113,10 @@ def quadrature(begin: float, length: float) -> tuple[Array, Array]:
 
 
 def grid_of(author: Author, steps: int, as_written: bool = False) -> Grid:
-    """Return the module's time grid with random parameters. Inner times and measured times are nodes of all grids.
+    """Return the module's time grid with random parameters.
 
-    The interpolation of measured values inside an interval has an error that is no smooth function of 1/N.
+    Inner times and times of measurements are nodes of every grid: interpolation inside an interval would have an error
+    that is no smooth function of 1/N, and could not be extrapolated.
 
     Prescribed boundary values are those of the random motions, or follow from the parameters `as_written`.
     """

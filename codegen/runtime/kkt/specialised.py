@@ -55,7 +55,7 @@ def path_of(shape):
 
 
 def processor():
-    """Return the name and the features of the processor, as numba's variables of the environment or LLVM have them."""
+    """Return name and features of the processor: those that NUMBA_CPU_NAME prescribes, or those that LLVM finds."""
     name, features = config.CPU_NAME, config.CPU_FEATURES
     if name is None:
         return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()

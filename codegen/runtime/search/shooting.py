@@ -240,7 +240,7 @@ def kept_unknowns(structure, steps):
 
 @lru_cache(maxsize=8)
 def like_unknowns(problem, steps):
-    """Return, for each of all unknowns, the index without stages of an unknown of the same quantity on its interval."""
+    """Return an index among the unknowns without stages for each unknown: its own, or for a stage that of its state."""
     s, kind = problem.structure, quantities_of(problem).kind
     kept, like = kept_unknowns(s, steps), np.empty(s.size(steps), np.int64)
     like[kept] = np.arange(kept.size)
