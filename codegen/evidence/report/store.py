@@ -166,7 +166,7 @@ class Settings:
     problem: Path
     counts: tuple[int, ...] = (3, 4, 5)
     steps: tuple[int, ...] = NODES
-    limit: float = 5.0
+    limit: float = 1.0
     quick: bool = False
 
     @property
