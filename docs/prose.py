@@ -2,17 +2,12 @@
 
     python docs/prose.py                     a row for each page
     python docs/prose.py docs/start.md ...   these pages, with every sentence that breaks a rule
-    python docs/prose.py --draw SEED         twenty sentences of the guide and twenty docstrings, drawn at random
-
-A draw is for readers who do not know the project: they write down what each text means.
 
 Code, tables, headings and formulas are left out. `tests/test_prose.py` holds every page to the limits below.
 """
 
 from __future__ import annotations
 
-import ast
-import random
 import re
 import sys
 from collections import Counter
@@ -179,44 +174,14 @@ def pages() -> list[Path]:
     return [*(ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")), *sorted(kept)]
 
 
-def drawn(seed: int, count: int = 20) -> list[str]:
-    """Return sentences of the guide, then docstrings of public functions and classes, each with its file.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the random numbers.
-    count : int
-        The number of sentences, and of docstrings.
-    """
-    sentences = [
-        f"{path.relative_to(ROOT)}: {sentence}"
-        for path in pages()
-        if path.parent.name == "guide"
-        for sentence in prose_of(path.read_text(encoding="utf-8")).sentences
-    ]
-    docstrings = [
-        f"{path.relative_to(ROOT)}, {node.name}: {docstring}"
-        for path in sorted((ROOT / "codegen").rglob("*.py"))
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_")
-        if (docstring := ast.get_docstring(node)) is not None
-    ]
-    chance = random.Random(seed)
-    return [*chance.sample(sentences, count), *chance.sample(docstrings, count)]
-
-
 def main(arguments: list[str]) -> None:
     """Print a row for each page, and for pages that are named also the sentences that break a rule.
 
     Parameters
     ----------
     arguments : list of str
-        Paths of pages; all pages if empty. Or ``--draw`` and a seed.
+        Paths of pages; all pages if empty.
     """
-    if arguments[:1] == ["--draw"]:
-        print(*drawn(int(arguments[1])), sep="\n\n")
-        return
     print(
         f"{'page':34}{'words':>7}{'sentences':>11}{'mean':>7}{'longest':>9}{'openings':>10}{'avoided':>9}{'ambiguous':>11}"
     )
