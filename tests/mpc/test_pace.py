@@ -25,7 +25,7 @@ class Clock:
         monkeypatch.setattr(codegen.Controller, "_clock", staticmethod(lambda: self.now))
         monkeypatch.setattr(controllers, "evaluate", self.timed(evaluate))
         begin_beside = self.timed(first_iterate.begin_beside)
-        for module in (descent, cascade):
+        for module in (first_iterate, cascade):
             monkeypatch.setattr(module, "begin_beside", begin_beside)
         own = descent.descend
 

@@ -29,7 +29,6 @@ from codegen.runtime.addresses import SYSTEM, callback
 from codegen.runtime.kept_code import SEALED, fingerprint, is_sealed, sealed
 from codegen.runtime.kkt.shape import SHAPE, Shape, place_of
 from codegen.runtime.kkt.system import solve_system
-from codegen.runtime.linking import link_inner_functions
 
 ENTRY = "linear_system"
 """The name of the function in the machine code."""
@@ -163,6 +162,8 @@ def solve_any_shape(
 
 def translated():
     """Return the intermediate code of `solve_any_shape` and of all functions that it calls."""
+    from codegen.runtime.linking import link_inner_functions  # for this program alone
+
     function = njit(error_model="numpy")(solve_any_shape)
     files = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("codegen.runtime.kkt.")]
     link_inner_functions(value for space in files for value in space.values() if hasattr(value, "py_func"))
