@@ -295,6 +295,20 @@ def test_area_is_preserved_by_accident_where_half_of_the_energy_is_linear(prepar
     assert not [*failures("area preservation", context), *failures("midpoint equivalence", context)]
 
 
+def test_area_is_preserved_by_accident_where_the_hessian_of_the_hamiltonian_is_singular(prepared, tmp_path):
+    """A rope is wound up: H = p^2/(2 (2 + q)) + 9.81 q has H_qq H_pp = H_qp^2, so that det = 1 for explicit Euler."""
+    path = tmp_path / "rope.py"
+    path.write_text(
+        '"""Rope."""\nfrom codegen import Simulate, coordinate\n\ndef problem() -> Simulate:\n'
+        "    q, v = coordinate('q')\n    function = (2 + q) * v**2 / 2 - 9.81 * q\n"
+        "    return Simulate(lagrangian=function, start={q: 1, v: 1}, duration=0.1, steps=50)\n"
+    )
+    context = prepared(path)
+    (euler,) = [f for f in checks.apply("area preservation", context) if f.subject == "explicit-euler (hamiltonian)"]
+    assert "det = 1, and the scheme is not symplectic" in euler.detail
+    assert not failures("area preservation", context)
+
+
 HAMILTONIAN = '''"""A mass whose momentum is given at both ends."""
 
 from codegen import Control, canonical_pair, control

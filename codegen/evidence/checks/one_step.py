@@ -293,7 +293,9 @@ def check_area_preservation(context: Context) -> Iterator[Finding]:
         return
     model = without_forces(context.model)
     curvature = sympy.hessian(model.function, [*model.coordinates, *model.rates])
-    curved, linear = not identically_zero(curvature.det()), not curvature.has(*model.coordinates, *model.rates)
+    # The Hessian of the Hamiltonian of a Lagrangian L has the determinant -L_qq / L_vv.
+    curved = not (identically_zero(curvature.det()) or identically_zero(curvature[0, 0]))
+    linear = not curvature.has(*model.coordinates, *model.rates)
     for method, table in METHODS.items():
         try:
             for scheme in (scheme for scheme in table.values() if not scheme.parts):
@@ -304,8 +306,9 @@ def check_area_preservation(context: Context) -> Iterator[Finding]:
                     # The determinant of a step with inner stages is a long expression. For two variables it is S^T J S.
                     defect = defect_at_random_points(context.model, step_equations(model, scheme))
                     preserved, result = defect < PRESERVED, f"|det - 1| = {defect:.2g} at random points"
-                # If the potential or the kinetic energy is linear, any scheme may preserve areas by accident. So do
-                # symmetric schemes if both are quadratic: the map is R(hA) with R(z) R(-z) = 1.
+                # If the Hessian of the Hamiltonian is singular, any scheme may preserve areas by accident, for example
+                # with det = 1 + h^2 (H_qq H_pp - H_qp^2) for Euler's method. Symmetric schemes preserve them if H is
+                # quadratic: the map is R(hA) with R(z) R(-z) = 1.
                 accident = preserved and (not curved or (linear and scheme.symmetric))
                 detail = f"{result}, and the scheme is {'symplectic' if scheme.symplectic else 'not symplectic'}"
                 passed = preserved == scheme.symplectic or accident
